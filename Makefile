@@ -99,7 +99,7 @@ INTERPRETED := $(addprefix tests/test_,barrier.py motors.py neighbors.py noise.p
 	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \
 	tests/baselines/rth3d/test_flight.py::test_planes_stand_where_two_robots_are_nearest \
 	tests/baselines/rth3d/test_validation.py \
-	$(addprefix tests/baselines/neural_swarm/planner/,test_kd_tree.py test_steering.py) \
+	$(addprefix tests/baselines/neural_swarm/planner/,test_steering.py) \
 	$(addprefix tests/baselines/mlr_dmpc/,test_trajectory.py test_corridors.py test_reach.py)
 
 coverage: $(VENV)/.dev

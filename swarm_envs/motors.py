@@ -139,14 +139,9 @@ def voltage(
     settings: Record,
     open_circuit: FloatArray,
 ) -> float:
-    """Voltage of a battery under load, over 4.2 V.
+    """Voltage of a battery over 4.2 V, at a charge from 0 to 1 and a thrust of all rotors, N.
 
-    Args:
-        charge: from 0 (empty) to 1 (full).
-        rotor_thrust_total_n: thrust of the four rotors together, N.
-        drone: its record.
-        settings: the record of the settings.
-        open_circuit: (K,) voltage without load over 4.2 V, at evenly spaced charges.
+    `open_circuit` (K,) is the voltage without load over 4.2 V, at evenly spaced charges.
     """
     last = open_circuit.shape[0] - 1
     place = charge * last
@@ -189,11 +184,7 @@ def drain(
     open_circuit: FloatArray,
     dt: float,
 ) -> tuple[float, float]:
-    """Advance one battery by a time step dt, s. The other arguments are those of `voltage`.
-
-    Returns:
-        The charge after the step, and the largest force of one rotor there, N.
-    """
+    """Charge of a battery, and largest force of one rotor, N, after a time step dt, s."""
     used = current(rotor_thrust_total_n, settings) * dt / drone.battery_capacity
     left = max(charge - used, 0.0)
     return left, limit_rotors(left, rotor_thrust_total_n, drone, settings, open_circuit)

@@ -21,13 +21,9 @@ FEW = 24
 
 @part
 def sort_along_x(position: FloatArray, order: IntArray) -> None:
-    """Sort drones by x, equal ones by their index.
+    """Sort the `order` of drones (N,) by the x of `position` (N, 3), m, equal ones by their index.
 
     Drones change places seldom, so an order from a step ago is nearly sorted, and is soon sorted.
-
-    Args:
-        position: (N, 3) m; further columns are not read.
-        order: (N,) any permutation of the drones, sorted in place.
     """
     for a in range(1, order.shape[0]):
         i = order[a]
@@ -60,18 +56,10 @@ def within_box(
     vertical: float,
     found: IntArray,
 ) -> int:
-    """List the drones inside a box around the drone at a place of the order.
+    """List the drones inside a box around the drone at a place of `order` (N,), sorted along x.
 
-    Args:
-        position: (N, 3) m.
-        order: (N,) drones sorted along x.
-        place: in that order.
-        lateral: half the box's size in x and y, m.
-        vertical: half its height, m.
-        found: their indices, ascending, written.
-
-    Returns:
-        How many there are.
+    The box reaches `lateral` metres in x and y and `vertical` ones in z. Indices are written into
+    `found`, ascending; returned is how many there are. `position` (N, 3) is in m.
     """
     i, count = order[place], 0
     for step in (-1, 1):
@@ -95,15 +83,8 @@ def nearest(
 ) -> int:
     """List the nearest other drones of drone `i`, nearest first, equal ones by their index.
 
-    Args:
-        i: the drone.
-        position: (N, 3) m; further columns are not read.
-        drones: (N,) records; those that no longer fly are left out.
-        found: (K,) their indices, written.
-        square: (K,) their squared distances, m^2, written.
-
-    Returns:
-        How many there are, at most K.
+    Of the N drones at `position`, m, those that no longer fly are left out. Indices (K,) and
+    squared distances, m^2, are written; returned is how many there are, at most K.
     """
     count, places, bound = 0, found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for j in range(position.shape[0]):
@@ -133,20 +114,7 @@ def nearest_sorted(
     found: IntArray,
     square: FloatArray,
 ) -> int:
-    """Do what `nearest` does among drones sorted along x: look only as far as it matters.
-
-    Args:
-        i: the drone.
-        place: where it stands in the order.
-        position: (N, 3) m; further columns are not read.
-        drones: (N,) records; those that no longer fly are left out.
-        order: (N,) drones sorted along x.
-        found: (K,) their indices, written.
-        square: (K,) their squared distances, m^2, written.
-
-    Returns:
-        How many there are, at most K.
-    """
+    """Do what `nearest` does among drones in an `order` along x: look only as far as it matters."""
     count: Any = np.int64(0)  # a literal 0 would compile `_offer` twice
     places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for step in (-1, 1):

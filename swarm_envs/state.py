@@ -111,9 +111,7 @@ def parameters(team: Sequence[Vehicle], num_envs: int = 1) -> Parameters:
 def hover_state(team: Team, position: npt.ArrayLike) -> SwarmState:
     """State of a team at rest, level, its rotors at hover thrust, with full batteries.
 
-    Args:
-        team: the vehicles, N of them.
-        position: (E, N, 3) or (N, 3) positions, m; the latter makes one environment.
+    Positions are (E, N, 3) or (N, 3), m; the latter makes one environment.
 
     Raises:
         ValueError: the positions do not fit the team.

@@ -74,9 +74,10 @@ class HalfSpaces(NamedTuple):
 
 
 def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig) -> HalfSpaces:
-    """Half-spaces (15) between a drone's present plan and the trajectories of others.
+    """Half-spaces (C, S) (15) between a drone's plan (S, 3), m, and the trajectories of others.
 
-    A drone that may be replanned gives half of the gap, one that is not gives all of it.
+    A drone that may be replanned gives half of the gap, one that is not gives all of it. Normals
+    are divided by Theta: they are for points in metres.
 
     Planes are turned about the vertical by up to `turn_rad`, so that each drone has more room on
     its right: the weights of Appendix B alone leave two drones that meet head on where they are.
@@ -84,14 +85,6 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
     the gap alone, which is the same for both, and so is its sense. For Theorem 1 the present plan
     must satisfy its rows: along the turned normal the gap stays above the distance kept, since the
     turn is at most `turn_share` of where it would not.
-
-    Args:
-        own: (S, 3) positions of the present plan at the collision samples, m.
-        neighbors: what the others may fly.
-        config: scaling Theta and distance.
-
-    Returns:
-        Half-spaces (C, S), with normals by Theta: for points in metres.
     """
     return HalfSpaces(
         *_voronoi_planes(
@@ -157,12 +150,9 @@ def obstacle_planes(
 ) -> HalfSpaces:
     """Half-spaces (M, S) that keep a plan from the start of a round on off obstacles.
 
-    Args:
-        own: what the drone flies; it must be outside of every obstacle at every sample.
-        start_round: when the plan starts.
-        rows: (M, 7) obstacles, by `swarm_envs.tasks.obstacles.obstacle_rows`.
-        margin_m: least distance of the drone's centre to any obstacle, m; not scaled by Theta.
-        config: times.
+    `rows` (M, 7) are those of `swarm_envs.tasks.obstacles.obstacle_rows`. The drone's centre stays
+    `margin_m` off, not scaled by Theta; what it flies must be outside of every obstacle at every
+    sample.
     """
     since = config.round_s * (start_round - own.identity.start_round)
     positions = own.positions(since + condensed(config).collision_times)

@@ -33,15 +33,7 @@ def circle_swap(num_drones: int, radius: float, height: float) -> tuple[FloatArr
 
 
 def formation(name: str, num_drones: int = 16) -> FloatArray:
-    """Places (N, 3), m, of a shape of `SEQUENCE` in the published box.
-
-    Args:
-        name: of the shape.
-        num_drones: N; the sizes are made for 16.
-
-    Raises:
-        ValueError: no shape of the sequence has this name.
-    """
+    """Places (N, 3), m, of a shape of `SEQUENCE` in the published box; sized for 16 drones."""
     points = shape_points(check_name("formation", name, _SPACING_M), num_drones, _SPACING_M[name])
     if name == "sphere":
         points = points * (_SPHERE_RADIUS_M / np.linalg.norm(points[0]))

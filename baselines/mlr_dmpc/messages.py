@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from io import BytesIO
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -191,9 +189,11 @@ _HEAD = np.dtype(
 
 
 class Codec:
-    """Packs and unpacks the messages of a swarm.
+    """Packs the messages of a swarm.
 
-    Slots and sender are known from when a message arrives, so no message carries them.
+    Slot, sender and round are known from when a message arrives, so no message carries them. No two
+    messages that can be sent in one slot have the same bytes: nodes are handed the messages
+    themselves, and bytes are counted.
     """
 
     def __init__(self, num_drones: int, num_units: int, config: MlrDmpcConfig) -> None:
@@ -259,29 +259,6 @@ class Codec:
         ]
         return [heads[i].tobytes() + bodies[i].tobytes() for i in np.flatnonzero(states.said)]
 
-    def unpack_states(self, data: Sequence[bytes], round_: int) -> DroneStates:
-        """What drones have said in a round, by their messages; nothing where one is empty."""
-        size = _HEAD.itemsize
-        heads = np.array([np.frombuffer(one.ljust(size, b"\0"), _HEAD, 1)[0] for one in data])
-        kinematics = np.zeros((len(data), 3, 3))
-        resting = np.array([len(one) == size + 12 for one in data])
-        for i, one in enumerate(data):
-            if resting[i]:
-                kinematics[i, 0] = np.frombuffer(one[size:], "<f4")
-            elif one:
-                kinematics[i] = self._unsteps(np.frombuffer(one[size:], "<u2").reshape(3, 3))
-        starts = _latest(heads["round"].astype(np.int64), round_)
-        return DroneStates(
-            round_,
-            np.array([len(one) > 0 for one in data]),
-            starts << 8 | heads["unit"],
-            heads["epoch"].astype(np.int64) << 8 | heads["proposer"],
-            self._unsteps(heads["target"][:, None])[:, 0],
-            kinematics,
-            resting,
-            **{name: heads["flags"] >> k & 1 == 1 for k, name in enumerate(_FLAGS)},
-        )
-
     def filled(self, message: UnitMessage, order: list[tuple[int, int]]) -> UnitMessage:
         """The message with as many priorities as fit; what others can do without goes first."""
         empty = message.kind is MessageKind.EMPTY
@@ -323,38 +300,6 @@ class Codec:
             out += self._ids((drone,)) + bytes([level])
         return out
 
-    def unpack(self, data: bytes, unit: int, round_: int) -> UnitMessage:
-        """The message that was sent in a unit's slot in a round."""
-        reader = BytesIO(data)
-        head, epoch, proposer, flags = struct.unpack("<BHBB", reader.read(5))
-        view, kind = ViewId(epoch, proposer), MessageKind(head & 3)
-        found: dict[str, Any] = {"complete": bool(flags & 1)}
-        if kind is not MessageKind.ANSWER:
-            found["recent"] = self._read_ids(reader, RECENT)
-        if head >> 2 & 1:
-            found["selection"] = self._read_ids(reader, self._num_units)
-        if flags >> 1 & 1:
-            found["current"] = self._read_ids(reader, self._num_units)
-        found["donations"] = self._read_ids(reader, head >> 4 & 3)
-        wanted = [(self._read_ids(reader, 1)[0], reader.read(3)) for _ in range(head >> 6)]
-        found["missing"] = tuple(Missing(i, _unpacked_identity(d, round_)) for i, d in wanted)
-        if head >> 3 & 1:
-            masks = [int.from_bytes(reader.read(size), "little") for size in self._mask_bytes]
-            units, drones, gone = (
-                [i for i in range(bits.bit_length()) if bits >> i & 1] for bits in masks
-            )
-            found["members"] = MembershipView(
-                view, tuple(units), frozenset(drones), frozenset(gone)
-            )
-        if kind is not MessageKind.EMPTY:
-            (found["drone"],) = self._read_ids(reader, 1)
-            sent = Identity(round_ + 1, unit) if kind is MessageKind.PLAN else None
-            found["trajectory"] = unpack_trajectory(reader, sent, round_, self._config)
-        rest = reader.read()
-        pairs = [rest[k : k + self._id_bytes + 1] for k in range(0, len(rest), self._id_bytes + 1)]
-        found["priorities"] = tuple((int.from_bytes(p[:-1], "little"), p[-1]) for p in pairs)
-        return UnitMessage(kind, round_, unit, view, **found)
-
     def _steps(self, kinematics: FloatArray) -> npt.NDArray[np.int64]:
         count = kinematics.shape[-2]
         share = (kinematics - self._lower[:count]) / self._span[:count]
@@ -368,13 +313,6 @@ class Codec:
         end = 1 << self._id_bits  # negative ones, NONE and UNSURE, become the largest numbers
         together = sum(i % end << k * self._id_bits for k, i in enumerate(ids))
         return together.to_bytes(math.ceil(len(ids) * self._id_bits / 8), "little")
-
-    def _read_ids(self, reader: BytesIO, count: int) -> tuple[int, ...]:
-        end = 1 << self._id_bits
-        size = math.ceil(count * self._id_bits / 8)
-        together = int.from_bytes(reader.read(size), "little")
-        read = (together >> k * self._id_bits & end - 1 for k in range(count))
-        return tuple(i - end if i >= end + UNSURE else i for i in read)
 
 
 def _trajectory_bytes(config: MlrDmpcConfig) -> int:
@@ -391,27 +329,5 @@ def pack_trajectory(trajectory: Trajectory, named: bool) -> bytes:
     return name + numbers.astype("<f4").tobytes()
 
 
-def unpack_trajectory(
-    reader: BytesIO, identity: Identity | None, round_: int, config: MlrDmpcConfig
-) -> Trajectory:
-    """A trajectory that was sent in a round; its identity is read if it is not given."""
-    if identity is None:
-        identity = _unpacked_identity(reader.read(3), round_)
-    numbers = np.frombuffer(reader.read(_trajectory_bytes(config)), "<f4").reshape(-1, 3)
-    jerk = np.concatenate([numbers[3:], np.zeros((1, 3))])
-    return Trajectory(identity, numbers[:3], jerk, config.input_sampling_s)
-
-
 def _packed_identity(identity: Identity) -> bytes:
     return struct.pack("<HB", identity.start_round & 0xFFFF, identity.compute_unit)
-
-
-def _unpacked_identity(data: bytes, round_: int) -> Identity:
-    """The identity whose start, known to 16 bit, is not after the next round."""
-    low, unit = struct.unpack("<HB", data)
-    return Identity(_latest(low, round_), unit)
-
-
-def _latest(low: Any, round_: int) -> Any:
-    """The latest first round, of the 16 bit that are known of it, up to the next round."""
-    return round_ + 1 - (round_ + 1 - low & 0xFFFF)

@@ -16,10 +16,9 @@ import numpy as np
 from swarm_envs.agents import Actions, Observations
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
-from swarm_envs.baselines.mlr_dmpc.faults import Deaf, Unreachable
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import LossModel
-from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
+from swarm_envs.baselines.mlr_dmpc.swarm import Deaf, MlrDmpcSwarm, Unreachable
 from swarm_envs.baselines.mlr_dmpc.unit_planner import Obstacles
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.control.config import ControllerConfig
@@ -121,11 +120,7 @@ class MlrDmpcAgent:
         )
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk for the round that begins; no yaw.
-
-        Raises:
-            ValueError: there is no view, without which nobody knows where the drones are.
-        """
+        """Position, velocity, acceleration and jerk for the round that begins; no yaw."""
         if view is None:
             raise ValueError("the MLR-DMPC agent is privileged: pass env.view as the view")
         assert self.swarm is not None, "reset the agent before it acts"

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from io import BytesIO
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +20,7 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
     MembershipView,
     ViewId,
     pack_trajectory,
-    unpack_trajectory,
 )
-from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.nodes import Drone, SwarmNodes
 from swarm_envs.baselines.mlr_dmpc.radio import Inbox
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, all_positions_from
@@ -75,18 +72,6 @@ class PaperMessage(NamedTuple):
         if self.trajectory is not None:
             out += pack_trajectory(self.trajectory, self.kind is PaperKind.ANSWER)
         return out + bytes(self.priorities)
-
-    @classmethod
-    def unpack(cls, data: bytes, unit: int, round_: int, config: MlrDmpcConfig) -> PaperMessage:
-        """The message that was sent in a unit's slot in a round."""
-        reader = BytesIO(data)
-        code, drone = reader.read(2)
-        kind, trajectory = PaperKind(code), None
-        if kind in (PaperKind.TRAJECTORY, PaperKind.ANSWER):
-            sent = None if kind is PaperKind.ANSWER else Identity(round_ + 1, unit)
-            trajectory = unpack_trajectory(reader, sent, round_, config)
-        named = NONE if kind is PaperKind.EMPTY else drone
-        return cls(kind, round_, unit, named, trajectory, tuple(reader.read()))
 
 
 class PaperDrone(Drone):

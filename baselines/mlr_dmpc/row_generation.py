@@ -167,8 +167,7 @@ class Program:
 class RowGeneration:
     """The optimum of a program: solved with ever more rows until it breaks none of the others.
 
-    Raises:
-        ValueError: there is no such solver.
+    `first`: rows (m, 3) as in `active`, to try as active first.
     """
 
     def __init__(self, problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> None:

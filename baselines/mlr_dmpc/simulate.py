@@ -10,11 +10,10 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.mlr_dmpc.faults import Unreachable
 from swarm_envs.baselines.mlr_dmpc.input_checks import checked_points
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.radio import LossModel, RoundLog
-from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound
+from swarm_envs.baselines.mlr_dmpc.radio import RoundLog
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound, Unreachable
 from swarm_envs.baselines.mlr_dmpc.trajectory import closest_distances, end_position
 from swarm_envs.state import FloatArray
 
@@ -85,12 +84,8 @@ def simulate(
     starts: FloatArray,
     targets: Targets,
     compute_units: int = 3,
-    trigger: str = "WT",
-    loss: float | str | LossModel = 0.0,
-    recovery: bool | str = True,
-    seed: int = 0,
-    duration_s: float = 60.0,
     *,
+    duration_s: float = 60.0,
     config: MlrDmpcConfig | None = None,
     stop_on_arrival: bool = True,
     progress: bool = False,
@@ -102,15 +97,11 @@ def simulate(
         starts: (N, 3) where the drones hover, m.
         targets: (N, 3) where they are to go, m, or a function of time in s that gives that.
         compute_units: M, at most N.
-        trigger: which drones are replanned: `WT`, or the published `HT`, `RR` or `DT`.
-        loss: share of messages lost, a preset's name or a model.
-        recovery: True: ours; "paper": Algorithms 1 and 2; False: none, drones then collide.
-        seed: of losses and detours: the same seed gives the same flight.
         duration_s: longest flight, s.
         config: parameters.
         stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
         progress: whether to show a bar.
-        options: further ones of `MlrDmpcSwarm`, such as `outages` or `obstacles`.
+        options: further ones of `MlrDmpcSwarm`, such as `trigger`, `loss`, `recovery` or `seed`.
 
     Returns:
         References, statistics and all messages.
@@ -123,18 +114,14 @@ def simulate(
     if not 0.0 < duration_s <= _DAY_S:
         raise ValueError(f"duration_s is {duration_s!r}, but must be above 0 and at most {_DAY_S}")
     rounds = max(round(duration_s / config.round_s), 1)
-    course = _course(targets, rounds, config, len(checked_points("starts", starts, config)))
-    swarm = MlrDmpcSwarm(
-        starts,
-        course[0],
-        config=config,
-        compute_units=compute_units,
-        trigger=trigger,
-        loss=loss,
-        recovery=recovery,
-        seed=seed,
-        **options,
-    )
+    count = len(checked_points("starts", starts, config))
+    if callable(targets):
+        times = [k * config.round_s for k in range(rounds)]
+        points = {t: np.asarray(targets(t), dtype=np.float64) for t in times}
+        course = [checked_points(f"targets at {t:.1f} s", points[t], config, count) for t in times]
+    else:
+        course = [checked_points("targets", targets, config, count)]
+    swarm = MlrDmpcSwarm(starts, course[0], config=config, compute_units=compute_units, **options)
     flight = _FlightRecorder(swarm)
     ends = stop_on_arrival and not callable(targets)
     for k in tqdm(range(rounds), desc="rounds", unit="round", disable=not progress):
@@ -143,16 +130,6 @@ def simulate(
             break
         flight.reports.append(swarm.run_round(course[k] if callable(targets) else None))
     return flight.result()
-
-
-def _course(targets: Targets, rounds: int, config: MlrDmpcConfig, count: int) -> list[FloatArray]:
-    if not callable(targets):
-        return [checked_points("targets", targets, config, count)]
-    return [
-        checked_points(f"targets at {k * config.round_s:.1f} s", points, config, count)
-        for k in range(rounds)
-        for points in [np.asarray(targets(k * config.round_s), dtype=np.float64)]
-    ]
 
 
 class _FlightRecorder:
@@ -220,7 +197,9 @@ class _FlightRecorder:
         """The flight as a whole."""
         swarm, config = self.swarm, self.swarm.config
         references = np.concatenate(self._references, axis=1).swapaxes(0, 1)
-        arrivals = _arrivals(np.concatenate(self._errors, axis=1), config.arrival_m)
+        away = ~(np.concatenate(self._errors, axis=1) <= config.arrival_m)
+        last = np.where(away.any(axis=1), away.shape[1] - np.argmax(away[:, ::-1], axis=1), 0)
+        arrivals = np.where(last < away.shape[1], last / REFERENCE_RATE, np.nan)
         there = arrivals[~np.isnan(references[-1, :, 0])]
         knots = np.concatenate(self._starts, axis=1).swapaxes(0, 1)
         pairs = closest_distances(
@@ -247,10 +226,3 @@ class _FlightRecorder:
             tuple(self.reports),
             tuple(swarm.log),
         )
-
-
-def _arrivals(errors: FloatArray, near: float) -> FloatArray:
-    """(N,) when each came near its target for good, s, by errors (N, time), m."""
-    away = ~(errors <= near)
-    last = np.where(away.any(axis=1), away.shape[1] - np.argmax(away[:, ::-1], axis=1), 0)
-    return np.where(last < away.shape[1], last / REFERENCE_RATE, np.nan)

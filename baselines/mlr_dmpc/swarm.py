@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach
 from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
-from swarm_envs.baselines.mlr_dmpc.faults import Deaf, MissedPlans, Unreachable, unreachable
 from swarm_envs.baselines.mlr_dmpc.input_checks import (
     checked_indices,
     checked_options,
@@ -21,12 +20,15 @@ from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.nodes import RecoveryNodes, SwarmNodes
 from swarm_envs.baselines.mlr_dmpc.paper_protocol import PaperNodes, TrustingNodes
 from swarm_envs.baselines.mlr_dmpc.radio import LossModel, LossProcess, RoundLog
-from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, hover
+from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, end_position, hover
 from swarm_envs.baselines.mlr_dmpc.unit_planner import Obstacles, PlanningOptions
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcSwarm"]
+
+_DEAF_PLANS = 20
+_SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
 
 
 @typed
@@ -58,6 +60,36 @@ class SwarmRound:
     """Plans that drones accepted, flown from the next round on."""
     bytes_sent: int
     """In all slots together."""
+
+
+class Deaf(NamedTuple):
+    """A drone that seems to hear nothing."""
+
+    drone: int
+    """Which."""
+    plans: int
+    """How many plans in a row it has not accepted."""
+
+    def __str__(self) -> str:
+        return (
+            f"drone {self.drone} has accepted none of the last {self.plans} plans for it: it seems "
+            "to hear nothing"
+        )
+
+
+class Unreachable(NamedTuple):
+    """A target that a drone cannot take."""
+
+    drone: int
+    """Whose target it is."""
+    other: int
+    """The drone that rests on it."""
+
+    def __str__(self) -> str:
+        return (
+            f"the target of drone {self.drone} is unreachable because another drone, {self.other}, "
+            "rests on it"
+        )
 
 
 @typed
@@ -136,7 +168,7 @@ class MlrDmpcSwarm:
         nodes = RecoveryNodes if recovery is True else PaperNodes if recovery else TrustingNodes
         self.nodes: SwarmNodes = nodes(hovers, self.targets, options, informed, self._joins)
         """Drones and compute units."""
-        self._missed = MissedPlans()
+        self._missed: dict[int, int] = {}  # plans in a row that a drone has not accepted
         self.log: list[RoundLog[Any]] = []
         """All messages."""
         self.may_fly: list[list[Trajectory]] = [[one] for one in hovers]
@@ -155,13 +187,28 @@ class MlrDmpcSwarm:
 
     @property
     def deaf(self) -> tuple[Deaf, ...]:
-        """Drones that seem to hear nothing."""
-        return self._missed.deaf()
+        """Drones that accepted none of at least the last 20 plans, by number."""
+        found = (Deaf(*one) for one in sorted(self._missed.items()))
+        return tuple(one for one in found if one.plans >= _DEAF_PLANS)
 
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
-        """Targets that other drones rest on."""
-        return unreachable(self.nodes.drones, self.targets, self.round, self.config)
+        """Targets on which other drones in the air have rested for long."""
+        config, targets = self.config, self.targets
+        flying = {drone.index: drone.flying for drone in self.nodes.drones if drone.airborne}
+        ends = {drone: end_position(one, config) for drone, one in flying.items()}
+        settled = self.round - config.horizon_rounds - _SETTLED_ROUNDS
+        rest = [drone for drone, one in flying.items() if one.identity.start_round <= settled]
+        away = {i: np.linalg.norm(end - targets[i]) > config.arrival_m for i, end in ends.items()}
+        return tuple(
+            Unreachable(drone, other)
+            for drone in ends
+            for other in rest
+            if away[drone]
+            and other != drone
+            and np.linalg.norm((ends[other] - targets[drone]) * config.inverse_scaling)
+            < config.sampled_distance_m
+        )
 
     def run_round(
         self, targets: FloatArray | None = None, measured: FloatArray | None = None
@@ -185,12 +232,9 @@ class MlrDmpcSwarm:
         for index, since in self._leaves.items():
             if k >= since:
                 nodes.drones[index].leave()
-        alive = {
-            unit
-            for unit in range(nodes.options.num_units)
-            if not any(o.unit == unit and o.covers(k) for o in self._outages)
-        }
-        present = {i for i in range(len(self.nodes.drones)) if k >= self._joins.get(i, 0)}
+        dead = {outage.unit for outage in self._outages if outage.covers(k)}
+        alive = set(range(nodes.options.num_units)) - dead
+        present = {i for i in range(len(nodes.drones)) if k >= self._joins.get(i, 0)}
         sent = nodes.send(k, self.targets, alive, present)
         log: RoundLog[Any] = RoundLog(k, *sent, self._loss.arrivals(k))
         self.log.append(log)
@@ -198,7 +242,10 @@ class MlrDmpcSwarm:
         accepted = nodes.receive(log, alive, present)
         self.round = k + 1
         reports = tuple(nodes.reports[unit] for unit in sorted(alive))
-        self._missed.note(reports, accepted)
+        for unit in reports:
+            if unit.planned is not None and unit.planned.accepted:
+                missed = 0 if unit.drone in accepted else self._missed.get(unit.drone, 0) + 1
+                self._missed[unit.drone] = missed
         return SwarmRound(k, reports, accepted, nodes.bytes_sent(log))
 
     def reference(self, times: FloatArray) -> FloatArray:

@@ -197,14 +197,9 @@ def closest_distances(
     """Least scaled distance (N, N) of each pair over all intervals, inf on the diagonal, m.
 
     Within an interval of constant jerk the squared distance is a polynomial of degree six; it is
-    least at an end or at a root of its derivative.
-
-    Args:
-        states: (R, N, 3, 3) position, velocity and acceleration at the start of each interval; NaN
-            for who is not in the air.
-        jerks: (R, N, 3) m/s^3.
-        duration_s: of an interval.
-        shrink: (3,) diagonal of the inverse of Theta.
+    least at an end or at a root of its derivative. `states` (R, N, 3, 3) are those at the start of
+    each interval, NaN for who is not in the air; `shrink` (3,) is the diagonal of the inverse of
+    Theta.
     """
     count = states.shape[1]
     out = np.full((count, count), np.inf)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -33,22 +32,7 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
     least_distances,
     sampled_positions,
 )
-from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray, IntArray
-
-
-@kernel
-def least_slack(positions: FloatArray, normals: FloatArray, offsets: FloatArray) -> float:
-    """Least of normal . p - offset over all half-spaces, m; infinite if there are none."""
-    least = math.inf
-    for r in range(normals.shape[0]):
-        for s in range(normals.shape[1]):
-            along = -offsets[r, s]
-            for i in range(3):
-                along += normals[r, s, i] * positions[s, i]
-            least = min(least, along)
-    return least
-
 
 TOLERANCE = 1e-6
 """By how much a plan may break a bound, SI; a half-space by half of that, as two drones may."""
@@ -342,7 +326,8 @@ def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:
     excess = np.maximum(problem.accepted_lower - bounded, bounded - problem.accepted_upper)
     if not (worst := float(excess.max())) <= 0.0:
         return f"breaks a bound by {worst:.1e}"
-    slack = least_slack(positions, problem.rows.normals, problem.accepted_offsets)
+    along = np.einsum("rsi,si->rs", problem.rows.normals, positions)
+    slack = float((along - problem.accepted_offsets).min(initial=np.inf))
     if not slack >= 0.0:
         return f"breaks a half-space by {-slack:.1e} m"
     return ACCEPTED

@@ -18,18 +18,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces, Neighbors
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory import (
-    Trajectory,
-    states_by_round,
-)
+from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, states_by_round
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned, plan_trajectory
-from swarm_envs.compiled import kernel, part
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
-_PARALLEL = 1e-10  # contacts of a smaller sine squared, or volume, are as good as dependent
+_WALLS = np.concatenate([np.eye(3), -np.eye(3)])  # how the faces of the box push: inwards
 
 
 def deadlocked(
@@ -42,105 +39,35 @@ def deadlocked(
     distance kept, and of the walls of the box, balance the pull of its target but for
     `deadlock_residual` of it.
     """
-    return _deadlocked(
-        ends,
-        speeds <= config.deadlock_speed,
-        targets,
-        np.array(config.box),
-        config.inverse_scaling,
-        config.sampled_distance_m,
-        (config.contact_factor, config.deadlock_m, config.deadlock_residual),
+    still, pull = speeds <= config.deadlock_speed, targets - ends
+    length, distance = np.linalg.norm(pull, axis=1), config.sampled_distance_m
+    scaled, who = ends * config.inverse_scaling, np.flatnonzero(still)
+    found = cKDTree(scaled[who]).query_pairs(
+        config.contact_factor * distance, output_type="ndarray"
     )
-
-
-@kernel
-def _deadlocked(
-    ends: FloatArray,
-    still: BoolArray,
-    targets: FloatArray,
-    box: FloatArray,
-    shrink: FloatArray,
-    distance: float,
-    limits: tuple[float, float, float],
-) -> BoolArray:
-    factor, away, residual = limits
-    count, near = len(ends), (factor - 1.0) * distance
-    out: BoolArray = np.zeros(count, dtype=np.bool_)
-    contacts = np.empty((count + 6, 3))
-    for i in range(count):
-        pull = targets[i] - ends[i]
-        length, touching = np.sqrt((pull * pull).sum()), 0
-        if not still[i] or length <= away:
-            continue
-        for j in range(count):
-            square = 0.0
-            for axis in range(3):
-                contacts[touching, axis] = (ends[i, axis] - ends[j, axis]) * shrink[axis]
-                square += contacts[touching, axis] ** 2
-            if still[j] and j != i and np.sqrt(square) <= factor * distance:
-                contacts[touching] *= shrink
-                touching += 1
-        for face in range(6):  # those of the box push inwards
-            low, axis = face < 3, face % 3
-            gap = ends[i, axis] - box[0, axis] if low else box[1, axis] - ends[i, axis]
-            if gap <= near:
-                contacts[touching] = 0.0
-                contacts[touching, axis] = 1.0 if low else -1.0
-                touching += 1
-        out[i] = unbalanced(pull / length, contacts[:touching]) <= residual
+    pairs = np.concatenate([who[found], who[found[:, ::-1]]])
+    low, high = np.array(config.box)
+    near_m = (config.contact_factor - 1.0) * distance
+    walls = np.concatenate([ends - low, high - ends], axis=1) <= near_m
+    touches = np.isin(np.arange(len(ends)), pairs) | walls.any(axis=1)
+    out = still & (length > config.deadlock_m) & touches
+    for i in np.flatnonzero(out).tolist():
+        others = pairs[pairs[:, 0] == i, 1]
+        contacts = (scaled[i] - scaled[others]) * config.inverse_scaling, _WALLS[walls[i]]
+        left = unbalanced(pull[i] / length[i], np.concatenate(contacts))
+        out[i] = left <= config.deadlock_residual
     return out
 
 
-@kernel
 def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
-    """What is left of a pull (3,) when contacts push along (K, 3), non-negative least squares.
+    """What is left of a pull (3,) when contacts push along (K, 3), and none pulls."""
+    from scipy.optimize import nnls
 
-    At the optimum at most three contacts push, independent of each other, so one of them alone, a
-    pair or a triple whose forces are not negative gives it.
-    """
-    count = 0
-    push = np.empty_like(contacts)
-    for contact in contacts:
-        length = np.sqrt((contact * contact).sum())
-        if length > 1e-9:  # two that would end at one place push nowhere
-            push[count] = contact / length
-            count += 1
-    least = np.sqrt((pull * pull).sum())
-    for i in range(count):
-        alone = -(pull * push[i]).sum()
-        least = min(least, _left(pull, push[i], push[i], push[i], (alone, 0.0, 0.0)))
-        for j in range(i):
-            cosine, other = (push[i] * push[j]).sum(), -(pull * push[j]).sum()
-            sine2 = 1.0 - cosine**2
-            if sine2 > _PARALLEL:
-                forces = ((alone - cosine * other) / sine2, (other - cosine * alone) / sine2, 0.0)
-                least = min(least, _left(pull, push[i], push[j], push[j], forces))
-            for k in range(j):
-                normal = np.cross(push[j], push[k])
-                volume = (push[i] * normal).sum()
-                if abs(volume) > _PARALLEL:
-                    forces = (
-                        -(pull * normal).sum() / volume,
-                        -(pull * np.cross(push[k], push[i])).sum() / volume,
-                        -(pull * np.cross(push[i], push[j])).sum() / volume,
-                    )
-                    least = min(least, _left(pull, push[i], push[j], push[k], forces))
-    return least
-
-
-@part
-def _left(
-    pull: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    c: FloatArray,
-    forces: tuple[float, float, float],
-) -> float:
-    """What is left of a pull under forces along three directions; infinite if one pulls."""
-    if min(forces) < 0.0:
-        return math.inf
-    left = pull + forces[0] * a + forces[1] * b + forces[2] * c
-    return math.sqrt((left * left).sum())
+    lengths = np.linalg.norm(contacts, axis=1)
+    along = lengths > 1e-9  # two that would end at one place push nowhere
+    if not along.any():
+        return float(np.linalg.norm(pull))
+    return float(nnls((contacts[along] / lengths[along, None]).T, -pull)[1])
 
 
 NOBODY = -1

@@ -121,11 +121,7 @@ class TrackingAgent:
         self._agents = list(env.agents)
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """The reference's present position, velocity, acceleration and jerk; no yaw.
-
-        Raises:
-            ValueError: there is no view: the reference is part of it.
-        """
+        """The reference's present position, velocity, acceleration and jerk; no yaw."""
         if view is None:
             raise ValueError("the tracking agent is privileged: pass env.view as the view")
         reference = view.reference(view.time)
@@ -168,11 +164,7 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
             )
 
     def plan(self, task: Task, view: View, seed: int) -> SwarmPlan:
-        """A plan that keeps the predicted forces within bounds; look if it converged.
-
-        Raises:
-            ValueError: starts or goals for which no plan can exist.
-        """
+        """A plan that keeps the predicted forces within bounds; look if it converged."""
         starts, goals = view.setpoint.position.copy(), view.goals.copy()
         bounds = bounds_for(task, self._model, starts, goals)
         duration = _duration(starts, goals, task.motion.stage_s or view.horizon_s)

@@ -62,11 +62,7 @@ class AirAwareAgent(TrackingAgent):
             self._places = heavy_on_top(np.array(view.goals), view.team)
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk on the way; no yaw.
-
-        Raises:
-            ValueError: there is no view: the reference is part of it.
-        """
+        """Position, velocity, acceleration and jerk on the way; no yaw."""
         if self._places is None or view is None:
             return super().act(observations, view)
         way = rest_to_rest(self._start, self._places, TRAVEL_S, view.time)
@@ -75,12 +71,7 @@ class AirAwareAgent(TrackingAgent):
 
 
 def heavy_on_top(places: FloatArray, team: Team) -> FloatArray:
-    """(N, 3) the same places, changed within each column: who has little thrust to spare goes up.
-
-    Args:
-        places: (N, 3) of the drones, m.
-        team: N vehicles.
-    """
+    """The same places (N, 3), changed in each column: who has little thrust to spare goes up."""
     spare, chosen = np.array([v.thrust_to_weight for v in team]), np.empty_like(places)
     columns = np.unique(places[:, :2].round(6), axis=0, return_inverse=True)[1].ravel()
     for column in range(columns.max() + 1):

@@ -29,12 +29,8 @@ from swarm_envs.vehicles import GRAVITY
 def adapt(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
     """Make one step of the adaptation for the first `count` blocks: `adaptive_force` is written.
 
-    Args:
-        blocks: records of `LANES` drones, with the state as it is known and the force that is
-            fed forward now; their commands are those of the last step.
-        count: how many of them.
-        settings: (1,) which adaptation, and its gains.
-        hall: True in the world "hall", else None.
+    Blocks hold the state as it is known, the force that is fed forward now, and the commands of the
+    last step. `hall` is True in the world "hall", else None.
     """
     find_residual(blocks, count, settings, hall)
     filter_residual(blocks, count, settings)

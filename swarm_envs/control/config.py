@@ -221,11 +221,9 @@ class ControllerConfig:
 
 
 def low_pass_blend(cutoff_hz: float, step: float) -> float:
-    """Share of the new sample in a first-order low-pass, exact for an input held over the step.
+    """Share of the new sample in a first-order low-pass (3 dB at the cut-off, Hz; step, s).
 
-    Args:
-        cutoff_hz: frequency at which the gain has fallen by 3 dB, Hz.
-        step: time between samples, s.
+    Exact for an input held over the step.
     """
     return -math.expm1(-2.0 * math.pi * cutoff_hz * step)
 
@@ -233,8 +231,8 @@ def low_pass_blend(cutoff_hz: float, step: float) -> float:
 def butterworth(cutoff_hz: float, step: float) -> list[float]:
     """Transition over a step of a second-order Butterworth low-pass, exact for a held input u.
 
-    Returns:
-        (a, b, c, d) with x - u <- a (x - u) + b x' and x' <- c (x - u) + d x'; b in s, c in 1/s.
+    Returns (a, b, c, d) with x - u <- a (x - u) + b x' and x' <- c (x - u) + d x'; b in s, c in
+    1/s.
     """
     half = math.pi * math.sqrt(2.0) * cutoff_hz  # both poles are half (-1 +- i), in 1/s
     decay, cos, sin = math.exp(-half * step), math.cos(half * step), math.sin(half * step)

@@ -38,9 +38,7 @@ def four(field: Record, lane: int) -> Quaternion:
 def seen_state(b: Record, hall: bool | None) -> tuple[Record, Record, Record, Record]:
     """Position, velocity, attitude and angular velocity of a block that the controller is given.
 
-    Args:
-        b: record of `LANES` drones.
-        hall: True in the world "hall", where they are estimated, else None.
+    They are estimated where `hall` is True, in the world "hall"; else it is None.
     """
     if hall is None:
         return b.position, b.velocity, b.quaternion, b.angular_velocity
@@ -81,21 +79,14 @@ def mix_rotors(
     rotor_offset: float,
     thrust_to_torque: float,
 ) -> tuple[float, float, float, float]:
-    """Rotor thrusts (N) of one drone that give a wrench, each in [0, max_rotor_thrust].
+    """Rotor thrusts (N) of a drone that give a thrust (N) and a body torque (N m), in their range.
 
     A wrench that the rotors can give is given exactly. Otherwise parts of it are given up in the
     order yaw, thrust, roll and pitch: yaw is scaled down as far as the rest needs; if that is not
-    enough the thrust is shifted, as little as possible; only when roll and pitch alone ask for
-    more than the rotors' range are they scaled, both alike.
-
-    Args:
-        thrust: total thrust T, N.
-        torque_x: roll torque in the body frame, N m.
-        torque_y: pitch torque, N m.
-        torque_z: yaw torque, N m.
-        max_rotor_thrust: largest thrust of one rotor, N.
-        rotor_offset: distance of each rotor from the body x and y axes, m.
-        thrust_to_torque: yaw torque per newton of rotor thrust, m.
+    enough the thrust is shifted, as little as possible; only when roll and pitch alone ask for more
+    than the rotors' range are they scaled, both alike. `rotor_offset` (m) is the distance of each
+    rotor from the body x and y axes, `thrust_to_torque` (m) the yaw torque per newton of rotor
+    thrust.
     """
     # Rotors 1 and 3 take opposite shares of roll and pitch, and so do 2 and 4.
     per_arm = 0.25 / rotor_offset
@@ -137,14 +128,9 @@ def track(
 ) -> None:
     """Make one step of position and attitude loop for every drone of the first `count` blocks.
 
-    Args:
-        blocks: records of `LANES` drones; what they ask of the rate loop is written. The set-points
-            are then extrapolated by one step with their jerk.
-        count: how many of them.
-        settings: (1,) gains. They are read here, once: inside of the lane loop they would keep it
-            from becoming vector instructions.
-        adaptive: True if what `adapt` estimates is compensated as well, else None.
-        hall: True in the world "hall", else None.
+    What they ask of the rate loop is written, and the set-points are extrapolated by one step with
+    their jerk. `adaptive`: True if what `adapt` estimates is compensated as well; `hall`: True in
+    the world "hall"; else None.
     """
     s = settings[0]
     step, per_step, lead = s.step, 1.0 / s.step, s.lead  # a division takes as long as ten sums
@@ -252,13 +238,7 @@ def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None
 
     The derivative of the body rates asked for is `asked_change`, which is 0 unless `track` writes
     it. The rotors' lag is compensated by eq. (22): that adds to the torque the derivative of the
-    rate error, which is low-passed.
-
-    Args:
-        blocks: records of `LANES` drones; rotor commands and the loop's memory are written.
-        count: how many of them.
-        settings: (1,) gains.
-        hall: True in the world "hall", else None.
+    rate error, which is low-passed. Rotor commands and the loop's memory are written.
     """
     s = settings[0]
     step, per_step, lead, limit = s.step, 1.0 / s.step, s.lead, s.rate_integral_limit

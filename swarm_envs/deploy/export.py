@@ -105,13 +105,7 @@ class TeamReport:
 
 
 def separation(positions: FloatArray, time: FloatArray, team: Sequence[Vehicle]) -> Separation:
-    """Who comes closest to whom, relative to their sizes.
-
-    Args:
-        positions: (D, N, 3) m.
-        time: (D,) s.
-        team: the N vehicles.
-    """
+    """Who comes closest to whom, relative to their sizes; (D, N, 3), m, at times (D,), s."""
     distance, found = np.inf, Separation(np.inf, np.inf, (0, 0), 0.0)
     for i, j in combinations(range(len(team)), 2):
         gap = np.linalg.norm(positions[:, i] - positions[:, j], axis=1)
@@ -283,12 +277,6 @@ def fit_flight(
     """Pieces for every drone of a flight, all of the same duration.
 
     Drones that hover at an end of the flight are held at rest there.
-
-    Args:
-        flight: of N drones.
-        tolerance: largest distance from its path, m.
-        most: pieces that each drone may take.
-        progress: show a bar.
     """
     fitted = []
     for i, name in enumerate(tqdm(flight.names, "fit", unit="drone", disable=not progress)):

@@ -101,7 +101,7 @@ def evaluate(
     derivative: Annotated[int, Range(0, DEGREE + 1)] = 0,
     single: bool = False,
 ) -> FloatArray:
-    """Where the drone should be, or a derivative of that.
+    """Where the drone should be, x, y, z (m) and yaw (rad), or a derivative of that: (..., 4).
 
     As in the firmware (`piecewise_eval`), it rests where it ends; before the start it rests too.
     At a knot the earlier piece counts.
@@ -111,9 +111,6 @@ def evaluate(
         time: (...) s since the start.
         derivative: 0 for position, 1 for velocity, and so on.
         single: calculate in single precision, as the firmware does.
-
-    Returns:
-        (..., 4) x, y, z (m) and yaw (rad), over s to the power of the derivative.
 
     Raises:
         ValueError: the derivative is negative or more than one above the degree, or a time is NaN.
@@ -221,17 +218,13 @@ def fit_pieces(
     most: int = MOST_PIECES,
     rests: tuple[bool, bool] = (False, False),
 ) -> Pieces:
-    """Few pieces that stay within a tolerance of a curve, calculated as the firmware does.
+    """Few pieces that stay within a tolerance (m) of a curve, calculated as the firmware does.
 
     Knots are spread so that every piece has its equal share of what single polynomials can follow;
-    the least number that does is taken, and then every knot that can be spared is dropped.
-
-    Args:
-        time: (T,) s, ascending from 0, dense enough to show the curve.
-        rows: (T, 4) x, y, z (m), yaw (rad).
-        tolerance: largest distance from the curve, m; yaw keeps to `YAW_TOLERANCE`.
-        most: pieces that may be used.
-        rests: whether velocity and acceleration are held at zero at the start and the end.
+    the least number that does is taken, and then every knot that can be spared is dropped. Times
+    (T,) ascend from 0, dense enough to show the curve; rows (T, 4) are x, y, z and yaw, which keeps
+    to `YAW_TOLERANCE`. `rests`: whether velocity and acceleration are held at zero at start and
+    end.
     """
     effort = _effort(time, rows, tolerance)
     best, closest = np.inf, None

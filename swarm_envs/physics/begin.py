@@ -22,14 +22,10 @@ def begin_flight(
 ) -> None:
     """Let the drones of these environments (M,) begin, as if nothing had been flown.
 
-    Args:
-        where: environments.
-        at_rest: whether they begin an episode: at rest at their `start`, rotors at hover, charged
-            as `charge` says; who starts at the goal has arrived. Else their state has been set.
-        drones: (E, N) records.
-        columns: (E, N, columns) the same memory.
-        settings: (1,) record.
-        open_circuit: (K,) of the batteries; None if they never empty.
+    `at_rest`: they begin an episode, at rest at their `start`, rotors at hover, charged as `charge`
+    says; who starts at the goal has arrived. Else their state has been set. `columns` (E, N,
+    columns) is the memory of the drones; `open_circuit` (K,) of the batteries is None if they never
+    empty.
     """
     for e in where:
         for i in range(drones.shape[1]):

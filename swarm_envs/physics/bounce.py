@@ -25,15 +25,10 @@ RESTITUTION = 0.5
 def bounce(
     blocks: Records, first: int, drones: int, settings: Records, obstacles: FloatArray | None
 ) -> None:
-    """Let the drones of an environment bounce off what they overlap now.
+    """Let the drones of an environment bounce off what they overlap now; their contacts are known.
 
-    Args:
-        blocks: records of `LANES` drones, whose contacts are known; positions and velocities are
-            changed.
-        first: slot of the environment's first drone.
-        drones: N.
-        settings: (1,) the arena, whose floor is the ground at z = 0.
-        obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none.
+    The first is in the slot `first`. The arena's floor is the ground at z = 0; obstacles are rows
+    (M, 7) of `swarm_envs.physics.contact`, None for none.
     """
     low, high = settings[0].arena[0], settings[0].arena[1]
     for i in range(drones):

@@ -46,15 +46,7 @@ def _beyond(low: float, high: float, x: float) -> float:
 def nearest_point(
     rows: FloatArray, k: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Offset from a point to the nearest point of obstacle k, m; zero inside of it.
-
-    Args:
-        rows: (M, 7) obstacles.
-        k: which of them.
-        x: of the point, m.
-        y: of the point, m.
-        z: of the point, m.
-    """
+    """Offset from a point to the nearest point of obstacle k of (M, 7), m; zero inside of it."""
     if rows[k, 0] == BOX:
         return (
             _beyond(rows[k, 1], rows[k, 4], x),
@@ -150,13 +142,7 @@ def contacts_of(drones: Records) -> Contacts:
 
 @part
 def touch(blocks: Records, count: int, settings: Records) -> None:
-    """Add what the drones of the first `count` blocks touch now of floor and walls.
-
-    Args:
-        blocks: records of `LANES` drones; flags stay set.
-        count: how many of them.
-        settings: (1,) the arena, whose floor is the ground at z = 0.
-    """
+    """Add what the drones of the first `count` blocks touch now of floor and walls: flags stay."""
     low, high = settings[0].arena[0], settings[0].arena[1]
     low_x, low_y, high_x, high_y, high_z = low[0], low[1], high[0], high[1], high[2]
     fastest = TUMBLING_RATE * TUMBLING_RATE
@@ -196,14 +182,9 @@ def touch_obstacles(blocks: Records, slots: int, obstacles: FloatArray) -> None:
 def meet(blocks: Records, count: int, drones: int, spots: Records) -> None:
     """Add how near the drones of `count` environments of few drones come to each other now.
 
-    Every pair of one environment is looked at, side by side with the same pair of the others.
-
-    Args:
-        blocks: records of `LANES` drones, one environment after the other; separations,
-            clearances and drones touched are updated.
-        count: environments, at most `PLACES`.
-        drones: N.
-        spots: (N,) scratch of `SPOT_TYPE`.
+    Every pair of one environment is looked at, side by side with the same pair of the others: at
+    most `PLACES`, one after the other in the blocks, whose separations, clearances and drones
+    touched are updated. `spots` (N,) is scratch of `SPOT_TYPE`.
     """
     smallest, largest = math.inf, 0.0
     for place in range(count):
@@ -260,11 +241,8 @@ def nearest_of(spots: Records, drones: int, i: int, place: int) -> int:
 def meet_many(blocks: Records, first: int, position: FloatArray, order: IntArray) -> None:
     """Do what `meet` does in one environment of many drones: look along x only as far as needed.
 
-    Args:
-        blocks: records of `LANES` drones, updated.
-        first: slot of the environment's first drone.
-        position: (N, 3) scratch, m.
-        order: (N,) any permutation of the drones; sorted along x.
+    Its first drone is in the slot `first`; `position` (N, 3) is scratch, and `order` (N,), any
+    permutation of the drones, is sorted along x.
     """
     largest, drones = 0.0, position.shape[0]
     for i in range(drones):

@@ -108,10 +108,7 @@ def sinc_cos(angle: float) -> tuple[float, float]:
 def spin_rotors(blocks: Records, count: int) -> None:
     """Count a physics step, and move the rotors towards their commands (eq. 1c).
 
-    Args:
-        blocks: records of `LANES` drones, whose force has just been evaluated; metrics and rotor
-            thrusts are changed in place.
-        count: how many of them.
+    The force of the blocks has just been evaluated; metrics and rotor thrusts are changed in place.
     """
     for n in range(count):
         b = blocks[n]
@@ -135,10 +132,7 @@ def spin_rotors(blocks: Records, count: int) -> None:
 def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None:
     """Advance the bodies of the first `count` blocks by one step of 1/240 s, in place.
 
-    Args:
-        blocks: records of `LANES` drones.
-        count: how many of them.
-        twisting: True if the air has a torque on them, else None.
+    `twisting` is True if the air has a torque on them, else None.
     """
     dt = TIME_STEP
     for n in range(count):
@@ -197,17 +191,10 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
 
 @part
 def gust(environment: Record, first: int, drones: int, settings: Records, blocks: Records) -> None:
-    """Advance the gusts of an environment by a step, and write the force on its drones.
+    """Advance the gusts of an environment by a step, and write the force on drones: `external`.
 
-    The acceleration is an Ornstein-Uhlenbeck process, exactly discretised.
-
-    Args:
-        environment: its record; the acceleration is changed in place.
-        first: slot of its first drone in the blocks.
-        drones: N.
-        settings: (1,) share of the acceleration that is left after one step, and the standard
-            deviation of each component, m/s^2.
-        blocks: records of `LANES` drones; `external` (N, world frame) is written.
+    The acceleration is an Ornstein-Uhlenbeck process, exactly discretised. The first drone is in
+    the slot `first` of the blocks.
     """
     kept, strength = settings[0].gust_kept, settings[0].gust_strength
     fresh = strength * math.sqrt(1.0 - kept * kept)

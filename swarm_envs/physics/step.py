@@ -168,16 +168,6 @@ def stop_tumbling(
 
     They are written back as they are now, and no more in this decision. They come far away, as in
     `load_tile`: the others fly on.
-
-    Args:
-        columns: (E, N, columns) of the drones, written.
-        count: members of the tile.
-        controlled: whether the tracking loop flies.
-        adaptive: whether it adapts.
-        team: whether the episode of the team ends with that of one drone.
-        hall: True in the world "hall", else None.
-        twisting: True if the air has a torque on bodies, else None.
-        work: whose blocks are read.
     """
     drones = columns.shape[1]
     for slot in range(count * drones):
@@ -200,15 +190,10 @@ def stop_tumbling(
 def gather(
     count: int, drones: int, compensated: bool, hall: bool | None, work: Work, scratch: Scratch
 ) -> None:
-    """Tell a force model which drones are at the places `work.due[:count]`, and where.
+    """Give a force model the drones at the places `work.due[:count]`, where they are.
 
-    Args:
-        count: how many places.
-        drones: N.
-        compensated: whether the controller compensates these forces, or they act.
-        hall: True if drones are where the hall's estimate says, else None.
-        work: its blocks are read.
-        scratch: of the force model, written.
+    `compensated`: whether the controller compensates these forces, or they act. `hall`: True if
+    drones are where the hall's estimate says, else None.
     """
     for place in range(count):
         for i in range(drones):
@@ -225,16 +210,7 @@ def gather(
 def spread(
     count: int, drones: int, compensated: bool, environments: Records, work: Work, scratch: Scratch
 ) -> None:
-    """Write the forces that a force model has found into the blocks.
-
-    Args:
-        count: how many places of `work.due` were asked for.
-        drones: N.
-        compensated: whether the controller compensates these forces, or they act.
-        environments: their records, with the factor of the force that acts.
-        work: its blocks are written.
-        scratch: of the force model.
-    """
+    """Write the forces that a force model has found into the blocks; arguments as of `gather`."""
     for place in range(count):
         scale = environments[work.members[work.due[place]]].force_scale
         for i in range(drones):
@@ -276,7 +252,8 @@ def fly(  # noqa: C901  # one step, on one screen
 ) -> None:
     """Fly the environments first to last - 1 that are in the mask, a tile of them at a time.
 
-    A drone that tumbles stops at that step: alone, or with its team where `ends_team` is set.
+    A drone that tumbles stops at that step: alone, or with its team where `ends_team` is set. What
+    is None is left out when this is compiled, which saves about a fifth of the time.
 
     Args:
         first: the first environment.
@@ -289,20 +266,19 @@ def fly(  # noqa: C901  # one step, on one screen
         columns: (E, N, columns) the same memory as plain numbers.
         environments: (E,) records.
         settings: (1,) record.
-        obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none. What is None is
-            left out when this is compiled, which saves about a fifth of the time.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
         open_circuit: (K,) of the batteries; None if they never empty.
         order: (E, N) drones of each environment, as last sorted along x; None if they are few.
-        gusty: True if there are gusts, else None.
-        adaptive: True if the controller adapts, else None.
-        hall: True in the world "hall", else None.
-        bounces: True if drones bounce off what they touch, else None.
-        twisting: True if the air has a torque on bodies, else None.
+        gusty: True if there are gusts.
+        adaptive: True if the controller adapts.
+        hall: True in the world "hall".
+        bounces: True if drones bounce off what they touch.
+        twisting: True if the air has a torque on bodies.
         air: the force model of the environment.
-        feedforward: the model whose forces the controller compensates; None without one.
+        feedforward: the model whose forces the controller compensates.
         work: working memory of this thread.
         scratch: working memory of the first force model.
-        feedforward_scratch: of the second; None if there is none.
+        feedforward_scratch: of the second.
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
@@ -402,16 +378,9 @@ def twist(
 ) -> None:
     """Write the torque of the air on bodies: each rotor feels a quarter of its place's force.
 
-    That is the vertical force that the model gives for the drone at the rotor's place, all others
-    where they are. Pairs, and where the model says so their weights, are those of the centres.
-
-    Args:
-        air: the force model, just evaluated.
-        count: how many places of `work.due` it was evaluated for.
-        drones: N.
-        environments: their records, with the factor of the force.
-        work: its blocks are written.
-        scratch: of the force model.
+    That is the vertical force that the model, just evaluated for the first `count` places of
+    `work.due`, gives for the drone at the rotor's place, all others where they are. Pairs, and
+    where the model says so their weights, are those of the centres.
     """
     for rotor in range(4):
         across = 1.0 if rotor == 0 or rotor == 3 else -1.0

@@ -18,14 +18,8 @@ class Workers:
     """Threads that work on environments, each on the next part of them that is left.
 
     One thread takes them in parts too: what a part needs stays in the cache from one kernel to the
-    next.
-
-    Args:
-        num_envs: E.
-        threads: how many, with the one that asks; never more than environments.
-        together: environments that a kernel looks at together, which no part has fewer of unless
-            there are too few for all threads.
-        largest: environments in a part, at most.
+    next. `threads` counts the one that asks. A part has at most `largest` environments, and no
+    fewer than the `together` at which a kernel looks, unless there are too few for all threads.
     """
 
     def __init__(

@@ -263,7 +263,7 @@ def test_sweeps_vary_what_they_say():
     assert len(planes) == 36
     for sweep in sweeps.values():
         for p, q in itertools.combinations(sweep.points, 2):
-            assert p.cell != q.cell or replace(p, value=q.value) == q
+            assert p.cell != q.cell or p._replace(value=q.value) == q
     for p in sweeps["velocity noise"].points:
         assert p.imperfection.velocity_noise == pytest.approx(0.01 * p.value)
     assert all(

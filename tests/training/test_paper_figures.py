@@ -12,7 +12,7 @@ from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.rth3d import PlanNotFound, make_instance, plan
 from swarm_envs.training.reproduce import dmpc_figures, dmpc_flights, rth3d_runs
-from swarm_envs.training.reproduce.dmpc_flights import SwarmSetup, fly_references
+from swarm_envs.training.reproduce.dmpc_flights import fly_references
 from swarm_envs.training.reproduce.identified_vehicles import (
     fit_polynomial,
     mass_and_thrust,
@@ -119,7 +119,7 @@ def test_a_flight_is_a_sequence_of_arrivals():
     config = MlrDmpcConfig()
     starts = np.array([[-0.5, 0.0, 1.0], [0.5, 0.0, 1.0]])
     there = starts + np.array([0.0, 0.6, 0.0])
-    flight = fly_references(starts, [there, starts], SwarmSetup(compute_units=2), 20.0, config)
+    flight = fly_references(starts, [there, starts], 20.0, config, compute_units=2)
     assert flight.total_s is not None and len(flight.legs_s) == 2
     assert sum(flight.legs_s) == pytest.approx(flight.total_s)
     k = int(np.searchsorted(flight.time, flight.arrivals_s[0] - 1e-9))

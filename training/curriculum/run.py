@@ -164,16 +164,9 @@ def weights_of(config: CurriculumConfig, number: int) -> Path:
 def fly_round(
     config: CurriculumConfig, number: int, clearance_m: float, earlier: list[CollectedFlight]
 ) -> tuple[CurriculumRound, list[CollectedFlight]]:
-    """Fly a round, fit, and report; what is done already is read.
+    """Fly a round (from 1) whose swaps plan a clearance, m, fit, and report; what is done is read.
 
-    Args:
-        config: of the curriculum.
-        number: of the round, from 1.
-        clearance_m: that its swaps plan.
-        earlier: flights of the rounds before.
-
-    Returns:
-        The report, and the flights of all rounds so far.
+    Returns the report, and the flights of all rounds so far.
     """
     began, stage = time.perf_counter(), config.stages[number - 1]
     folder = _round_folder(config, number)

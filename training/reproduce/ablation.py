@@ -91,13 +91,7 @@ def _cells(options: Any) -> list[str]:
 
 
 def ablation_fit(options: Any, cell: str, seed: int) -> FitConfig:
-    """Configuration of one run, in a folder of its own: the paper's form on the labels as they are.
-
-    Args:
-        options: of the command.
-        cell: a key of `ABLATIONS`.
-        seed: of the run.
-    """
+    """Configuration of a run, in a folder of its own: the paper's form, on plain labels."""
     plain = FitConfig(
         data=options.data,
         out=options.out / "runs" / cell / f"seed_{seed}",
@@ -345,15 +339,8 @@ def ablation_claims(numbers: Any, extent: Extent) -> list[Claim]:
     for name, row in rows.items():
         if name != _BASE:
             paper, ours = (row[who] / base[who] for who in ("paper_g2", "ours_g2"))
-            found.append(
-                Claim(
-                    f"{name}: error over that of {_BASE}",
-                    f"{paper:.3f}",
-                    ours,
-                    about(paper, 0.06),
-                    _reasons(name, extent),
-                )
-            )
+            what, why = f"{name}: error over that of {_BASE}", _reasons(name, extent)
+            found.append(Claim(what, f"{paper:.3f}", ours, about(paper, 0.06), why))
     return found
 
 
@@ -408,7 +395,6 @@ TABLE_3 = Study(
     grid=_grid,
     report=_report,
     claims=ablation_claims,
-    pictures=("table_3.png",),
     collects=(20, 3),
     full={"steps": 6000},
     quick={

@@ -60,17 +60,10 @@ def growing_error(steps: int, rate: float) -> FloatArray:
 def random_errors(
     rng: np.random.Generator, flights: int, steps: int, size: float, rate: float
 ) -> FloatArray:
-    """Errors that always change at their largest rate, in directions that turn at random.
+    """Errors (E, T, 3), N, that change at their largest rate, in directions that turn at random.
 
-    Args:
-        rng: source of the directions.
-        flights: E.
-        steps: T, of `TIME_STEP` seconds.
-        size: largest norm, N.
-        rate: norm of the rate of change, N/s; at the edge of the ball of `size` it points inwards.
-
-    Returns:
-        (E, T, 3) N.
+    The rate of change has the norm `rate`, N/s; at the edge of the ball of `size`, N, it points
+    inwards.
     """
     errors = np.zeros((flights, steps, 3))
     heading = _directions(rng, flights)
@@ -96,18 +89,11 @@ def fly_quadrotors(
     force_errors: FloatArray,
     position_error: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> FloatArray:
-    """Let E quadrotors hold a place in still air with a force of -eps_f compensated.
+    """Position errors (E, T + 1, 3), m, of quadrotors that hold a place and compensate -eps_f.
 
-    Attitude, rotor lag and limits of the thrust are those of the package's engine, at 240 Hz.
-
-    Args:
-        vehicle: what flies.
-        config: of the tracking controller.
-        force_errors: (E, T, 3) planted model errors eps_f, N.
-        position_error: (3,) p - p_d at the start, m.
-
-    Returns:
-        (E, T + 1, 3) position errors, m.
+    The planted model errors `force_errors` (E, T, 3) are in N; attitude, rotor lag and limits of
+    the thrust are those of the package's engine, at 240 Hz. `position_error` (3,) is that of the
+    start.
 
     Raises:
         ValueError: the errors have another shape, or are not finite.
@@ -294,7 +280,6 @@ BALL = Study(
     name="study-ball",
     label="Theorem 5",
     shows="the ball of the position error under a planted model error",
-    file="ball",
     takes=("episodes",),
     grid=_grid,
     settings=_settings,

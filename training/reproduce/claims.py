@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -124,6 +125,14 @@ class Claim:
             "verdict": self.agreement,
             "reason": self.reason.text if self.reason else "",
         }
+
+
+def claims_of(stated: Iterable[tuple[Any, ...]], ours: Iterable[float]) -> list[Claim]:
+    """Claims without spread: rows of quantity, paper, `agrees` and reasons, and our numbers."""
+    return [
+        Claim(what, paper, value, agrees, tuple(reasons))
+        for (what, paper, agrees, *reasons), value in zip(stated, ours, strict=True)
+    ]
 
 
 def format_quantity(value: float) -> str:

@@ -8,7 +8,14 @@ from typing import Any
 from swarm_envs.files import claimed
 from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 from swarm_envs.training.collection.collect import CollectionConfig
-from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, exactly
+from swarm_envs.training.reproduce.claims import (
+    Between,
+    Claim,
+    Extent,
+    Reason,
+    claims_of,
+    exactly,
+)
 from swarm_envs.training.reproduce.study import Study
 
 
@@ -32,32 +39,22 @@ def collect_rows(options: CollectOptions) -> str:
     return ""
 
 
+_FEWER = Reason("--quick flies eight flights of 20 s a team", Between(1.0))
+_THINNER = Reason(
+    "rows are logged less often here, and only while a neighbour is near", Between(1e3)
+)
+
+
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:
-    flown = numbers["scenarios"]
-    fewer = Reason("--quick flies eight flights of 20 s a team", Between(1.0))
-    thinner = Reason(
-        "rows are logged less often here, and only while a neighbour is near", Between(1e3)
+    flown, fewer = numbers["scenarios"], (_FEWER,) * extent.quick
+    stated = (
+        ("scenarios that were flown and gave rows", "12", exactly(12.0)),
+        ("flight of the scenario with the least, s", "around 1000", Between(800.0), *fewer),
+        ("rows of measured force, all scenarios", "1.4 million", Between(0.7e6), _THINNER),
     )
     given = len(flown) - len(numbers["missing"])
     shortest = min(scenario["drone_seconds"] for scenario in flown.values())
-    known = (fewer,) if extent.quick else ()
-    return [
-        Claim("scenarios that were flown and gave rows", "12", given, exactly(12.0)),
-        Claim(
-            "flight of the scenario with the least, s",
-            "around 1000",
-            shortest,
-            Between(800.0),
-            known,
-        ),
-        Claim(
-            "rows of measured force, all scenarios",
-            "1.4 million",
-            numbers["rows"],
-            Between(0.7e6),
-            (thinner,),
-        ),
-    ]
+    return claims_of(stated, (given, shortest, numbers["rows"]))
 
 
 TABLE_2 = Study(
@@ -67,6 +64,7 @@ TABLE_2 = Study(
     shows="the twelve scenarios of the data collection",
     collects=(60, 2),
     claims=_claims,
+    pictures=(),
     numbers="flights.json",
 )
 """Remade by `swarm-envs collect` alone."""

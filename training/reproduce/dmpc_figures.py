@@ -17,7 +17,15 @@ from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
 from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.training.reproduce import dmpc_flights
-from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about, exactly
+from swarm_envs.training.reproduce.claims import (
+    Between,
+    Claim,
+    Extent,
+    Reason,
+    about,
+    claims_of,
+    exactly,
+)
 from swarm_envs.training.reproduce.dmpc_flights import (
     CRASH_M,
     JAM_S,
@@ -25,7 +33,6 @@ from swarm_envs.training.reproduce.dmpc_flights import (
     MODES,
     THEIRS,
     ReferenceFlight,
-    SwarmSetup,
     fly_circle,
     fly_sequence,
     median_total,
@@ -38,8 +45,9 @@ from swarm_envs.training.reproduce.dmpc_flights import (
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, StudyOptions, drawing
 
 _PAPER = "dmpc-swarm"  # as `swarm-envs reproduce` names the paper
-_Fly = Callable[[SwarmSetup], ReferenceFlight]
+_Fly = Callable[..., ReferenceFlight]
 _APART_M = 0.25  # scaled distance that references keep
+_APART = Between(_APART_M)
 
 
 @partial(typed, owner="--")
@@ -70,7 +78,7 @@ OPTIONS = DmpcSwarmOptions
 """What `swarm-envs reproduce dmpc-swarm` takes."""
 
 
-def _setups_of(options: DmpcSwarmOptions) -> dict[str, list[SwarmSetup]]:
+def _setups_of(options: DmpcSwarmOptions) -> dict[str, list[dict[str, Any]]]:
     """What is flown in each cell of a figure or of the sweep, one run a seed."""
     varied: dict[str, dict[str, Any]]
     if options.figure == "3b":
@@ -88,21 +96,22 @@ def _setups_of(options: DmpcSwarmOptions) -> dict[str, list[SwarmSetup]]:
             for loss in LOSSES
         }
     seeds = range(options.seed, options.seed + options.seeds)
-    return {name: [SwarmSetup(**v, seed=s) for s in seeds] for name, v in varied.items()}
+    usual = {"trigger": "HT"}  # the published one
+    return {name: [usual | v | {"seed": s} for s in seeds] for name, v in varied.items()}
 
 
 @functools.cache  # a cell's first flight is measured, and drawn
-def _first_flight(fly: _Fly, setup: SwarmSetup) -> ReferenceFlight:
-    return fly(setup)
+def _first_flight(fly: _Fly, **options: Any) -> ReferenceFlight:
+    return fly(**options)
 
 
-def _measure(fly: _Fly, setups: Sequence[SwarmSetup]) -> Cell:
+def _measure(fly: _Fly, setups: Sequence[dict[str, Any]]) -> Cell:
     """What one cell's flights measured."""
-    flights = [_first_flight(fly, setups[0]), *map(fly, setups[1:])]
+    flights = [_first_flight(fly, **setups[0]), *(fly(**options) for options in setups[1:])]
     totals = [flight.total_s for flight in flights]
     least = [float(flight.scaled_distance.min()) for flight in flights]
     return {
-        "seeds": [setup.seed for setup in setups],
+        "seeds": [options["seed"] for options in setups],
         "total_s": totals,
         "legs_s": [flight.legs_s for flight in flights],
         "arrived": sum(total is not None for total in totals),
@@ -128,7 +137,7 @@ def _report(fly: _Fly, options: DmpcSwarmOptions, cells: Mapping[str, Cell]) -> 
         files[f"{name}.png"] = partial(plot_losses, cells=cells)
     else:
         setups = _setups_of(options)
-        flights = {cell: _first_flight(fly, runs[0]) for cell, runs in setups.items()}
+        flights = {cell: _first_flight(fly, **runs[0]) for cell, runs in setups.items()}
         sequence = partial(plot_sequence, figure=str(options.figure), cells=cells)
         draw = plot_jam if options.figure == "4" else sequence
         files[f"{name}.png"] = partial(draw, flights=flights)
@@ -211,18 +220,14 @@ def _formations(options: DmpcSwarmOptions, cells: Mapping[str, Any]) -> Report:
 def _formation_claims(numbers: Any, extent: Extent) -> list[Claim]:
     places = numbers["formations"]
     drones = min(entry["drones"] for entry in places.values())
-    return [
-        Claim("drones in each formation", "16", drones, exactly(16.0)),
-        *(
-            Claim(
-                f"{name}: least scaled distance of two places, m",
-                f"at least {_APART_M:g}",
-                entry["least_scaled_distance_m"],
-                Between(_APART_M),
-            )
-            for name, entry in places.items()
-        ),
+    apart = [
+        (f"{name}: least scaled distance of two places, m", f"at least {_APART_M:g}", _APART)
+        for name in places
     ]
+    return claims_of(
+        [("drones in each formation", "16", exactly(16.0)), *apart],
+        [drones, *(entry["least_scaled_distance_m"] for entry in places.values())],
+    )
 
 
 def _total(cell: Cell) -> float:
@@ -265,14 +270,12 @@ def _unit_claims(numbers: Any, extent: Extent) -> list[Claim]:
     """More compute units are faster, and the second is worth more than the third."""
     cells = numbers["cells"]
     one, two, three = (_total(cells[name]) for name in ("1 CU", "2 CUs", "3 CUs"))
+    saved = (one - two) / (two - three) if two != three else float("inf")
+    paper = "the most significant improvement is from one to two"
+    second = "time that the second unit saves over what the third saves"
     return [
         *(_time_claim(name, cell) for name, cell in cells.items()),
-        Claim(
-            "time that the second unit saves over what the third saves",
-            "the most significant improvement is from one to two",
-            (one - two) / (two - three) if two != three else float("inf"),
-            Between(1.0),
-        ),
+        Claim(second, paper, saved, Between(1.0)),
         _distance_claim("all", *cells.values()),
     ]
 
@@ -286,20 +289,18 @@ def _trigger_claims(numbers: Any, extent: Extent) -> list[Claim]:
         "in the authors' public simulation DT is faster too, 34.2 s to 38.4 s; with 15 seeds here "
         "the medians are 26.3 s and 32.8 s, a ratio of 0.80"
     )
+    slowest = int((rr > np.maximum(dt, ht)).sum())
+    ratio = _total(cells["DT"]) / _total(cells["HT"])
+    known = Reason(faster, Between(0.7, 0.9))
     return [
         *(_time_claim(name, cell) for name, cell in cells.items()),
-        Claim(
-            "changes of formation in which RR is slowest, of 4",
-            "3",
-            int((rr > np.maximum(dt, ht)).sum()),
-            Between(3.0, 4.0),
-        ),
+        Claim("changes of formation in which RR is slowest, of 4", "3", slowest, Between(3.0, 4.0)),
         Claim(
             "time with DT over time with HT",
             "generally similar",
-            _total(cells["DT"]) / _total(cells["HT"]),
+            ratio,
             Between(0.8, 1.25),
-            (Reason(faster, Between(0.7, 0.9)),),
+            (known,),
         ),
         _distance_claim("all", *cells.values()),
     ]
@@ -316,33 +317,25 @@ def _jam_claims(numbers: Any, extent: Extent) -> list[Claim]:
     forgotten = (
         "units that have forgotten all drones know them again after ten rounds here, after 65 there"
     )
-    arrive = "share of runs in which all arrive"
+    arrive = ("all exchange their positions", exactly(1.0))
+    stated = (
+        (
+            "without recovery: least scaled distance of two references, m",
+            *(f"two collide (below {CRASH_M:g})", Between(0.0, CRASH_M)),
+            Reason(references, Between(CRASH_M, 0.2)),
+        ),
+        ("our recovery: share of runs in which all arrive", *arrive),
+        ("the paper's recovery: share of runs in which all arrive", *arrive),
+        (
+            *("our recovery: time to the last arrival, s", f"({jam:g})", about(jam, 0.2)),
+            Reason(forgotten, Between(10.0, jam)),
+        ),
+    )
+    shares = [cell["arrived"] / len(cell["seeds"]) for cell in (ours, theirs)]
     return [
         _distance_claim("our recovery", ours),
         _distance_claim("the paper's recovery", theirs),
-        Claim(
-            "without recovery: least scaled distance of two references, m",
-            f"two collide (below {CRASH_M:g})",
-            min(none["least_scaled_distance_m"]),
-            Between(0.0, CRASH_M),
-            (Reason(references, Between(CRASH_M, 0.2)),),
-        ),
-        *(
-            Claim(
-                f"{whose} recovery: {arrive}",
-                "all exchange their positions",
-                cell["arrived"] / len(cell["seeds"]),
-                exactly(1.0),
-            )
-            for whose, cell in (("our", ours), ("the paper's", theirs))
-        ),
-        Claim(
-            "our recovery: time to the last arrival, s",
-            f"({jam:g})",
-            _total(ours),
-            about(jam, 0.2),
-            (Reason(forgotten, Between(10.0, jam)),),
-        ),
+        *claims_of(stated, (min(none["least_scaled_distance_m"]), *shares, _total(ours))),
     ]
 
 
@@ -351,14 +344,12 @@ def _flown(number: str, shows: str, fly: _Fly, claims: Any, note: str) -> Study:
     return Study(
         paper=_PAPER,
         name=f"figure-{number}",
-        label=f"Fig. {number}",
         shows=shows,
         grid=partial(_grid, fly),
         settings=_settings,
         cells_file=f"figure_{number}.json",
         report=partial(_report, fly),
         claims=claims,
-        pictures=(f"figure_{number}.png",),
         quick={"seeds": 1, "replay": False},
         note=note,
     )
@@ -368,27 +359,16 @@ _BRACKETS = (
     "The paper prints no numbers: those in brackets are of the authors' public simulation, on "
     "formations of its own."
 )
+_DRAWN, _SHOT = "an overview drawing: nothing is measured", "a photograph of the hardware"
 STUDIES = (
-    drawing(
-        _PAPER,
-        1,
-        "the swarm, its radio, and the phases of a round",
-        "an overview drawing: nothing is measured",
-    ),
-    drawing(
-        _PAPER,
-        2,
-        "sixteen Crazyflies, three laptops and their radios",
-        "a photograph of the hardware",
-    ),
+    drawing(_PAPER, 1, "the swarm, its radio, and the phases of a round", _DRAWN),
+    drawing(_PAPER, 2, "sixteen Crazyflies, three laptops and their radios", _SHOT),
     Study(
         paper=_PAPER,
         name="figure-3a",
-        label="Fig. 3a",
         shows="the formations that are flown: plane, pyramid, cube, sphere",
         report=_formations,
         claims=_formation_claims,
-        pictures=("figure_3a.png",),
     ),
     _flown(
         "3b",

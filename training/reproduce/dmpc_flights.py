@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, circle_swap, formation
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.radio import LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
 from swarm_envs.state import FloatArray
 from swarm_envs.training.reproduce.charts import label_axis
@@ -19,9 +18,6 @@ from swarm_envs.training.reproduce.study import Cell
 from swarm_envs.vehicles import SMALL
 from swarm_envs.viewing.record import About, Recording
 from swarm_envs.viewing.style import GREY, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 DRONES = 16
 """As in the paper."""
@@ -31,22 +27,6 @@ _SEQUENCE_LIMIT_S, _CIRCLE_LIMIT_S = 120.0, 60.0  # when a flight is given up
 _RADIUS_M, _HEIGHT_M = 1.5, 1.0  # of the circle
 _SAMPLES = 10  # instants kept of each round
 _PUBLISHED = MlrDmpcConfig(planes="fixed")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SwarmSetup:
-    """How a swarm is run."""
-
-    compute_units: int = 3
-    """M."""
-    trigger: str = "HT"
-    """`HT`, `RR` or `DT`."""
-    loss: LossModel | float = 0.0
-    """Of messages."""
-    recovery: bool | str = True
-    """As for `simulate`."""
-    seed: int = 0
-    """Of losses and detours."""
 
 
 @dataclass(frozen=True)
@@ -77,38 +57,32 @@ class ReferenceFlight:
         return [float(leg) for leg in np.diff([0.0, *self.arrivals_s])]
 
 
-def fly_sequence(setup: SwarmSetup) -> ReferenceFlight:
-    """Plane, pyramid, cube, sphere and plane (Fig. 3a) by 16 drones."""
+def fly_sequence(**options: Any) -> ReferenceFlight:
+    """Plane, pyramid, cube, sphere and plane (Fig. 3a) by 16 drones; options of `MlrDmpcSwarm`."""
     places = [formation(name, DRONES) for name in SEQUENCE]
-    return fly_references(places[0], places[1:], setup, _SEQUENCE_LIMIT_S, _PUBLISHED)
+    return fly_references(places[0], places[1:], _SEQUENCE_LIMIT_S, _PUBLISHED, **options)
 
 
-def fly_circle(setup: SwarmSetup) -> ReferenceFlight:
-    """Each of 16 drones to the opposite side of a circle."""
+def fly_circle(**options: Any) -> ReferenceFlight:
+    """Each of 16 drones to the opposite side of a circle; options of `MlrDmpcSwarm`."""
     starts, targets = circle_swap(DRONES, _RADIUS_M, _HEIGHT_M)
-    return fly_references(starts, [targets], setup, _CIRCLE_LIMIT_S, _PUBLISHED)
+    return fly_references(starts, [targets], _CIRCLE_LIMIT_S, _PUBLISHED, **options)
 
 
 def fly_references(
     starts: FloatArray,
     formations: Sequence[FloatArray],
-    setup: SwarmSetup,
     limit_s: float,
     config: MlrDmpcConfig,
+    **options: Any,
 ) -> ReferenceFlight:
-    """Fly from one formation to the next, each begun in the round after the last was reached.
+    """Fly from one formation (N, 3), m, to the next, begun in the round after that was reached.
 
-    Args:
-        starts: (N, 3) m.
-        formations: targets (N, 3), m, in order.
-        setup: how the swarm is run.
-        limit_s: when to give up, s.
-        config: parameters.
+    The flight is given up after `limit_s`; options are those of `MlrDmpcSwarm`.
     """
-    swarm = MlrDmpcSwarm(starts, formations[0], config=config, **vars(setup))
+    swarm = MlrDmpcSwarm(starts, formations[0], config=config, **options)
     since = np.arange(_SAMPLES, dtype=np.float64) * (config.round_s / _SAMPLES)
-    positions: list[FloatArray] = []
-    targets: list[FloatArray] = []
+    positions, targets = list[FloatArray](), list[FloatArray]()
     arrivals: list[float] = []
     for k in range(round(limit_s / config.round_s)):
         target = formations[len(arrivals)]
@@ -132,15 +106,8 @@ def fly_references(
 
 
 def recording_of(flight: ReferenceFlight, about: str, seed: int) -> Recording:
-    """References as if they had been flown without error, level and in still air, for a replay.
-
-    Args:
-        flight: what to show.
-        about: how it was run, such as `3 CUs, HT`.
-        seed: of the run.
-    """
-    shape = flight.position.shape
-    step = float(flight.time[1] - flight.time[0])
+    """References as if they had been flown without error, level and in still air, for a replay."""
+    shape, step = flight.position.shape, float(flight.time[1] - flight.time[0])
     nobody = np.full(shape[:2], -1, dtype=np.int64)
     never = np.zeros(shape[:2], dtype=bool)
     return Recording(
@@ -230,17 +197,13 @@ def plot_sequence(
                 left.axvline(arrival, color=color, linewidth=0.7, linestyle=":")
         distance = "Mean distance to the targets (m)"
         label_axis(left, "Dotted: all have arrived", "Time (s)", distance, legend=10)
-        _plot_totals(right, cells)
-
-
-def _plot_totals(axis: Axes, cells: Mapping[str, Cell]) -> None:
-    place = np.arange(len(cells))
-    ours = [median_total(cell) or 0.0 for cell in cells.values()]
-    axis.bar(place - 0.2, ours, 0.4, color=list(_COLORS[: len(cells)]), label="ours")
-    known = [THEIRS.get(name, 0.0) for name in cells]
-    axis.bar(place + 0.2, known, 0.4, color="#C9CED4", label="public simulation")
-    axis.set_xticks(place, list(cells))
-    label_axis(axis, grid="y", legend=8, ylabel="Time to the last arrival (s)")
+        place = np.arange(len(cells))
+        ours = [median_total(cell) or 0.0 for cell in cells.values()]
+        right.bar(place - 0.2, ours, 0.4, color=list(_COLORS[: len(cells)]), label="ours")
+        known = [THEIRS.get(name, 0.0) for name in cells]
+        right.bar(place + 0.2, known, 0.4, color="#C9CED4", label="public simulation")
+        right.set_xticks(place, list(cells))
+        label_axis(right, grid="y", legend=8, ylabel="Time to the last arrival (s)")
 
 
 def plot_jam(path: Path, flights: Mapping[str, ReferenceFlight]) -> None:

@@ -75,16 +75,7 @@ class _Swarm:
 
 
 def examine_formation(model: InteractionModel, formation: str, team: str) -> _Swarm:
-    """Forces on every drone of a resting formation.
-
-    Args:
-        model: whose forces.
-        formation: `stack` or `rings`.
-        team: vehicle types, from the lowest up, such as `"SSSS"`.
-
-    Raises:
-        KeyError: there is no such formation.
-    """
+    """Forces on every drone of a resting formation; the team is from the lowest up."""
     position = _FORMATIONS[formation](len(team))
     orders = [[i, *(j for j in range(len(team)) if j != i)] for i in range(len(team))]
     joint, superposed = np.zeros((2, len(team)))
@@ -245,28 +236,22 @@ def _team(from_below: str) -> str:
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:
     """The three numbers that the text reads off the figure."""
-    spare = "the authors' own published weights say {:+.1f} g here; nothing is tuned to the figure"
-    return [
-        Claim(
-            f"{reading['what']}, g",
-            f"{reading['paper_g']:+g}",
-            reading["ours_g"],
-            about(reading["paper_g"], 0.25),
-            (
-                Reason(
-                    spare.format(reading["published_weights_g"]),
-                    Between(*sorted((reading["published_weights_g"], reading["paper_g"]))),
-                ),
-            ),
+    found = []
+    for reading in numbers["readings"]:
+        paper, authors = reading["paper_g"], reading["published_weights_g"]
+        spare = Reason(
+            f"the authors' own published weights say {authors:+.1f} g here; nothing is tuned to "
+            "the figure",
+            Between(*sorted((authors, paper))),
         )
-        for reading in numbers["readings"]
-    ]
+        what = f"{reading['what']}, g"
+        found.append(Claim(what, f"{paper:+g}", reading["ours_g"], about(paper, 0.25), (spare,)))
+    return found
 
 
 FIGURE_5 = Study(
     paper="neural-swarm2",
     name="figure-5",
-    label="Fig. 5",
     shows="heat maps of the force on a small drone, eight surroundings",
     takes=("model", "truth"),
     report=_report,

@@ -31,7 +31,14 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
+from swarm_envs.training.reproduce.study import (
+    Cell,
+    Cells,
+    Report,
+    Study,
+    draw_seeds,
+    error_cell,
+)
 from swarm_envs.viewing.style import picture
 
 TEAM, RING = "L2S", "ring of 5"
@@ -40,21 +47,6 @@ _EPISODES = 40
 _TRUTHS = ("learned", "wake")
 """The forces that are flown in if none is named: those for which a belief ships."""
 _WHOLE = Hall()
-_EMPTY = replace(
-    _WHOLE,
-    residual_quiet=(0.0, 0.0),
-    residual_wake=(0.0, 0.0),
-    residual_alone=(0.0, 0.0),
-    offset=(0.0, 0.0),
-    thrust_error=0.0,
-    frame_delay_s=0.0,
-    frame_loss=0.0,
-    position_noise_m=0.0,
-    attitude_noise_rad=0.0,
-    accelerometer_noise=0.0,
-    gyro_noise=0.0,
-)
-"""A hall in which nothing is otherwise than in the ideal world."""
 _PARTS = {
     "random force": ("residual_quiet", "residual_wake", "residual_alone"),
     "offset of the force": ("offset",),
@@ -64,15 +56,21 @@ _PARTS = {
         *("accelerometer_noise", "gyro_noise"),
     ),
 }
-"""Numbers of each part of the hall."""
+"""Numbers of each part of the hall; where all are zero, nothing is otherwise than in the ideal."""
+
+
+def _without(*parts: str) -> Hall:
+    """The hall without some of its parts."""
+    names = [name for part in parts for name in _PARTS[part]]
+    zero: Any = {
+        name: 0.0 if isinstance(getattr(_WHOLE, name), float) else (0.0, 0.0) for name in names
+    }
+    return replace(_WHOLE, **zero)
 
 
 def hall_worlds() -> dict[str, str | Hall]:
     """The worlds that are flown in, by name."""
-    alone = {
-        part: replace(_EMPTY, **{name: getattr(_WHOLE, name) for name in names})
-        for part, names in _PARTS.items()
-    }
+    alone = {part: _without(*(other for other in _PARTS if other != part)) for part in _PARTS}
     wrong = replace(_WHOLE, thrust_error=0.05)
     return {"ideal": "ideal", **alone, "hall": "hall", "hall, thrust wrong by 5 %": wrong}
 
@@ -149,10 +147,7 @@ def _measure(
         plain = FlightTest(RingTask(ring_team(5)), truth, engine)
     flights = fly(replace(plain, world=world), controller(truth), seeds)
     worst = flights.worst_height_error
-    return {
-        "worst_cm": np.round(100.0 * (worst.max(axis=1) if rings else worst[:, -1]), 4).tolist(),
-        "crashed": int(flights.crashed.sum()),
-    }
+    return error_cell(worst.max(axis=1) if rings else worst[:, -1], flights.crashed)
 
 
 def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
@@ -160,22 +155,15 @@ def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
     for motion, truth, world, side in _rows(options):
         cell = cells[f"{motion}, {truth}, {world}, {side.name}"]
         worst = np.array(cell["worst_cm"])
-        low, high = bootstrap_interval(worst, np.median)
+        errors = (float(np.median(worst)), *bootstrap_interval(worst, np.median))
+        names = ("median_cm", "low_cm", "high_cm")
         rows.append(
-            {
-                "motion": motion,
-                "truth": truth,
-                "world": world,
-                "controller": side.name,
-                "median_cm": round(float(np.median(worst)), 3),
-                "low_cm": round(low, 3),
-                "high_cm": round(high, 3),
-                "crashed": cell["crashed"],
-            }
+            {"motion": motion, "truth": truth, "world": world, "controller": side.name}
+            | {name: round(value, 3) for name, value in zip(names, errors, strict=True)}
+            | {"crashed": cell["crashed"]}
         )
     summary = {**_settings(options), "rows": rows}
-    files = {"hall.png": partial(_plot, rows=rows)}
-    return Report(summary, _text(summary), rows, files)
+    return Report(summary, _text(summary), rows, {"hall.png": partial(_plot, rows=rows)})
 
 
 def _text(summary: Mapping[str, Any]) -> str:
@@ -226,7 +214,6 @@ HALL = Study(
     name="study-hall",
     label="Hall",
     shows="height errors in each part of the hall, with and without belief and adaptation",
-    file="hall",
     takes=("truth", "episodes", "engine"),
     grid=_grid,
     settings=_settings,

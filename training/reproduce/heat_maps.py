@@ -113,16 +113,9 @@ def force_on_ego_g(
     position: FloatArray,
     velocity: FloatArray | None = None,
 ) -> FloatArray:
-    """Vertical force f_a,z on the first drone of each swarm.
+    """Vertical force f_a,z (R,) on the first drone of R swarms of a team, gram-force, up positive.
 
-    Args:
-        model: whose forces.
-        team: N vehicle types, the same in each swarm.
-        position: (R, N, 3) m.
-        velocity: (R, N, 3) m/s; None for rest.
-
-    Returns:
-        (R,) gram-force, up positive.
+    Positions (R, N, 3) are in m, velocities in m/s; None for rest.
     """
     motion = np.zeros_like(position) if velocity is None else velocity
     force: FloatArray = model.forces(position, motion, "".join(team))[:, 0, 2] / GRAM_FORCE
@@ -140,12 +133,6 @@ def superposed_force_g(
     f_0 + sum_j (f_j - f_0), with f_0 of the drone alone over the ground and f_j with neighbour j
     alone. The paper adds rho(phi_env) and rho(phi_j) (Sec. VII-C), which leaves the ground out of
     the pairs; only a network can be asked that, and it was never trained without its ground.
-
-    Args:
-        model: whose forces.
-        team: N vehicle types, the same in each swarm.
-        position: (R, N, 3) m.
-        velocity: (R, N, 3) m/s; None for rest.
     """
     motion = np.zeros_like(position) if velocity is None else velocity
     alone = force_on_ego_g(model, team[:1], position[:, :1], motion[:, :1])

@@ -209,7 +209,6 @@ TABLE_1 = Study(
     takes=(),
     report=_report,
     claims=_claims,
-    pictures=("table_1.png",),
     note="Identified again from motion and a noisy load cell, as if nothing were known. The "
     "simulator is made of this table: agreement says that it flies what the table says; psi2, "
     "fitted to readings of psi1, is held against the printed psi2.",

@@ -73,11 +73,8 @@ def fly_imperfectly(
 ) -> Worst:
     """Fly one episode for each seed, all at once; the same seeds give the same flights.
 
-    Args:
-        test: what is flown, and in which air; its decision rate is not used.
-        controller: of every drone; what it feeds forward is spoiled.
-        seeds: at least one. They draw the swaps as `flights.fly` does, and the noise.
-        imperfection: how.
+    What the controller feeds forward is spoiled. Seeds draw the swaps as `flights.fly` does, and
+    the noise; the test's decision rate is not used.
     """
     core = test.core(len(seeds), action="rotors", decision_rate=PHYSICS_RATE)
     try:
@@ -147,12 +144,7 @@ class _Belief:
 
 
 def slow_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-    """Gaussian noise below 5 Hz along the last axis, sampled at 240 Hz, root mean square 1.
-
-    Args:
-        rng: source of the noise.
-        shape: (..., T) of the noise; each series of T samples is scaled to its root mean square.
-    """
+    """Gaussian noise (..., T) below 5 Hz, sampled at 240 Hz along the last axis, of rms 1."""
     steps = shape[-1]
     frequency = np.fft.rfftfreq(steps, 1.0 / PHYSICS_RATE)
     spectrum = np.fft.rfft(rng.standard_normal(shape))

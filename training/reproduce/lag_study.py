@@ -6,29 +6,27 @@ oracle that no real controller has, so that what is left of the error is what th
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.flights import (
-    Flights,
-    default_engine,
-    fly,
-    format_columns,
-    swap_test,
-)
+from swarm_envs.baselines.neural_swarm.flights import default_engine, fly, format_columns, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.interactions import load
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
+from swarm_envs.training.reproduce.study import (
+    Cell,
+    Cells,
+    Report,
+    Study,
+    draw_seeds,
+    error_cell,
+)
 from swarm_envs.viewing.style import picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 TRUTH = "learned"
 """The force model of the environment, and what the oracle feeds forward."""
@@ -37,8 +35,7 @@ TEAM = "L2S"
 _EPISODES = 20
 
 
-@dataclass(frozen=True)
-class _LagVariant:
+class _LagVariant(NamedTuple):
     """One controller of the study."""
 
     gains: str  # `soft`, `mid` or `stiff`
@@ -52,18 +49,13 @@ class _LagVariant:
         return f"{self.gains}, {force}, lag {'compensated' if self.lag else 'not compensated'}"
 
     @property
-    def controller(self) -> ControllerConfig:
-        """The configuration of the tracking loop."""
-        oracle_force = load(TRUTH) if self.oracle else None
-        return ControllerConfig(GAINS[self.gains], oracle_force, self.lag)
+    def look(self) -> tuple[str, str]:
+        """Force and lag in rows."""
+        force = "exact" if self.oracle else "none"
+        return force, "compensated" if self.lag else "not compensated"
 
 
-LAG_VARIANTS = tuple(
-    _LagVariant(gains, oracle, lag)
-    for gains in GAINS
-    for oracle in (False, True)
-    for lag in (False, True)
-)
+LAG_VARIANTS = tuple(itertools.starmap(_LagVariant, itertools.product(GAINS, *[(False, True)] * 2)))
 """What is flown: gains, beliefs, with and without lag compensation."""
 
 
@@ -86,25 +78,23 @@ def _grid(options: Any) -> Cells:
 
 def _measure(variant: _LagVariant, seeds: Sequence[int], engine: str) -> Cell:
     """Fly one variant: worst height errors of the lowest drone, and the first flight's errors."""
-    flights = fly(swap_test(TEAM, truth=TRUTH, engine=engine), variant.controller, seeds)
+    belief = load(TRUTH) if variant.oracle else None
+    controller = ControllerConfig(GAINS[variant.gains], belief, variant.lag)
+    flights = fly(swap_test(TEAM, truth=TRUTH, engine=engine), controller, seeds)
+    height = flights.position[0, :, -1, 2] - flights.reference[0, :, -1, 2]
     return {
-        "worst_cm": np.round(100.0 * flights.worst_height_error[:, -1], 4).tolist(),
-        "crashed": int(flights.crashed.sum()),
-        "height_m": np.round(_height_error(flights, 0), 6).tolist(),
+        **error_cell(flights.worst_height_error[:, -1], flights.crashed),
+        "height_m": np.round(height, 6).tolist(),
     }
-
-
-def _height_error(flights: Flights, e: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(T,) height error of the lowest drone of flight `e`, m."""
-    return flights.position[e, :, -1, 2] - flights.reference[e, :, -1, 2]
 
 
 def _row(variant: _LagVariant, cell: Cell) -> dict[str, Any]:
     worst = np.array(cell["worst_cm"])
+    force, lag = variant.look
     return {
         "gains": variant.gains,
-        "force": "exact" if variant.oracle else "none",
-        "lag": "compensated" if variant.lag else "not compensated",
+        "force": force,
+        "lag": lag,
         "median_cm": round(float(np.median(worst)), 3),
         "best_cm": round(float(worst.min()), 3),
         "worst_cm": round(float(worst.max()), 3),
@@ -115,13 +105,9 @@ def _row(variant: _LagVariant, cell: Cell) -> dict[str, Any]:
 def reductions(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """How many times smaller the median error is with lag compensation, by force and gains."""
     median = {(r["force"], r["gains"], r["lag"]): r["median_cm"] for r in rows}
+    off, on = "not compensated", "compensated"
     return {
-        force: {
-            gains: round(
-                median[force, gains, "not compensated"] / median[force, gains, "compensated"], 2
-            )
-            for gains in GAINS
-        }
+        force: {g: round(median[force, g, off] / median[force, g, on], 2) for g in GAINS}
         for force in ("none", "exact")
     }
 
@@ -175,17 +161,13 @@ def _plot(
                 over_time.plot(time, 100.0 * np.array(trace), color=color, label=label)
         title = "One swap, gains mid"
         label_axis(over_time, title, "Time (s)", "Height error (cm)", legend=9, zero=True)
-        _medians(medians, rows)
-
-
-def _medians(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    series = [
-        ([r["median_cm"] for r in rows if (r["force"], r["lag"]) == look], color, None)
-        for look, (color, _) in _LOOK.items()
-    ]
-    draw_numbered_bars(axis, list(GAINS), series)
-    axis.set_ylim(0.05, 60.0)
-    label_axis(axis, "All swaps, by gains", "", "Worst height error, median (cm)", grid="y")
+        series = [
+            ([r["median_cm"] for r in rows if (r["force"], r["lag"]) == look], color, None)
+            for look, (color, _) in _LOOK.items()
+        ]
+        draw_numbered_bars(medians, list(GAINS), series)
+        medians.set_ylim(0.05, 60.0)
+        label_axis(medians, "All swaps, by gains", "", "Worst height error, median (cm)", grid="y")
 
 
 LAG = Study(
@@ -193,10 +175,9 @@ LAG = Study(
     name="study-lag",
     label="Lag",
     shows="height errors with and without compensation of the motors' lag, eq. (22)",
-    file="lag",
     takes=("episodes", "engine"),
     grid=_grid,
     settings=_settings,
     report=_report,
 )
-"""Gains, beliefs, with and without lag compensation."""
+"""Compensation of the motors' lag on and off."""

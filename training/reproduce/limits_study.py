@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,15 @@ from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
-from swarm_envs.vehicles import GRAVITY, SMALL, Team, parse_team
+from swarm_envs.training.reproduce.study import (
+    Cell,
+    Cells,
+    Report,
+    Study,
+    draw_seeds,
+    error_cell,
+)
+from swarm_envs.vehicles import GRAVITY, SMALL, parse_team
 from swarm_envs.viewing.style import GREY, picture
 
 if TYPE_CHECKING:
@@ -48,8 +55,7 @@ _BELIEFS: Mapping[str, Callable[[], InteractionModel | None]] = {
 learned from flights in it."""
 
 
-@dataclass(frozen=True)
-class _SweepPoint:
+class _SweepPoint(NamedTuple):
     """One set of flights."""
 
     cell: str  # its name; points of one name are the same flights
@@ -58,11 +64,6 @@ class _SweepPoint:
     belief: str  # one of `_BELIEFS`
     test: FlightTest  # team, swaps, air
     imperfection: Imperfection = NOTHING  # what is spoiled
-
-    @property
-    def controller(self) -> ControllerConfig:
-        """Default gains, with the force model that is fed forward."""
-        return ControllerConfig(feedforward=_BELIEFS[self.belief]())
 
 
 @dataclass(frozen=True)
@@ -80,23 +81,43 @@ class Sweep:
 _CASES = ("S2S", "L2S")
 
 
-def _spoiled(
-    name: str,
-    label: str,
-    values: Sequence[float],
-    spoil: Callable[[float], Imperfection],
-    sensed: bool = False,
-) -> Sweep:
+_IMPERFECTIONS: Mapping[str, tuple[str, str, float, tuple[float, ...]]] = {
+    "scale": (
+        *("Predicted over true force", "scale", 1.0),
+        (0.25, 0.5, 0.75, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 2.5),
+    ),
+    "noise": (
+        *("Noise of the belief below 5 Hz, rms (g)", "noise_g", 1.0),
+        (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+    ),
+    "delay": (
+        *("Delay of the belief (ms)", "delay_s", 1e-3),
+        (0.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 640.0),
+    ),
+    "velocity noise": (
+        *("White noise of velocities (cm/s)", "velocity_noise", 1e-2),
+        (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0),
+    ),
+    "position noise": (
+        *("White noise of positions (mm)", "position_noise_m", 1e-3),
+        (0.0, 3.0, 10.0, 15.0, 20.0, 30.0),
+    ),
+}
+"""By sweep: label of the axis, field of `Imperfection`, unit of the values in SI, values."""
+
+
+def _spoiled(name: str) -> Sweep:
     """A sweep of one imperfection of an exact belief; what sensors spoil, the baseline suffers."""
-    points = []
+    label, field, unit, values = _IMPERFECTIONS[name]
+    points, sensed = [], name in ("velocity noise", "position noise")
     for case in _CASES:
         test = swap_test(case, truth=TRUTH)
         for x in values:
-            cell = f"{name} {x:g}: {case}"
+            cell, spoiled = f"{name} {x:g}: {case}", Imperfection(**{field: unit * x})
             alone = cell if sensed else f"unspoiled: {case}"
-            sensors = spoil(x) if sensed else NOTHING
+            sensors = spoiled if sensed else NOTHING
             points.append(_SweepPoint(f"{alone}, none", case, x, "none", test, sensors))
-            points.append(_SweepPoint(f"{cell}, exact", case, x, "exact", test, spoil(x)))
+            points.append(_SweepPoint(f"{cell}, exact", case, x, "exact", test, spoiled))
     return Sweep(name, label, points)
 
 
@@ -111,19 +132,14 @@ def _flown(name: str, label: str, cases: Mapping[str, Mapping[float, FlightTest]
     return Sweep(name, label, points)
 
 
-def _weaker(team: str, ratio: float) -> Team:
-    """The team with its lowest drone, a small one, at another thrust-to-weight ratio."""
-    lowest = replace(SMALL, max_thrust=ratio * SMALL.mass * GRAVITY)
-    return (*parse_team(team)[:-1], lowest)
-
-
 def _thrust(case: str) -> dict[float, FlightTest]:
-    ratios = (1.2, 1.3, 1.4, 1.5, 1.7, 1.91, 2.6)
-    return {r: swap_test(_weaker(case, r), truth=TRUTH) for r in ratios}
-
-
-def _many(token: str) -> dict[float, FlightTest]:
-    return {float(n): swap_test(token * n + "2S", truth=TRUTH) for n in (1, 2, 3, 4, 5)}
+    """The lowest drone, a small one, at other thrust-to-weight ratios."""
+    lowest = {
+        ratio: replace(SMALL, max_thrust=ratio * SMALL.mass * GRAVITY)
+        for ratio in (1.2, 1.3, 1.4, 1.5, 1.7, 1.91, 2.6)
+    }
+    team = parse_team(case)[:-1]
+    return {ratio: swap_test((*team, one), truth=TRUTH) for ratio, one in lowest.items()}
 
 
 def _planes(case: str) -> dict[float, FlightTest]:
@@ -138,55 +154,18 @@ def _air(case: str) -> dict[float, FlightTest]:
 
 def all_sweeps() -> tuple[Sweep, ...]:
     """Every sweep of the study."""
+    weak = {case: _thrust(case) for case in ("L2S", "LL2S")}
+    many = {
+        f"{one} above S": {float(n): swap_test(one * n + "2S", truth=TRUTH) for n in range(1, 6)}
+        for one in "SL"
+    }
+    planes = {case: _planes(case) for case in _CASES}
     return (
-        _spoiled(
-            "scale",
-            "Predicted over true force",
-            (0.25, 0.5, 0.75, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 2.5),
-            lambda x: Imperfection(scale=x),
-        ),
-        _spoiled(
-            "noise",
-            "Noise of the belief below 5 Hz, rms (g)",
-            (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
-            lambda x: Imperfection(noise_g=x),
-        ),
-        _spoiled(
-            "delay",
-            "Delay of the belief (ms)",
-            (0.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 640.0),
-            lambda x: Imperfection(delay_s=1e-3 * x),
-        ),
-        _spoiled(
-            "velocity noise",
-            "White noise of velocities (cm/s)",
-            (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0),
-            lambda x: Imperfection(velocity_noise=1e-2 * x),
-            sensed=True,
-        ),
-        _spoiled(
-            "position noise",
-            "White noise of positions (mm)",
-            (0.0, 3.0, 10.0, 15.0, 20.0, 30.0),
-            lambda x: Imperfection(position_noise_m=1e-3 * x),
-            sensed=True,
-        ),
+        *map(_spoiled, _IMPERFECTIONS),
         _flown("air", "True over predicted force", {case: _air(case) for case in _CASES}),
-        _flown(
-            "thrust",
-            "Thrust over weight of the lowest drone",
-            {case: _thrust(case) for case in ("L2S", "LL2S")},
-        ),
-        _flown(
-            "neighbours",
-            "Drones above the lowest",
-            {f"{token} above S": _many(token) for token in "SL"},
-        ),
-        _flown(
-            "plane distance",
-            "Distance between planes (m)",
-            {case: _planes(case) for case in _CASES},
-        ),
+        _flown("thrust", "Thrust over weight of the lowest drone", weak),
+        _flown("neighbours", "Drones above the lowest", many),
+        _flown("plane distance", "Distance between planes (m)", planes),
     )
 
 
@@ -206,12 +185,10 @@ def _grid(options: Any) -> Cells:
 
 
 def _measure(point: _SweepPoint, seeds: Sequence[int]) -> Cell:
-    """Worst height error of the lowest drone in each flight, cm."""
-    flown = fly_imperfectly(point.test, point.controller, seeds, point.imperfection)
-    return {
-        "worst_cm": np.round(100.0 * flown.height_error[:, -1], 4).tolist(),
-        "crashed": int(flown.crashed.sum()),
-    }
+    """Worst height error of the lowest drone in each flight, cm; default gains."""
+    controller = ControllerConfig(feedforward=_BELIEFS[point.belief]())
+    flown = fly_imperfectly(point.test, controller, seeds, point.imperfection)
+    return error_cell(flown.height_error[:, -1], flown.crashed)
 
 
 def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
@@ -340,7 +317,13 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
             label = case if belief == "exact" else None
             axis.plot(x, [row["compensated_cm"] for row in own], dashes, color=color,
                       marker=marker, markersize=3.5, label=label)  # fmt: skip
-            _mark_harm(axis, own)
+            harm = {
+                "o": [row for row in own if row["ratio"] > 1.0],
+                "x": [row for row in own if row["crashed"] > row["crashed_without"]],
+            }
+            for sign, bad in harm.items():  # the median made worse; drones made to crash
+                points = [row["value"] for row in bad], [row["compensated_cm"] for row in bad]
+                axis.plot(*points, sign, color=_HARM, markersize=10, markerfacecolor="none")
             if belief == "exact":
                 axis.plot(x, [row["without_cm"] for row in own], "--", color=color)
     axis.set_yscale("log")
@@ -356,23 +339,11 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
     axis.tick_params(axis="y", colors=GREY)
 
 
-def _mark_harm(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Ring the points at which compensation made the median worse, cross those with collisions."""
-    worse = [row for row in rows if row["ratio"] > 1.0]
-    axis.plot([row["value"] for row in worse], [row["compensated_cm"] for row in worse], "o",
-              markersize=10, markerfacecolor="none", markeredgecolor=_HARM,
-              markeredgewidth=1.6)  # fmt: skip
-    crashed = [row for row in rows if row["crashed"] > row["crashed_without"]]
-    axis.plot([row["value"] for row in crashed], [row["compensated_cm"] for row in crashed], "x",
-              markersize=9, color=_HARM, markeredgewidth=1.8, zorder=5)  # fmt: skip
-
-
 LIMITS = Study(
     paper="neural-swarm2",
     name="study-limits",
     label="Limits",
     shows="how the gain of compensation falls as belief, sensors, motors or density get worse",
-    file="limits",
     takes=("episodes",),
     grid=_grid,
     settings=_settings,

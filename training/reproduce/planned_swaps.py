@@ -57,13 +57,9 @@ class _PlannedSwap(NamedTuple):
 
 
 def draw_swap(team: str, seed: int) -> _PlannedSwap:
-    """Draw one trial: places in a row, robots in random order, no one stays.
+    """Draw a trial of a team of two or more: places in a row, robots in random order, no one stays.
 
     The same seed gives the same trial, whoever plans it.
-
-    Args:
-        team: tokens, such as `"SSL"`; at least two.
-        seed: of the trial.
     """
     count = len(parse_team(team))
     if count < 2:
@@ -131,15 +127,11 @@ class Track:
 
 
 def plan_at(plan: Trajectories, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions (K, N, 3), velocities and controls of a plan between its knots.
+    """Positions (K, N, 3), velocities and controls of a plan at times (K,) since its beginning, s.
 
     Between knots the motion is the cubic that meets position and velocity at both; where these fit
     a held acceleration, as the planner's do, it is that motion. Controls are held. After the last
     knot the plan stays there without control.
-
-    Args:
-        plan: a plan of T steps.
-        times: (K,) s from the plan's beginning, not negative.
     """
     knot = np.clip((times / plan.dt + 1e-9).astype(np.int64), 0, plan.steps - 1)
     s = np.clip(times / plan.dt - knot, 0.0, 1.0)[:, None, None]
@@ -161,17 +153,10 @@ def track_plan(
     gains: PidGains = PID,
     dt: float = TIME_STEP,
 ) -> Track:
-    """Let a PID track a plan on double integrators that feel the model's forces.
+    """Let a PID track a plan on double integrators that feel the model's forces, from start to end.
 
-    Forces and controls are held over a step, which is then exact. The robots start where the plan
-    starts, and are followed until it ends.
-
-    Args:
-        plan: of N robots.
-        team: their N vehicles.
-        model: the true forces; the plan may have been made with another, or with none.
-        gains: of the PID.
-        dt: length of a step, s.
+    Forces and controls are held over a step of dt, s, which is then exact. The plan may have been
+    made with another model, or with none.
     """
     if plan.states.shape[1] != len(team) or plan.steps < 1:
         raise ValueError(
@@ -210,16 +195,9 @@ def fly_plan(
     truth: str | InteractionModel = "learned",
     engine: str = "batch",
 ) -> tuple[Track, bool]:
-    """Fly a plan from its beginning to its end.
+    """Fly a plan from its beginning to its end; `feedforward` is what the controller compensates.
 
-    Args:
-        plan: starts, goals and motions of the team.
-        controller: of every drone; `feedforward` is the force model that it compensates.
-        truth: the true force model.
-        engine: `bullet` or `batch`.
-
-    Returns:
-        What became of it, sampled after each decision, and whether it ended by a crash.
+    Returns what became of it, sampled after each decision, and whether it ended by a crash.
     """
     horizon_s = round(plan.duration * _DECISION_RATE) / _DECISION_RATE
     test = FlightTest(SwapTask(plan.team, "random"), truth, engine, horizon_s=horizon_s)
@@ -353,10 +331,9 @@ def fly_trial(
 def measure_track(track: Track, team: Team) -> dict[str, Any]:
     """What Fig. 7 shows of one tracked plan, and how near robots came.
 
-    Returns:
-        `error_cm`, worst tracking error of each robot; `force_g`, largest |f_a,z| on each;
-        `over_bound`, the largest over all robots relative to its bound; `clearance`, the smallest
-        distance between two robots over the sum of their radii.
+    `error_cm`, worst tracking error of each robot; `force_g`, largest |f_a,z| on each;
+    `over_bound`, the largest over all robots relative to its bound; `clearance`, the smallest
+    distance between two robots over the sum of their radii.
     """
     force = np.abs(track.force[..., 2]).max(axis=0) / GRAM_FORCE
     bound = np.array([FORCE_BOUNDS_G[vehicle.token] for vehicle in team])
@@ -377,11 +354,7 @@ def clearance(position: FloatArray, team: Team) -> float:
 
 
 def check_planned(options: Any) -> None:
-    """Refuse a truth for which no belief ships, and teams that cannot swap.
-
-    Raises:
-        ValueError: naming what cannot be.
-    """
+    """Refuse a truth for which no belief ships, and teams that cannot swap."""
     load_belief(options.truth or "learned")
     for team in options.scenarios:
         draw_swap(team, options.seed)

@@ -13,7 +13,7 @@ from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import default_engine, format_columns
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.training.reproduce.charts import label_axis
-from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, claims_of
 from swarm_envs.training.reproduce.planned_swaps import (
     ATTEMPTS,
     PLANNED_SHARE,
@@ -94,12 +94,7 @@ def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
 def scenario_rows(
     cells: Iterable[Mapping[str, Any]], plant: str = "model_plant"
 ) -> list[dict[str, Any]]:
-    """One row for each scenario and planner.
-
-    Args:
-        cells: as `fly_trial` returns them.
-        plant: whose measures: the key in the cells.
-    """
+    """One row for each scenario and planner of the cells, of what a plant has measured."""
     grouped: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for cell in cells:
         grouped.setdefault((cell["scenario"], cell["planner"]), []).append(cell)
@@ -212,49 +207,29 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
         "the swaps are sampled again; those of the paper are not published", Between(1.2, 3.0)
     )
     small = own["SL"]["worst_force_S_g"]
-    return [
-        *(
-            Claim(
-                f"{team}, unaware: worst force over its bound",
-                "nearly double",
-                own[team]["worst_over_bound"],
-                Between(1.6, 2.4),
-                (drawn,),
-            )
-            for team in ("SL", "SSL", "LL")
-            if team in own
-        ),
-        Claim(
-            "SL, unaware: worst force on the small robot, g",
-            "greater than 10",
-            small,
-            Between(10.0),
-            (drawn,) if small > 6.0 else (),
-        ),
-        Claim(
-            "unaware: worst tracking error of all scenarios, cm",
-            "over 10",
-            max(row["worst_error_cm"] for row in unaware),
-            Between(10.0),
-        ),
-        Claim(
-            "aware: worst force over its bound, all scenarios",
-            "at most 1",
-            max(row["worst_over_bound"] for row in aware),
-            Between(0.0, 1.0),
-        ),
-        Claim(
-            "aware: worst tracking error of all scenarios, cm",
-            "-",
-            max(row["worst_error_cm"] for row in aware),
-        ),
+    teams = [team for team in ("SL", "SSL", "LL") if team in own]
+    stated: list[tuple[Any, ...]] = [
+        (f"{team}, unaware: worst force over its bound", "nearly double", Between(1.6, 2.4), drawn)
+        for team in teams
     ]
+    beyond = ("SL, unaware: worst force on the small robot, g", "greater than 10", Between(10.0))
+    stated += [
+        (*beyond, drawn) if small > 6.0 else beyond,
+        ("unaware: worst tracking error of all scenarios, cm", "over 10", Between(10.0)),
+        ("aware: worst force over its bound, all scenarios", "at most 1", Between(0.0, 1.0)),
+        ("aware: worst tracking error of all scenarios, cm", "-", None),
+    ]
+    worst = {
+        who: [max(row[name] for row in rows) for name in ("worst_error_cm", "worst_over_bound")]
+        for who, rows in (("unaware", unaware), ("aware", aware))
+    }
+    errors = (worst["unaware"][0], worst["aware"][1], worst["aware"][0])
+    return claims_of(stated, [*(own[team]["worst_over_bound"] for team in teams), small, *errors])
 
 
 FIGURE_7 = Study(
     paper="neural-swarm2",
     name="figure-7",
-    label="Fig. 7",
     shows="worst errors and forces of random swaps, planned with and without the forces",
     takes=("truth", "engine", "scenarios", "trials"),
     check=check_planned,
@@ -262,7 +237,6 @@ FIGURE_7 = Study(
     settings=_settings,
     report=_report,
     claims=_claims,
-    pictures=("figure_7.png",),
     quick={"trials": 2, "engine": "batch", "scenarios": ("SL", "LL", "SSL")},
     note="On the planner's own model of the forces, tracked by a PID without compensation, as "
     "in the paper.",

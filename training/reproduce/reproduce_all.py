@@ -131,11 +131,7 @@ class _Step(NamedTuple):
 
 
 def choose_studies(keys: Sequence[str]) -> list[Study]:
-    """Numbered studies by key, in the papers' order; all if none are named.
-
-    Raises:
-        ValueError: there is no such item; the message names the nearest.
-    """
+    """Numbered studies by key, in the papers' order; all if none are named."""
     studies = numbered_studies()
     for key in keys:
         check_name("item", key, studies)
@@ -272,17 +268,10 @@ def run_many(
     progress: bool = True,
     say: Callable[[str], None] = print,
 ) -> dict[str, StudyOutcome]:
-    """Run the studies that are not complete yet; one that fails stops no other.
+    """Run the studies that are not complete, and give all outcomes; one that fails stops no other.
 
-    Args:
-        options: where, how much and with which seed.
-        studies: what is wanted.
-        each: called with the outcomes of all studies so far, by key, after each.
-        progress: show a progress bar.
-        say: called with what an earlier run has left.
-
-    Returns:
-        The outcomes of the studies, by key.
+    `each` is called with the outcomes of all studies so far after each, `say` with what an earlier
+    run has left.
     """
     found = {study.key: outcome_of(options, study) for study in studies}
     todo = [study for study in studies if found[study.key].state in ("not run", "failed")]
@@ -305,8 +294,7 @@ def run_many(
 def reproduce_all(options: ReproduceAllOptions) -> tuple[str, bool]:
     """Remake what was asked for.
 
-    Returns:
-        What to print, and whether everything that was asked for was remade.
+    Returns what to print, and whether everything that was asked for was remade.
 
     Raises:
         ValueError: the folder holds a run of other settings.

@@ -34,10 +34,7 @@ _COUNTED: dict[Agreement, str] = {
 def html_page(outcomes: Sequence[StudyOutcome], about: Sequence[str], out: Path) -> str:
     """The whole page as HTML that asks for nothing outside itself.
 
-    Args:
-        outcomes: of every item, in the order of the page.
-        about: lines that stand at the top.
-        out: folder of the run; pictures of finished items are taken from there.
+    `about` are lines that stand at the top; pictures are taken from `out`, the folder of the run.
     """
     by_paper: dict[str, list[StudyOutcome]] = {}
     for outcome in outcomes:
@@ -153,12 +150,7 @@ def _cells(claim: Claim) -> tuple[str, str, str, str, str]:
 
 
 def markdown_page(outcomes: Sequence[StudyOutcome], about: Sequence[str]) -> str:
-    """The same numbers as a page in Markdown, without pictures and commands.
-
-    Args:
-        outcomes: of every item, in the order of the page.
-        about: paragraphs that stand at the top.
-    """
+    """The same numbers as a page in Markdown, without pictures and commands."""
     head = [line for paragraph in about for line in (paragraph, "")]
     lines = ["# Side by side", "", *head, *_count(outcomes), ""]
     lines += ["| item | quantity | paper | ours | difference |", "|---|---|---|---|---|"]

@@ -21,6 +21,7 @@ from tqdm import tqdm
 from swarm_envs.arguments import Seed
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json, write_table
+from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.reproduce.claims import Claim, Extent
 
 Cell = dict[str, Any]
@@ -50,14 +51,15 @@ class Study:
     """As `swarm-envs reproduce` names it."""
     name: str
     """Such as `figure-3b`, `table-1` or `study-lag`."""
-    label: str
-    """As the paper names it, such as `Fig. 3b`."""
     shows: str
     """What it shows, in a line."""
+    label: str = ""
+    """As the paper names it; `Fig. 3b` for `figure-3b` if not given."""
     missing: str = ""
     """Why it cannot be remade in simulation; empty if it can."""
     file: str = ""
-    """Name of its files without suffix; `figure_3b` for `figure-3b` if not given."""
+    """Name of its files without suffix; `figure_3b` for `figure-3b`, `lag` for `study-lag` if not
+    given."""
     takes: tuple[str, ...] | None = None
     """Options that have a meaning for it, beside those of `StudyOptions`; None for all."""
     check: Callable[[Any], object] = lambda options: None
@@ -76,8 +78,8 @@ class Study:
     """Holds the numbers of the JSON file against the paper's."""
     numbers: str = ""
     """File with the numbers that claims are made of; the study's JSON file if not given."""
-    pictures: tuple[str, ...] = ()
-    """Pictures that the page of `reproduce all` shows."""
+    pictures: tuple[str, ...] = ("*.png",)
+    """Pictures that the page of `reproduce all` shows; `*` stands for `file`."""
     note: str = ""
     """What a reader of that page must know beside the claims."""
     full: Mapping[str, Any] = field(default_factory=dict)
@@ -94,8 +96,15 @@ class Study:
             raise ValueError(f"{self.key}: say how it is remade, or why it is not, and not both")
         if self.numbered and remade and self.claims is None:
             raise ValueError(f"{self.key}: say which claims of the paper it is held against")
-        if not self.file:
-            object.__setattr__(self, "file", self.name.replace("-", "_"))
+        kind, _, number = self.name.partition("-")
+        usual = {
+            "label": f"Fig. {number}",
+            "file": number if kind == "study" else f"{kind}_{number}",
+        }
+        for name, value in usual.items():
+            object.__setattr__(self, name, getattr(self, name) or value)
+        pictures = tuple(name.replace("*", self.file) for name in self.pictures)
+        object.__setattr__(self, "pictures", pictures)
 
     @property
     def key(self) -> str:
@@ -146,8 +155,7 @@ class StudyOptions:
 
 def drawing(paper: str, number: int, shows: str, missing: str) -> Study:
     """A figure of a paper that nothing remakes, and why."""
-    name, label = f"figure-{number}", f"Fig. {number}"
-    return Study(paper=paper, name=name, label=label, shows=shows, missing=missing)
+    return Study(paper=paper, name=f"figure-{number}", shows=shows, missing=missing)
 
 
 def _studies_of(paper: str) -> dict[str, Study]:
@@ -177,12 +185,10 @@ def _foreign(options: StudyOptions, study: Study) -> list[str]:
 def run_study(study: Study, options: Any, progress: bool = True) -> tuple[dict[str, Any], str]:
     """Compute the cells of a study that are not there yet, and write what it found.
 
-    Returns:
-        The numbers, ready for JSON, and what to print.
+    Returns the numbers, ready for JSON, and what to print.
 
     Raises:
         ValueError: an earlier run in the folder was of other settings, or is damaged.
-        OSError: the folder cannot be written.
     """
     assert study.report is not None
     path, settings = options.out / (study.cells_file or f"{study.file}_cells.json"), None
@@ -222,15 +228,8 @@ def run_cells(
 ) -> dict[str, Any]:
     """Compute every cell that the file does not hold yet, and write the file after each.
 
-    Args:
-        cells: what computes each, by name.
-        path: JSON file with `settings` and `cells`; made, or gone on with.
-        settings: what all cells share, ready for JSON; None for cells that keep themselves.
-        label: of the progress bar.
-        progress: show a progress bar.
-
-    Returns:
-        The cells in the order asked for.
+    Returns them in the order asked for. `settings` are what all cells share, ready for JSON; None
+    for cells that keep themselves.
 
     Raises:
         ValueError: the file is damaged, or was made with other settings.
@@ -271,3 +270,8 @@ def _read_cells(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
 def draw_seeds(seed: int, count: int) -> list[int]:
     """Seeds of so many flights, drawn from one."""
     return [int(s) for s in np.random.SeedSequence(seed).generate_state(count)]
+
+
+def error_cell(worst_m: FloatArray, crashed: BoolArray) -> Cell:
+    """The cell of flights by their worst height errors (E,), m, and which of them crashed (E,)."""
+    return {"worst_cm": np.round(100.0 * worst_m, 4).tolist(), "crashed": int(crashed.sum())}

@@ -27,13 +27,20 @@ _FORCE_COLOR = "#C0392B"
 _OUTLINES = 5  # moments at which drones are drawn, start and end among them
 
 
-class _Column(NamedTuple):
-    """One column of a picture: motions, and the vertical forces (T + 1, N), g, on them."""
+class PlanColumn(NamedTuple):
+    """Motions of a team over T instants, as a column of a picture shows them.
+
+    Args:
+        title: above the column.
+        times: (T,) s.
+        position: (T, N, 3) m.
+        force: (T, N, 3) N.
+    """
 
     title: str
-    states: FloatArray
-    force_g: FloatArray
     times: FloatArray
+    position: FloatArray
+    force: FloatArray
 
 
 @typed
@@ -55,23 +62,26 @@ def plot_plan(
         ValueError: an unaware plan without a model, or of another team.
         OSError: the file cannot be written.
     """
-    stages = (("Stage 1: search", plan.initial), ("Stage 2: refined", plan.trajectories))
     columns = [
-        _Column(title, m.states, m.forces[..., 2] / GRAM_FORCE, m.times) for title, m in stages
+        PlanColumn(title, m.times, m.position, m.forces)
+        for title, m in (("Stage 1: search", plan.initial), ("Stage 2: refined", plan.trajectories))
     ]
     if unaware is not None:
         columns.append(_met_by(unaware, plan, model))
     where = "in the y-z plane" if plan.plane == "yz" else "in space"
     headline = f"Plan of {team_string(plan.team)} {where}, forces as {plan.model_name!r} has them"
+    draw_columns(Path(path), plan, columns, headline)
+
+
+def draw_columns(path: Path, plan: SwarmPlan, columns: Sequence[PlanColumn], headline: str) -> None:
+    """Draw motions between the starts and goals of a plan, and the forces on them, as columns."""
     views = ((1, 2),) if plan.plane == "yz" else ((0, 1), (1, 2))
-    heights = [_aspect(columns, view) for view in views]
-    width = 4.4 * len(columns)
-    tall = 4.0 * sum(heights) + 2.6
-    with picture(Path(path), width, tall + 1.0, headline) as figure:
-        ratios = [*(4.0 * height for height in heights), 2.6]
-        axes = figure.subplots(
-            len(views) + 1, len(columns), sharey="row", squeeze=False, height_ratios=ratios
-        )
+    points = np.concatenate([column.position.reshape(-1, 3) for column in columns])
+    extent = np.ptp(points, axis=0) + 0.5
+    ratios = [4.0 * min(max(extent[high] / extent[wide], 0.5), 1.2) for wide, high in views] + [2.6]
+    with picture(path, 4.4 * len(columns), sum(ratios) + 1.0, headline) as figure:
+        shape = len(ratios), len(columns)
+        axes = figure.subplots(*shape, sharey="row", squeeze=False, height_ratios=ratios)
         for column, motion in zip(axes.T, columns, strict=True):
             for axis, view in zip(column, views):
                 _draw_paths(axis, plan, motion, view)
@@ -83,7 +93,7 @@ def plot_plan(
         _add_legend(figure, plan)
 
 
-def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None) -> _Column:
+def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None) -> PlanColumn:
     if model is None:
         raise ValueError("an unaware plan is given, but no model of the forces it will meet")
     if unaware.team != plan.team:
@@ -91,28 +101,22 @@ def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None)
             f"the unaware plan is of team {team_string(unaware.team)!r}, but the plan of "
             f"{team_string(plan.team)!r}; give plans of one team"
         )
-    forces = predict_forces(model, plan.team, unaware.states)[..., 2] / GRAM_FORCE
-    return _Column("Planned without forces", unaware.states, forces, unaware.times)
+    forces = predict_forces(model, plan.team, unaware.states)
+    motions = unaware.trajectories
+    return PlanColumn("Planned without forces", motions.times, motions.position, forces)
 
 
-def _aspect(columns: Sequence[_Column], view: tuple[int, int]) -> float:
-    """Height over width of the paths' frame, within reason."""
-    points = np.concatenate([motion.states[..., :3].reshape(-1, 3) for motion in columns])
-    wide, high = (float(np.ptp(points[:, axis])) + 0.5 for axis in view)
-    return min(max(high / wide, 0.5), 1.2)
-
-
-def _draw_paths(axis: Axes, plan: SwarmPlan, motion: _Column, view: tuple[int, int]) -> None:
+def _draw_paths(axis: Axes, plan: SwarmPlan, motion: PlanColumn, view: tuple[int, int]) -> None:
     """Paths of all drones, outlines at some moments, arrows of the forces if seen from the side."""
     from matplotlib.patches import Circle
 
     colors, last = drone_colors(plan.team), len(motion.times) - 1
     moments = np.linspace(0, last, _OUTLINES).round().astype(np.int64)
     for i, (vehicle, color) in enumerate(zip(plan.team, colors)):
-        first, second = (motion.states[:, i, k] for k in view)
+        first, second = (motion.position[:, i, k] for k in view)
         axis.plot(first, second, color=color, linewidth=1.6, zorder=3)
         if view[1] == 2:
-            _draw_arrows(axis, first, second, motion.force_g[:, i])
+            _draw_arrows(axis, first, second, motion.force[:, i, 2] / GRAM_FORCE)
         for rank, k in enumerate(moments):
             alpha = 0.25 + 0.65 * rank / (_OUTLINES - 1)
             if view[1] == 2:
@@ -140,10 +144,10 @@ def _draw_arrows(axis: Axes, across: FloatArray, up: FloatArray, force_g: FloatA
     axis.update_datalim(np.column_stack([x, y + length]))
 
 
-def _draw_forces(axis: Axes, plan: SwarmPlan, motion: _Column) -> None:
+def _draw_forces(axis: Axes, plan: SwarmPlan, motion: PlanColumn) -> None:
     """Vertical forces over time, and the bound of each type, dashed."""
     colors, limits = drone_colors(plan.team), plan.bounds.force_bounds(plan.team) / GRAM_FORCE
-    for force, color in zip(motion.force_g.T, colors):
+    for force, color in zip(motion.force[..., 2].T / GRAM_FORCE, colors):
         axis.plot(motion.times, force, color=color, linewidth=1.6)
     for limit, color in zip(limits, colors):
         for sign in (-1, 1):

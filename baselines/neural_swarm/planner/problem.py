@@ -231,13 +231,7 @@ class PlanningProblem:
 def shortest_time(
     distance: npt.ArrayLike, speed: npt.ArrayLike, acceleration: npt.ArrayLike
 ) -> FloatArray:
-    """Time in which a double integrator covers a distance from rest to rest: bang-bang, s.
-
-    Args:
-        distance: (...) m, not negative.
-        speed: (...) largest speed, m/s.
-        acceleration: (...) largest acceleration, m/s^2.
-    """
+    """Time in which a double integrator covers a distance, m, from rest to rest: bang-bang, s."""
     d, v, a = (np.asarray(x, dtype=np.float64) for x in (distance, speed, acceleration))
     return np.where(d > v * v / a, d / v + v / a, 2.0 * np.sqrt(d / a))
 

@@ -395,18 +395,11 @@ def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: F
 def propagate(
     scene: Scene, knot: int, control: FloatArray, acceleration: FloatArray, work: WorkingState
 ) -> float:
-    """Fly one step from a knot.
+    """Fly a step from a knot under a held control u (3,), m/s^2; `acceleration` is working memory.
 
-    Args:
-        scene: what is around.
-        knot: the knot at which it begins.
-        control: (3,) u, held, m/s^2.
-        acceleration: (3,) working memory.
-        work: this robot's state and all forces at the knot; overwritten by those at the next.
-
-    Returns:
-        What all robots' controls cost in the step, the integral of ||u||, m/s; `INVALID` if the
-        step must not be flown.
+    This robot's state and all forces at the knot, in `work`, are overwritten by those at the next.
+    Returns what all robots' controls cost in the step, the integral of ||u||, m/s; `INVALID` if the
+    step must not be flown.
     """
     dt, speed, limit = scene.dt, scene.limits[0], scene.limits[1]
     cost = control_cost(scene, knot, control, work) * dt

@@ -11,13 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.kd_tree import (
-    KdTree,
-    clear_points,
-    empty_kd_tree,
-    insert_point,
-    nearest_index,
-)
 from swarm_envs.baselines.neural_swarm.planner.propagation import (
     INVALID,
     Scene,
@@ -77,8 +70,10 @@ class SearchTree(NamedTuple):
     """(capacity,) time in steps."""
     parent: IntArray
     """(capacity,) the node before; -1 of the root."""
-    places: KdTree
-    """The nodes in the space of `METRIC`."""
+    places: FloatArray
+    """(capacity, DIMENSIONS) the nodes in the space of `METRIC`."""
+    used: IntArray
+    """(1,) nodes in use."""
     point: FloatArray
     """(DIMENSIONS,) working memory."""
     scale: FloatArray
@@ -96,7 +91,8 @@ def empty_tree(capacity: int, robots: int) -> SearchTree:
         cost=np.zeros(capacity),
         knot=np.zeros(capacity, np.int64),
         parent=np.zeros(capacity, np.int64),
-        places=empty_kd_tree(capacity, DIMENSIONS),
+        places=np.zeros((capacity, DIMENSIONS)),
+        used=np.zeros(1, np.int64),
         point=np.zeros(DIMENSIONS),
         scale=np.zeros(4),
         vector=np.zeros((5, 3)),
@@ -118,16 +114,19 @@ def add_node(
     tree: SearchTree, parent: int, control: FloatArray, knot: int, cost: float, work: WorkingState
 ) -> int:
     """Add what the working memory holds as a node; return its index, or NONE without room."""
-    node = tree.places.used[0]
+    node = tree.used[0]
     if node == tree.cost.shape[0]:
         return NONE
+    tree.used[0] = node + 1
     tree.parent[node], tree.knot[node], tree.cost[node] = parent, knot, cost
     write_state(work, tree.state[node])
     for k in range(3):
         tree.control[node, k] = control[k]
     copy_forces(work.force, tree.force[node], len(work.force))
     write_point(tree, tree.state[node], knot, cost)
-    return insert_point(tree.places, tree.point)
+    for d in range(DIMENSIONS):
+        tree.places[node, d] = tree.point[d]
+    return node
 
 
 @part
@@ -164,7 +163,7 @@ def plant_root(scene: Scene, tree: SearchTree, work: WorkingState) -> float:
     cost = impulse_cost(scene.table, last, direct, work.velocity[0]) + scene.cost_left[0]
     tree.scale[0], tree.scale[1] = METRIC[0], METRIC[1]
     tree.scale[2], tree.scale[3] = METRIC[2] / last, METRIC[3] / (cost + 0.1)
-    clear_points(tree.places)
+    tree.used[0] = 0
     evaluate_forces(scene, 0, work)
     for k in range(3):
         direct[k] = 0.0
@@ -330,6 +329,19 @@ def sample_state(
 
 
 @part
+def nearest_node(tree: SearchTree) -> int:
+    """The node nearest to `tree.point`; all are looked at, as they are few and side by side."""
+    best, found = np.inf, NONE
+    for node in range(tree.used[0]):
+        square = 0.0
+        for d in range(DIMENSIONS):
+            square += (tree.places[node, d] - tree.point[d]) ** 2
+        if square < best:
+            best, found = square, node
+    return found
+
+
+@part
 def select_node(
     scene: Scene,
     tree: SearchTree,
@@ -342,10 +354,10 @@ def select_node(
     """The node to grow from: the nearest to a sample, or a promising one."""
     if rng.random() >= chances.promising:
         write_point(tree, state, knot, cost)
-        return nearest_index(tree.places, tree.point)
+        return nearest_node(tree)
     best, found = np.inf, 0
     for _ in range(CANDIDATES):
-        node = rng.integers(0, tree.places.used[0])
+        node = rng.integers(0, tree.used[0])
         total = estimate_cost(scene, tree, node)
         if total < best:
             best, found = total, node
@@ -420,8 +432,8 @@ def grow_tree(
     if not forces_allowed(scene, 0, work):
         return INVALID, 0, 1
     for iteration in range(iterations):
-        if tree.places.used[0] >= tree.cost.shape[0] - states.shape[0]:
-            return INVALID, iteration, tree.places.used[0]
+        if tree.used[0] >= tree.cost.shape[0] - states.shape[0]:
+            return INVALID, iteration, tree.used[0]
         new = 0
         if iteration > 0:
             worth = min(bound, 2.0 * direct + 1.0)
@@ -438,5 +450,5 @@ def grow_tree(
             cost = hold_at_goal(scene, tree, end, bound, work, states)
             if cost != INVALID:
                 write_path(scene, tree, end, work, states)
-                return cost, iteration + 1, tree.places.used[0]
-    return INVALID, iterations, tree.places.used[0]
+                return cost, iteration + 1, tree.used[0]
+    return INVALID, iterations, tree.used[0]

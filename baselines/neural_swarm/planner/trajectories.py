@@ -104,12 +104,7 @@ def integrate_velocity(start: FloatArray, velocity: FloatArray, dt: float) -> Fl
 def straight_lines(problem: PlanningProblem, bend: npt.ArrayLike | None = None) -> Trajectories:
     """Motions straight from starts to goals, all at once: an initial guess for stage 2.
 
-    Args:
-        problem: what is planned.
-        bend: (N, 3) by how much each robot swerves half way, m; None for not at all.
-
-    Raises:
-        ValueError: the bend has another shape.
+    `bend` (N, 3) is by how much each robot swerves half way, m; None for not at all.
     """
     count = problem.steps
     aside = np.zeros((len(problem.team), 3)) if bend is None else bend

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -32,6 +34,7 @@ from swarm_envs.baselines.mlr_dmpc.radio import (
 from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Identity, Trajectory
 
 CONFIG = MlrDmpcConfig()
+FLAGS = ("resting", "joining", "gone", "reinitialised")
 SIZES = [(4, 1), (16, 3), (64, 8), (256, 8), (256, 16)]
 
 
@@ -41,14 +44,16 @@ def trajectory(rng: np.random.Generator, identity: Identity) -> Trajectory:
     return Trajectory(identity, rng.normal(size=(3, 3)), jerk, 0.2)
 
 
-def identity_of(message: UnitMessage | PaperMessage) -> Identity | None:
-    return None if message.trajectory is None else message.trajectory.identity
+def content(message: UnitMessage | PaperMessage) -> tuple[object, ...]:
+    """All that a message says, to be compared."""
+    one = message.trajectory
+    said = None if one is None else (one.identity, one.state.tolist(), one.jerk.tolist())
+    return (*message._replace(trajectory=None), said)
 
 
-def random_message(rng: np.random.Generator, drones: int, units: int) -> UnitMessage:
-    round_ = int(rng.integers(70_000))
-    unit = int(rng.integers(units))
-    kind = MessageKind(int(rng.integers(4)))
+def random_message(
+    rng: np.random.Generator, kind: MessageKind, round_: int, unit: int, drones: int, units: int
+) -> UnitMessage:
     identity = Identity(round_ + 1, unit)
     if kind is not MessageKind.PLAN:
         identity = Identity(max(round_ - int(rng.integers(50)), 0), NOBODY)
@@ -58,39 +63,40 @@ def random_message(rng: np.random.Generator, drones: int, units: int) -> UnitMes
     everyone = frozenset(range(0, drones, 2))
     carries = kind is not MessageKind.EMPTY
     pick = tuple(int(i) for i in rng.integers(drones, size=units))
-    answer = kind is MessageKind.ANSWER
-    return UnitMessage(
-        kind,
-        round_,
-        unit,
-        view,
-        int(ids[0]) if carries else NONE,
-        trajectory(rng, identity) if carries else None,
-        selection=pick if rng.random() < 0.5 and not answer else None,
-        current=(*pick[1:], NONE) if rng.random() < 0.5 and not answer else None,
-        recent=(UNSURE,) * 4 if answer else (int(ids[1]), NONE, UNSURE, int(ids[2])),
+    plain = UnitMessage(kind, round_, unit, view)
+    if carries:
+        plain = plain._replace(drone=int(ids[0]), trajectory=trajectory(rng, identity))
+    if kind is MessageKind.ANSWER:
+        return plain
+    return plain._replace(
+        selection=pick if rng.random() < 0.5 else None,
+        current=(*pick[1:], NONE) if rng.random() < 0.5 else None,
+        recent=(int(ids[1]), NONE, UNSURE, int(ids[2])),
         donations=tuple(int(i) for i in ids)[: int(rng.integers(4))] if not carries else (),
-        missing=missing[: int(rng.integers(4))] if not answer else (),
-        complete=bool(rng.random() < 0.5) and not answer,
-        members=MembershipView(view, tuple(range(units)), everyone, everyone)
-        if not answer
-        else None,
+        missing=missing[: int(rng.integers(4))],
+        complete=bool(rng.random() < 0.5),
+        members=MembershipView(view, tuple(range(units)), everyone, everyone),
     )
 
 
 @pytest.mark.parametrize(("drones", "units"), SIZES)
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32))
-def test_messages_in_slots_survive_packing_and_fit(drones, units, seed):
+def test_messages_fit_into_slots_and_no_two_have_the_same_bytes(drones, units, seed):
+    """A receiver knows slot, sender and round: all else must follow from the bytes."""
     rng, codec = np.random.default_rng(seed), Codec(drones, units, CONFIG)
+    slot = MessageKind(int(rng.integers(4))), int(rng.integers(70_000)), int(rng.integers(units))
     order = [(int(i), int(rng.integers(2, 256))) for i in rng.permutation(drones)]
-    message = codec.filled(random_message(rng, drones, units), order)
-    data = codec.pack(message)
-    assert len(data) <= (REQUEST_BYTES if message.kind is MessageKind.EMPTY else SLOT_BYTES)
-    back = codec.unpack(data, message.unit, message.round)
-    assert codec.pack(back) == data
-    assert identity_of(back) == identity_of(message)
-    assert back._replace(trajectory=None) == message._replace(trajectory=None)
+    one, other = (
+        codec.filled(random_message(rng, *slot, drones, units), order[k:]) for k in (0, 1)
+    )
+    data = codec.pack(one)
+    assert len(data) <= (REQUEST_BYTES if one.kind is MessageKind.EMPTY else SLOT_BYTES)
+    for field in UnitMessage._fields:
+        mixed = one._replace(**{field: getattr(other, field)})
+        if mixed.members is not None:
+            mixed = mixed._replace(members=mixed.members._replace(id=mixed.view))
+        assert (codec.pack(mixed) == data) == (content(mixed) == content(one)), field
 
 
 def test_a_leaders_plan_still_carries_priorities_in_every_swarm():
@@ -116,30 +122,37 @@ def test_a_leaders_plan_still_carries_priorities_in_every_swarm():
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32), flags=st.tuples(*[st.booleans()] * 4))
-def test_drones_states_survive_packing_in_32_bytes(seed, flags):
+def test_drones_states_take_32_bytes_and_no_two_have_the_same(seed, flags):
     rng, codec = np.random.default_rng(seed), Codec(16, 3, CONFIG)
     lower, upper = np.array(CONFIG.box)
-    targets = codec.carried_targets(rng.uniform(lower, upper, (2, 3)))
-    place = rng.uniform(lower, upper)
-    resting, joining, gone, lost = (np.array([flag, not flag]) for flag in flags)
-    moving = codec.carried(np.stack([place, rng.uniform(-2, 2, 3), rng.uniform(-5, 5, 3)]))
-    still = np.stack([place.astype(np.float32).astype(float), np.zeros(3), np.zeros(3)])
-    round_ = int(rng.integers(100_000))
-    identity = Identity(max(round_ - int(rng.integers(60_000)), 0), 2)
-    kinematics = np.where(resting[:, None, None], still, moving)
-    numbers = np.full(2, identity.number), np.full(2, ViewId(7, 1).number)
-    said = np.ones(2, dtype=bool)
-    said_so = resting, joining, gone, lost
-    states = DroneStates(round_, said, *numbers, targets, kinematics, *said_so)
-    data = codec.pack_states(states)
-    back = codec.unpack_states([*data, b""], round_)
-    assert max(map(len, data)) <= STATE_BYTES
-    assert back.said.tolist() == [True, True, False]
-    assert codec.pack_states(back) == data
-    for name in ("identity", "lock", "resting", "joining", "gone", "reinitialised"):
-        assert np.array_equal(getattr(back, name)[:2], getattr(states, name)), name
-    assert back.target[:2] == pytest.approx(states.target, abs=1e-12)
-    assert back.kinematics[:2] == pytest.approx(states.kinematics, abs=1e-12)
+    round_ = int(rng.integers(60_000))
+
+    def drawn(*said_so: bool) -> DroneStates:
+        resting, joining, gone, lost = (np.array([flag]) for flag in said_so)
+        place = rng.uniform(lower, upper)
+        still = np.stack([place.astype(np.float32).astype(float), np.zeros(3), np.zeros(3)])
+        moving = codec.carried(np.stack([place, rng.uniform(-2, 2, 3), rng.uniform(-5, 5, 3)]))
+        return DroneStates(
+            round_,
+            np.array([True]),
+            np.array([Identity(int(rng.integers(round_ + 1)), 2).number]),
+            np.array([ViewId(int(rng.integers(9)), 1).number]),
+            codec.carried_targets(rng.uniform(lower, upper, (1, 3))),
+            (still if said_so[0] else moving)[None],
+            resting,
+            joining,
+            gone,
+            lost,
+        )
+
+    one, other = drawn(*flags), drawn(flags[0], *(not flag for flag in flags[1:]))
+    (data,) = codec.pack_states(one)
+    assert len(data) <= STATE_BYTES
+    for name in ("identity", "lock", "target", "kinematics", *FLAGS):
+        mixed = replace(one, **{name: getattr(other, name)})
+        same = np.array_equal(getattr(mixed, name), getattr(one, name))
+        assert (codec.pack_states(mixed) == [data]) == same, name
+    assert codec.pack_states(one.heard(np.array([False]))) == []
 
 
 def test_what_16_bit_carry_is_finer_than_a_tenth_of_a_millimetre():
@@ -149,22 +162,22 @@ def test_what_16_bit_carry_is_finer_than_a_tenth_of_a_millimetre():
 
 
 @pytest.mark.parametrize("kind", list(PaperKind))
-def test_the_papers_messages_survive_packing_within_its_slots(kind):
+def test_the_papers_messages_fit_into_its_slots_and_no_two_have_the_same_bytes(kind):
     rng = np.random.default_rng(1)
-    priorities = tuple(int(p) for p in rng.integers(256, size=16))
-    message = PaperMessage(kind, 20, 2, NONE if kind is PaperKind.EMPTY else 7)
-    if kind is PaperKind.TRAJECTORY:
-        message = message._replace(trajectory=trajectory(rng, Identity(21, 2)))
-    if kind is PaperKind.ANSWER:
-        message = message._replace(trajectory=trajectory(rng, Identity(12, 1)))
-    else:
-        message = message._replace(priorities=priorities)
-    data = message.pack()
-    assert len(data) <= (132 if kind in (PaperKind.EMPTY, PaperKind.REQUEST) else 242)
-    back = PaperMessage.unpack(data, 2, 20, CONFIG)
-    assert back.pack() == data
-    assert identity_of(back) == identity_of(message)
-    assert back._replace(trajectory=None) == message._replace(trajectory=None)
+
+    def drawn(drone: int) -> PaperMessage:
+        message = PaperMessage(kind, 20, 2, NONE if kind is PaperKind.EMPTY else drone)
+        if kind is PaperKind.TRAJECTORY:
+            message = message._replace(trajectory=trajectory(rng, Identity(21, 2)))
+        if kind is PaperKind.ANSWER:
+            return message._replace(trajectory=trajectory(rng, Identity(12 + drone, 1)))
+        return message._replace(priorities=tuple(int(p) for p in rng.integers(256, size=16)))
+
+    one, other = drawn(7), drawn(3)
+    assert len(one.pack()) <= (132 if kind in (PaperKind.EMPTY, PaperKind.REQUEST) else 242)
+    for field in PaperMessage._fields:
+        mixed = one._replace(**{field: getattr(other, field)})
+        assert (mixed.pack() == one.pack()) == (content(mixed) == content(one)), field
 
 
 def test_draws_do_not_depend_on_order_or_on_other_traffic():
