@@ -5,16 +5,16 @@ Distances are computed here from jerks alone, by other formulas than those of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
-from swarm_envs.baselines.mlr_dmpc.messages import MessageKind
+from swarm_envs.baselines.mlr_dmpc.messages import MessageKind, ViewId
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.radio import RoundLog
-from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
+from swarm_envs.baselines.mlr_dmpc.nodes import RecoveryNodes
+from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel, LossProcess, RoundLog
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound, UnitOutage
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
 from swarm_envs.state import BoolArray, FloatArray
 from tests.helpers.mlr_rounds import scattered
@@ -26,61 +26,58 @@ _FINE = 5
 _BEGINS, _ENDS = 0.08, 0.15
 """Chance by round that the radio begins a trick, and that it ends it: else nobody would plan."""
 TRICKS = ("none", "plans", "states", "views", "closest", "split", "deaf")
-"""What the radio singles out: see `Radio`."""
+"""What the radio singles out: see `_Radio`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trouble:
-    """A swarm and all that happens to it. The same seed and sizes give the same flight."""
+    """A swarm and all that happens to it. The same numbers give the same flight."""
 
-    seed: int
-    """Of starts, targets, and of all that is drawn."""
+    seed: int  # of starts, targets, and of all that is drawn
     drones: int
-    """N."""
     units: int
-    """M."""
-    loss: float = 0.0
-    """Share of messages lost, by link, whatever else happens."""
-    bursts: float = 0.0
-    """Share of time in which a link is bad; bad times last three rounds on average."""
-    trick: str = "none"
-    """One of `TRICKS`."""
-    joins: tuple[tuple[int, int], ...] = ()
-    """Drones that join, and when."""
-    leaves: tuple[tuple[int, int], ...] = ()
-    """Drones that leave, and when."""
-    flaps: float = 0.0
-    """Chance by round that a unit dies; one that is dead comes back with a chance of 0.3."""
+    unit_loss: float = 0.0
+    drone_loss: float = 0.0
+    jams: tuple[tuple[int, int, str, str], ...] = ()  # first and last round, senders, receivers
+    bursts: float = 0.0  # share of time in which a link is bad, for three rounds on average
+    trick: str = "none"  # one of `TRICKS`
+    outages: tuple[tuple[int, int, int], ...] = ()  # unit, first and last round
+    joins: tuple[tuple[int, int], ...] = ()  # drones that join, and when
+    leaves: tuple[tuple[int, int], ...] = ()  # drones that leave, and when
+    informed: bool = True
     rounds: int = 40
-    """Rounds of the flight."""
+    recovery: bool | str = True
+    trigger: str = "WT"
 
     @staticmethod
-    def drawn(seed: int) -> Trouble:
-        """4 to 12 drones and 1 to 4 units with everything at once, by a seed."""
+    def drawn(seed: int, **changes: Any) -> Trouble:
+        """4 to 16 drones and 1 to 4 units with everything at once, by a seed."""
         rng = np.random.default_rng((seed, 7))
-        drones = int(rng.integers(4, 13))
-        order = rng.permutation(drones)
-        joining = int(rng.integers(1, 4))
-        leaving = int(rng.integers(0, 3))
-        return Trouble(
+        drones, order = int(rng.integers(4, 17)), rng.permutation(16)
+        joining, leaving = int(rng.integers(0, 4)), int(rng.integers(0, 3))
+        units = int(rng.integers(1, min(drones - joining, 4) + 1))
+        order = order[order < drones]
+        first, out = int(rng.integers(0, 25)), int(rng.integers(0, 25))
+        who = [str(rng.choice(["units", "drones", "all", "unit 0", "drone 1"])) for _ in range(2)]
+        loss = float(rng.choice([0.0, 0.01, 0.1, 0.3, 0.6]) * rng.random())
+        drawn = Trouble(
             seed=seed,
             drones=drones,
-            units=int(rng.integers(1, min(drones - joining, 4) + 1)),
-            loss=float(rng.choice([0.0, 0.0, 0.05, 0.2])),
+            units=units,
+            unit_loss=loss,
+            drone_loss=float(rng.choice([0.0, loss, 0.6 * rng.random()])),
+            jams=((first, first + int(rng.integers(0, 12)), who[0], who[1]),)
+            * int(rng.random() < 0.3),
             bursts=float(rng.choice([0.0, 0.0, 0.05, 0.2])),
             trick=str(rng.choice(TRICKS)),
+            outages=((int(rng.integers(units)), out, out + int(rng.integers(0, 20))),)
+            * int(rng.random() < 0.4),
             joins=tuple((int(i), int(rng.integers(0, 20))) for i in order[:joining]),
-            leaves=tuple((int(i), int(rng.integers(3, 30))) for i in order[-leaving:][:leaving]),
-            flaps=float(rng.choice([0.0, 0.0, 0.02])),
+            leaves=tuple((int(i), int(rng.integers(3, 30))) for i in order[joining:][:leaving]),
+            informed=bool(rng.random() < 0.6),
+            trigger=str(rng.choice(["WT", "HT", "RR", "DT"])),
         )
-
-    @staticmethod
-    def joining(seed: int, loss: float) -> Trouble:
-        """8 to 12 drones, three of which join one after the other, and 3 units."""
-        rng = np.random.default_rng(seed)
-        drones = int(rng.integers(8, 13))
-        joins = tuple((drones - 1 - i, int(rng.integers(0, 15))) for i in range(3))
-        return Trouble(seed=seed, drones=drones, units=3, loss=loss, joins=joins, rounds=60)
+        return replace(drawn, **changes)
 
     def swarm(self, config: MlrDmpcConfig | None = None) -> MlrDmpcSwarm:
         """The swarm at its start, in a place so narrow that drones meet at once."""
@@ -88,54 +85,38 @@ class Trouble:
         rng = np.random.default_rng((self.seed, 1))
         half = 0.35 * np.sqrt(self.drones)
         place = np.array([[-half, -half, 0.5], [half, half, 2.5]])
+        jams = tuple(
+            Jam(first_round=a, last_round=b, senders=s, receivers=r) for a, b, s, r in self.jams
+        )
         return MlrDmpcSwarm(
             scattered(self.drones, config, rng, config.sampled_distance_m + 0.01, place),
             scattered(self.drones, config, rng, config.sampled_distance_m + 0.01, place),
             config=config,
             compute_units=self.units,
+            trigger=self.trigger,
+            loss=LossModel(unit_loss=self.unit_loss, drone_loss=self.drone_loss, jams=jams),
+            recovery=self.recovery,
             seed=self.seed,
-            informed=bool(rng.random() < 0.5),
+            informed=self.informed,
+            outages=[UnitOutage(unit=u, first_round=a, last_round=b) for u, a, b in self.outages],
             joins=dict(self.joins),
+            leaves=dict(self.leaves),
         )
 
     def fly(self, config: MlrDmpcConfig | None = None) -> Flight:
         """Fly it, and note all that is broken."""
         swarm = self.swarm(config)
-        radio = _Radio(self, swarm)
-        flight = Flight(swarm.config.sampled_distance_m, swarm.config.distance_m)
-        alive = set(range(self.units))
-        for k in range(self.rounds):
-            alive = self._flapped(alive, radio.rng)
-            log, reports = self._round(swarm, radio, alive, k)
-            flight.check(swarm, log, reports)
+        swarm._loss = _Radio(self, swarm)  # type: ignore[assignment]
+        flight = Flight(swarm.config)
+        for _ in range(self.rounds):
+            before = [(drone.flying, drone.view.id) for drone in swarm.nodes.drones]
+            flight.check(swarm, swarm.run_round(), before)
         flight.joined = sum(swarm.airborne[i] for i, _ in self.joins)
         return flight
 
-    def _flapped(self, alive: set[int], rng: np.random.Generator) -> set[int]:
-        draws = rng.random(self.units)
-        return {u for u in range(self.units) if draws[u] >= (self.flaps if u in alive else 0.7)}
-
-    def _round(
-        self, swarm: MlrDmpcSwarm, radio: _Radio, alive: set[int], k: int
-    ) -> tuple[RoundLog[Any], list[UnitRound]]:
-        """One round, as `MlrDmpcSwarm.run_round`, but for what arrives."""
-        nodes = swarm.nodes
-        for drone, since in self.leaves:
-            if k >= since:
-                nodes.drones[drone].leave()
-        joins = dict(self.joins)
-        present = {i for i in range(self.drones) if k >= joins.get(i, 0)}
-        states, slots, senders = nodes.send(k, swarm.targets, alive, present)
-        log = RoundLog(k, states, slots, senders, np.ones((1, 1), dtype=bool))
-        log = RoundLog(k, states, slots, senders, radio.arrivals(swarm, log))
-        swarm.may_fly = nodes.may_fly(log)
-        nodes.receive(log, alive, present)
-        swarm.round = k + 1
-        return log, [nodes.reports[unit] for unit in sorted(alive)]
-
 
 class _Radio:
-    """Which messages arrive: link by link, by bursts, and by a trick that reads them.
+    """Which messages arrive: those of the swarm's model, by bursts, and by a trick that reads them.
 
     `plans`: a plan reaches its drone or the other units, seldom both. `states`: what a drone says
     after a plan for it is lost. `views`: news of views reach some nodes only. `closest`: the two
@@ -146,63 +127,73 @@ class _Radio:
 
     def __init__(self, trouble: Trouble, swarm: MlrDmpcSwarm) -> None:
         self.rng = np.random.default_rng((trouble.seed, 3))
-        self._trouble, self._drones = trouble, len(swarm.nodes.drones)
+        self._trouble, self._swarm, self._drones = trouble, swarm, len(swarm.nodes.drones)
         self._nodes = self._drones + trouble.units
         self._bad = np.zeros((self._nodes, self._nodes), dtype=bool)
         self._planned: set[int] = set()
         self._tricked = True
         self._side: BoolArray = np.zeros(self._nodes, dtype=bool)
+        self._model: LossProcess = swarm._loss
+        self._send = swarm.nodes.send
+        swarm.nodes.send = self._listen  # type: ignore[assignment, method-assign]
 
-    def arrivals(self, swarm: MlrDmpcSwarm, log: RoundLog[Any]) -> BoolArray:
+    def _listen(self, k: int, *given: Any) -> Any:
+        """Note what is sent in a round."""
+        sent = self._send(k, *given)
+        self._log: RoundLog[Any] = RoundLog(k, *sent, np.ones((1, 1), dtype=bool))
+        return sent
+
+    def arrivals(self, round_: int) -> BoolArray:
         """(senders, receivers) whether messages of a round arrive."""
         rng, share = self.rng, self._trouble.bursts
         draws = rng.random(self._bad.shape)
         turns = share / max(1.0 - share, 1e-9) / 3.0
         self._bad = np.where(self._bad, draws >= 1.0 / 3.0, draws < turns)
-        arrived = rng.random(self._bad.shape) >= self._trouble.loss
-        arrived &= ~self._bad
+        arrived = self._model.arrivals(round_) & ~self._bad
         self._tricked ^= bool(rng.random() < (_ENDS if self._tricked else _BEGINS))
         if self._trouble.trick != "none" and self._tricked:
-            getattr(self, f"_{self._trouble.trick}")(swarm, log, arrived)
-        self._planned = {m.drone for m in log.slots.values() if m.kind is MessageKind.PLAN}
+            getattr(self, f"_{self._trouble.trick}")(self._log, arrived)
+        self._planned = {m.drone for m in self._plans_of(self._log).values()}
         np.fill_diagonal(arrived, True)
         return arrived
 
-    def _plans(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], arrived: BoolArray) -> None:
-        for unit, message in log.slots.items():
-            if message.kind is MessageKind.PLAN:
-                row = arrived[self._drones + unit]
-                if self.rng.random() < 0.5:
-                    row[self._drones :] = False
-                else:
-                    row[message.drone] = False
+    def _plans_of(self, log: RoundLog[Any]) -> dict[int, Any]:
+        return {unit: m for unit, m in log.slots.items() if m.kind is MessageKind.PLAN}
 
-    def _states(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], arrived: BoolArray) -> None:
+    def _plans(self, log: RoundLog[Any], arrived: BoolArray) -> None:
+        for unit, message in self._plans_of(log).items():
+            row = arrived[self._drones + unit]
+            if self.rng.random() < 0.5:
+                row[self._drones :] = False
+            else:
+                row[message.drone] = False
+
+    def _states(self, log: RoundLog[Any], arrived: BoolArray) -> None:
         for drone in self._planned:
             arrived[drone, self.rng.random(self._nodes) < 0.8] = False
-        self._plans(swarm, log, arrived)
+        self._plans(log, arrived)
 
-    def _views(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], arrived: BoolArray) -> None:
+    def _views(self, log: RoundLog[Any], arrived: BoolArray) -> None:
         for unit, message in log.slots.items():
             if getattr(message, "members", None) is not None and log.senders[unit] >= self._drones:
                 arrived[log.senders[unit], self.rng.random(self._nodes) < 0.7] = False
 
-    def _deaf(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], arrived: BoolArray) -> None:
+    def _deaf(self, log: RoundLog[Any], arrived: BoolArray) -> None:
         arrived[self._drones :, self._drones :] = False
-        self._views(swarm, log, arrived)
+        self._views(log, arrived)
 
-    def _closest(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], arrived: BoolArray) -> None:
+    def _closest(self, log: RoundLog[Any], arrived: BoolArray) -> None:
+        swarm = self._swarm
         here = swarm.reference(np.array([0.0]))[:, 0, 0] * swarm.config.inverse_scaling
         gap = np.linalg.norm(here[:, None] - here, axis=-1) + 9.0 * np.eye(self._drones)
         pair = {int(i) for i in np.unravel_index(np.argmin(gap), gap.shape)}
         for unit, message in log.slots.items():
             if message.drone in pair and log.senders[unit] >= self._drones:
-                lost = self.rng.random(self._nodes) < 0.6
-                arrived[log.senders[unit], lost] = False
+                arrived[log.senders[unit], self.rng.random(self._nodes) < 0.6] = False
         for drone in pair:
             arrived[drone, self.rng.random(self._nodes) < 0.5] = False
 
-    def _split(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], arrived: BoolArray) -> None:
+    def _split(self, log: RoundLog[Any], arrived: BoolArray) -> None:
         self._side ^= self.rng.random(self._nodes) < 0.1
         arrived &= self._side[:, None] == self._side
 
@@ -211,44 +202,87 @@ class _Radio:
 class Flight:
     """What was seen in a flight."""
 
-    sampled_m: float
-    """What is to be kept at samples, m."""
-    always_m: float
-    """What is to be kept between them, m."""
-    least_m: float = np.inf
-    """Least scaled distance of all that any two may fly, at samples from t(k+1) on, m."""
-    between_m: float = np.inf
-    """The same between samples, at a fifth of their distance in time, within the next round, m."""
+    config: MlrDmpcConfig
+    least_m: float = np.inf  # of all that any two may fly, at samples from t(k+1) on, scaled
+    between_m: float = np.inf  # the same within the next round, at a fifth of the samples' distance
     plans: int = 0
-    """Plans that were made."""
-    infeasible: int = 0
-    """Those that Theorem 1 denies, although nobody had given up a reference."""
-    joined: int = 0
-    """Drones that joined and are in the air at the end."""
+    rejected: int = 0  # plans that were not accepted
+    accepted: int = 0  # by drones
+    joined: int = 0  # drones that joined and are in the air at the end
+    covering: int = 0  # for how many trackers Lemma 1 was checked
+    up_to_date: int = 0  # and Lemma 2
     broken: list[str] = field(default_factory=list)
-    """Sentences on what was broken."""
 
-    def check(self, swarm: MlrDmpcSwarm, log: RoundLog[Any], reports: list[UnitRound]) -> None:
-        """Check a round that has just ended."""
-        planned = [report.planned for report in reports if report.planned is not None]
-        self.plans += len(planned)
-        self.infeasible += sum(one.shifted_slack < -TOLERANCE for one in planned)
-        config, k = swarm.config, log.round + 1
+    def check(
+        self, swarm: MlrDmpcSwarm, report: SwarmRound, before: list[tuple[Trajectory, ViewId]]
+    ) -> None:
+        """Check a round that has just ended, in which drones flew and were locked as before."""
+        self._distances(swarm, report.round)
+        self.accepted += len(report.accepted)
+        for unit in report.units:
+            if unit.planned is None:
+                continue
+            self.plans += 1
+            self.rejected += not unit.planned.accepted
+            if unit.planned.shifted_slack < -TOLERANCE:
+                self.broken.append(
+                    f"round {report.round}: what drone {unit.drone} flies breaks a row by "
+                    f"{-unit.planned.shifted_slack:.2e} m (Theorem 1)"
+                )
+        if isinstance(swarm.nodes, RecoveryNodes):
+            self._lemmas(swarm.nodes, report.round, before)
+
+    def _distances(self, swarm: MlrDmpcSwarm, round_: int) -> None:
+        """Whatever any may fly keeps its distance from whatever any other may."""
+        config = swarm.config
         owner = np.array([i for i, may in enumerate(swarm.may_fly) for _ in may])
         paths = [one for may in swarm.may_fly for one in may]
         samples = np.arange(config.num_samples + 1, dtype=np.float64)
-        instants = np.arange(config.samples_per_round * _FINE + 1, dtype=np.float64)
-        coarse = np.asarray(config.collision_sampling_s * samples)
-        fine = np.asarray(config.collision_sampling_s / _FINE * instants)
-        gap, pair = _least(paths, owner, k, coarse, config)
-        self.least_m = min(self.least_m, gap)
-        between, whose = _least(paths, owner, k, fine, config)
-        self.between_m = min(self.between_m, between)
-        if gap < self.sampled_m - TOLERANCE or between < self.always_m - TOLERANCE:
-            self.broken.append(
-                f"round {log.round}: drones {pair} may come to {gap:.6f} m at samples, drones "
-                f"{whose} to {between:.6f} m between them"
-            )
+        instants = np.arange(config.samples_per_round * _FINE + 1) / _FINE
+        for name, parts, keep in (
+            ("least_m", samples, config.sampled_distance_m),
+            ("between_m", instants, config.distance_m),
+        ):
+            times = config.collision_sampling_s * parts
+            gap, pair = _least(paths, owner, round_ + 1, times, config)
+            setattr(self, name, min(getattr(self, name), gap))
+            if gap < keep - TOLERANCE:
+                self.broken.append(f"round {round_}: drones {pair} may come to {gap:.6f} m, {name}")
+
+    def _lemmas(
+        self, nodes: RecoveryNodes, round_: int, before: list[tuple[Trajectory, ViewId]]
+    ) -> None:
+        equal: dict[tuple[ViewId, int], tuple[int, list[Any]]] = {}
+        for unit in filter(None, nodes.units):
+            info = unit.information
+            trackers, every = info.trackers, np.arange(len(before))
+            for drone in np.flatnonzero(info.flying).tolist():
+                flown, lock = before[drone]
+                _, candidates = trackers.candidates(every == drone)
+                if lock == info.view.id and trackers.covering[drone]:
+                    self.covering += 1
+                    if not any(same(one, flown, round_) for one in candidates):
+                        self.broken.append(
+                            f"round {round_}: unit {info.unit} does not know that drone {drone} "
+                            f"flies {flown.identity} (Lemma 1)"
+                        )
+                if trackers.up_to_date(round_)[drone] and lock == info.view.id:
+                    self.up_to_date += 1
+                    mine = [one.identity for one in candidates]
+                    other, theirs = equal.setdefault((info.view.id, drone), (info.unit, mine))
+                    if theirs != mine:
+                        self.broken.append(
+                            f"round {round_}: units {other} and {info.unit} hold {theirs} and "
+                            f"{mine} of drone {drone} (Lemma 2)"
+                        )
+
+
+def same(known: Trajectory, flown: Trajectory, round_: int) -> bool:
+    """Whether a trajectory is the flown one, from a round on; at rest, its place is all of it."""
+    if known.identity != flown.identity:
+        return False
+    times = 0.2 * (np.arange(20.0) + round_ - flown.identity.start_round)
+    return bool(np.abs(known.positions(times) - flown.positions(times)).max() < 1e-6)
 
 
 def _least(

@@ -162,8 +162,12 @@ class _Search:
         loops: list[LoopRecord] = []
         stop, idle = None, 0
         while stop is None:
-            before = self.cost
-            loops.append(self.plan_team())
+            before = self.cost  # one outer loop (lines 3 to 15): every robot once, in random order
+            if self.best is None or self.rng.random() < self.options.fresh:
+                self.plan_afresh()
+            else:
+                self.replan_each()
+            loops.append(LoopRecord(float(self.cost), self.iterations))
             if watch is not None:
                 watch(loops[-1])
             idle = 0 if self.cost < before else idle + 1
@@ -178,15 +182,6 @@ class _Search:
         if self.iterations >= self.options.iterations:
             return "iterations"
         return "no improvement" if idle >= self.options.patience else None
-
-    def plan_team(self) -> LoopRecord:
-        """One outer loop (lines 3 to 15): every robot once, in a random order."""
-        fresh = self.best is None or bool(self.rng.random() < self.options.fresh)
-        if fresh:
-            self.plan_afresh()
-        else:
-            self.replan_each()
-        return LoopRecord(float(self.cost), self.iterations)
 
     def plan_afresh(self) -> None:
         """Plan everyone from nothing; give up when one finds no way."""

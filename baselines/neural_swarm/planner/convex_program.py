@@ -292,7 +292,10 @@ class RobotProgram:
         self._add_neighbors(rows, problem)
         soft = np.concatenate([self._delta, self._slack.ravel()])
         signs = rows.add(soft.shape, 0.0, np.inf, (soft[:, None], _SLACK_SCALE))
-        cost, (lower, upper) = self._cost(problem), rows.bounds()
+        cost, (lower, upper) = np.zeros(self._variables), rows.bounds()
+        cost[self._x[:-1]] = problem.effort_by_state
+        cost[self._goal], cost[self._delta] = self._weights.goal, self._weights.state
+        cost[self._slack] = self._weights.neighbor
         if self._solver is None:
             self._solver = self._set_up(cost, rows)
             z, y = np.zeros(self._variables), np.zeros(rows.count)
@@ -391,13 +394,6 @@ class RobotProgram:
         reach = np.abs(problem.normal) @ problem.trust_state[: self._dims]
         slower = (first + second) * (np.abs(problem.normal) @ problem.trust_state[self._dims :])
         return (problem.normal * place).sum(axis=-1) - reach - slower < problem.level
-
-    def _cost(self, problem: ConvexSubproblem) -> FloatArray:
-        cost = np.zeros(self._variables)
-        cost[self._x[:-1]] = problem.effort_by_state
-        cost[self._goal], cost[self._delta] = self._weights.goal, self._weights.state
-        cost[self._slack] = self._weights.neighbor
-        return cost
 
     def _set_up(self, cost: FloatArray, rows: ConstraintRows) -> Any:
         import osqp

@@ -25,7 +25,6 @@ from swarm_envs.baselines.neural_swarm.planner.problem import (
 )
 from swarm_envs.baselines.neural_swarm.planner.scp import (
     RefinementOptions,
-    RefinementResult,
     StepRecord,
     merit_terms,
     refine,
@@ -35,7 +34,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     straight_lines,
     trajectories_through,
 )
-from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck, check_plan
+from swarm_envs.baselines.neural_swarm.planner.verify import check_plan
 from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.vehicles import Team, parse_team
@@ -119,13 +118,13 @@ def plan_swarm(
             plans.append(_run(problem, drawn, initial, search or SEARCH, options, deadline, bar))
             if plans[-1].converged or initial is not None or time.monotonic() > deadline:
                 break
-    return min(plans, key=_rank)
 
+    def rank(plan: SwarmPlan) -> tuple[bool, bool, float]:
+        """What orders plans, the best first: converged, feasible, cheap."""
+        merit = plan.history[-1].merit if plan.history else math.inf
+        return not plan.converged, bool(plan.check.shortcomings()), merit
 
-def _rank(plan: SwarmPlan) -> tuple[bool, bool, float]:
-    """What orders plans, the best first: converged, feasible, cheap."""
-    merit = plan.history[-1].merit if plan.history else math.inf
-    return not plan.converged, bool(plan.check.shortcomings()), merit
+    return min(plans, key=rank)
 
 
 def _check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
@@ -176,7 +175,11 @@ def _run(
     searched = time.monotonic()
     refined = refine(problem, initial, rng, options, deadline, show)
     check = check_plan(problem, refined.trajectories)
-    status, reason = _outcome(refined, check)
+    lacks = "; ".join(check.shortcomings())
+    converged, time_limit, iteration_limit, not_feasible = STATUSES
+    status = time_limit if refined.out_of_time else iteration_limit
+    if refined.converged:
+        status = not_feasible if lacks else converged
     return SwarmPlan(
         team=problem.team,
         starts=problem.starts,
@@ -189,7 +192,7 @@ def _run(
         model_fingerprint=problem.model.fingerprint,
         seed=drawn[0],
         status=status,
-        reason=reason,
+        reason=f"{refined.reason}; {lacks}" if lacks else refined.reason,
         check=check,
         search=about | {"attempt": drawn[1]},
         history=refined.history,
@@ -223,14 +226,3 @@ def _bent_lines(problem: PlanningProblem, rng: np.random.Generator) -> Trajector
         bend[:, problem.axes] = _BEND_M * rng.standard_normal((len(bend), len(problem.axes)))
         guesses.append(straight_lines(problem, bend=bend))
     return min(guesses, key=lambda m: merit_terms(problem, m, limits).team(PenaltyWeights()))
-
-
-def _outcome(refined: RefinementResult, check: PlanCheck) -> tuple[str, str]:
-    """Status and reason of a plan."""
-    lacks = "; ".join(check.shortcomings())
-    converged, time_limit, iteration_limit, not_feasible = STATUSES
-    if refined.converged:
-        status = not_feasible if lacks else converged
-    else:
-        status = time_limit if refined.out_of_time else iteration_limit
-    return status, f"{refined.reason}; {lacks}" if lacks else refined.reason

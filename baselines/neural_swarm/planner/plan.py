@@ -115,11 +115,11 @@ class SwarmPlan:
         """
         at = min(max(time, 0.0), self.duration)
         moving = float(0.0 <= time < self.duration)
-        parts = [self._curve(at), *(moving * slope(at) for slope in self._slopes)]
-        return Reference(*(np.asarray(part) for part in parts))
+        position, *slopes = (curve(at) for curve in self._curves)
+        return Reference(np.asarray(position), *(np.asarray(moving * slope) for slope in slopes))
 
     @cached_property
-    def _curve(self) -> Any:
+    def _curves(self) -> tuple[Any, ...]:
         from scipy.interpolate import BPoly
 
         states = self.states.copy()
@@ -128,11 +128,8 @@ class SwarmPlan:
         acceleration = np.zeros_like(states[..., 3:])
         acceleration[1:-1] = 0.5 * (held[1:] + held[:-1])
         rows = np.stack([states[..., :3], states[..., 3:], acceleration], axis=1)
-        return BPoly.from_derivatives(self.times, rows)
-
-    @cached_property
-    def _slopes(self) -> tuple[Any, ...]:
-        return tuple(self._curve.derivative(order) for order in (1, 2, 3))
+        curve = BPoly.from_derivatives(self.times, rows)
+        return curve, *(curve.derivative(order) for order in (1, 2, 3))
 
     def save(self, path: str | Path) -> None:
         """Write the plan whole or not at all, as `.npz` or `.json`.
@@ -162,13 +159,13 @@ class SwarmPlan:
         file = _checked(path)
         try:
             if file.suffix == ".npz":
-                arrays = _read_npz(file)
-                return _assemble(json.loads(str(arrays.pop("about"))), arrays)
-            content = json.loads(file.read_text(encoding="utf-8"))
-            return _assemble(content.pop("about"), content)
-        except OSError:
-            raise
-        except (ValueError, TypeError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+                # numpy leaves a file open that it opens itself and cannot read.
+                with file.open("rb") as opened, np.load(opened, allow_pickle=False) as content:
+                    raw = {name: content[name] for name in content.files}
+                return _assemble(json.loads(str(raw.pop("about"))), raw)
+            raw = json.loads(file.read_text(encoding="utf-8"))
+            return _assemble(raw.pop("about"), raw)
+        except _DAMAGE as error:
             what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
             raise ValueError(f"{str(file)!r} is no plan, or damaged: {what}") from error
 
@@ -179,6 +176,7 @@ _VERSION = 1  # of the format; a file of another is refused
 _SUFFIXES = (".npz", ".json")
 _PARTS = ("states", "controls", "forces")
 _MOTIONS = ("trajectories", "initial")
+_DAMAGE = (ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile)
 
 
 def _checked(path: str | Path) -> Path:
@@ -233,15 +231,6 @@ def _digest(arrays: dict[str, FloatArray], about: dict[str, Any]) -> str:
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(arrays[name], dtype=np.float64).tobytes())
     return digest.hexdigest()
-
-
-def _read_npz(path: Path) -> dict[str, Any]:
-    try:
-        # numpy leaves a file open that it opens itself and cannot read.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            return {name: content[name] for name in content.files}
-    except EOFError as error:
-        raise ValueError("it is cut short") from error
 
 
 def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:

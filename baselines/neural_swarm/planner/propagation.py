@@ -242,9 +242,11 @@ def make_scene(
     team = tuple(problem.team[j] for j in index)
     knots, start, goal = len(states), problem.starts[robot], problem.goals[robot]
     alone, before = np.zeros((knots, len(others), 3)), np.zeros((knots, len(index)))
-    guide = (
-        states[:, robot].copy() if robot in planned else _straight(start, goal, knots, problem.dt)
-    )
+    guide = states[:, robot].copy()
+    if robot not in planned:  # the straight line at constant speed
+        share = np.linspace(0.0, 1.0, knots)[:, None]
+        speed = np.broadcast_to((goal - start) / (problem.dt * max(knots - 1, 1)), (knots, 3))
+        guide = np.concatenate((start + share * (goal - start), speed), axis=1)
     if others:
         alone = predict_forces(problem.model, team[1:], states[:, others])
         before[:, 1:] = alone[..., 2]
@@ -253,6 +255,8 @@ def make_scene(
     acceleration = np.zeros((knots, len(index), 3))
     acceleration[:-1, 1:] = np.diff(states[:, others, 3:], axis=0) / problem.dt
     mass, free = problem.masses[index], np.zeros(3)
+    controls = (acceleration[:, 1:] - alone / mass[1:, None])[:-1]
+    spent = np.linalg.norm(controls, axis=2).sum(axis=1) * problem.dt
     free[list(problem.axes)] = 1.0
     types = problem.model.type_indices(team)
     drag = problem.model.field.drag[types[0]] / mass[0]
@@ -267,7 +271,7 @@ def make_scene(
         velocity=np.ascontiguousarray(states[:, index, 3:]),
         acceleration=acceleration,
         force_before=before,
-        cost_left=_cost_left(acceleration[:, 1:], alone, mass[1:], problem.dt),
+        cost_left=np.append(np.cumsum(spent[::-1])[::-1], 0.0),
         start=start.copy(),
         goal=goal.copy(),
         guide=guide,
@@ -283,22 +287,6 @@ def make_scene(
         edge=edge,
         tracked=tracked,
     )
-
-
-def _cost_left(
-    acceleration: FloatArray, forces: FloatArray, masses: FloatArray, dt: float
-) -> FloatArray:
-    """Integral of ||u|| of robots (K + 1, n - 1) from each knot to the end, m/s."""
-    controls = (acceleration - forces / masses[:, None])[:-1]
-    steps = np.linalg.norm(controls, axis=2).sum(axis=1) * dt
-    return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
-
-
-def _straight(start: FloatArray, goal: FloatArray, knots: int, dt: float) -> FloatArray:
-    """States (K + 1, 6) on the straight line at constant speed."""
-    share = np.linspace(0.0, 1.0, knots)[:, None]
-    speed = np.broadcast_to((goal - start) / (dt * max(knots - 1, 1)), (knots, 3))
-    return np.concatenate((start + share * (goal - start), speed), axis=1)
 
 
 # ---- Compiled: one step, and whether it is valid

@@ -83,7 +83,15 @@ def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
         token: max(float(f) for f, t in zip(force, tokens) if t == token) / GRAM_FORCE
         for token in dict.fromkeys(tokens)
     }
-    clearance = _clearance_ratio(problem, motions)
+    bounds, distance = problem.bounds, pairwise_approach(motions).distance.min(axis=0)
+    keep, pairs = bounds.clearances(problem.team), ~np.eye(len(problem.team), dtype=np.bool_)
+    clearance = float((distance[pairs] / keep[pairs]).min(initial=np.inf))  # infinite if alone
+    excesses = (
+        motions.position - np.array(bounds.upper),
+        np.array(bounds.lower) - motions.position,
+        np.abs(motions.velocity) - bounds.speed,
+        np.abs(motions.controls) - bounds.acceleration,
+    )
     return PlanCheck(
         goal_error_m=float(np.linalg.norm(flown[-1, :, :3] - problem.goals, axis=1).max()),
         goal_speed=float(np.linalg.norm(flown[-1, :, 3:], axis=1).max()),
@@ -91,25 +99,6 @@ def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
         force_ratio=float(ratio.max()),
         clearance_ratio=clearance,
         distance_ratio=clearance * problem.bounds.clearance_factor,
-        box_excess=_box_excess(problem, motions),
+        box_excess=max(0.0, *(float(excess.max()) for excess in excesses)),
         defect=float(np.abs(flown - motions.states).max()),
     )
-
-
-def _clearance_ratio(problem: PlanningProblem, motions: Trajectories) -> float:
-    """Smallest distance over the clearance, between knots too; infinite if alone."""
-    distance = pairwise_approach(motions).distance.min(axis=0)
-    keep = problem.bounds.clearances(problem.team)
-    pairs = ~np.eye(len(keep), dtype=np.bool_)
-    return float((distance[pairs] / keep[pairs]).min(initial=np.inf))
-
-
-def _box_excess(problem: PlanningProblem, motions: Trajectories) -> float:
-    bounds = problem.bounds
-    excesses = (
-        motions.position - np.array(bounds.upper),
-        np.array(bounds.lower) - motions.position,
-        np.abs(motions.velocity) - bounds.speed,
-        np.abs(motions.controls) - bounds.acceleration,
-    )
-    return max(0.0, *(float(excess.max()) for excess in excesses))
