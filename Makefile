@@ -138,6 +138,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m tests.benchmarks.forces
 	$(BIN)/python -m tests.benchmarks.throughput --peers $(PEERS)
 	$(BIN)/python -m tests.benchmarks.batched --peers $(PEERS)
+	$(BIN)/python -m tests.benchmarks.live
 
 # `make bench-against REF=d9123f6`; the other tree and cached kernels are kept in build/against.
 REF ?= HEAD

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import signal
 import sys
 import threading
@@ -307,7 +308,7 @@ def _read(
     words = [*_with_new_names(name, arguments)]
     mistake = find_mistake(options, words, prefixes)
     if mistake is not None:
-        raise Misuse(f"{mistake}; see `{PROGRAM} {name} --help`")
+        raise Misuse(f"{mistake} (see `{PROGRAM} {name} --help`)")
     return tyro.cli(
         options,
         args=words,
@@ -323,6 +324,7 @@ _SB3 = {
     "discount": "gamma",
     "clip": "clip-range",
     "entropy": "ent-coef",
+    "deviation": "log-std-init",
     "sac.rollout": "sac.train-freq",
     "sac.smoothing": "sac.tau",
     "sac.temperature": "sac.ent-coef",
@@ -336,16 +338,33 @@ _RENAMED: Mapping[str, Mapping[str, str]] = {
     "export policy": {"--policy": "--agent"},
 }
 """Old names of options by command: accepted for a version, with a note that names the new one."""
+_DEVIATION = "--deviation"
+"""An old name of which the value has changed, too: the new one is its logarithm."""
 
 
 def _with_new_names(name: str, arguments: Sequence[str]) -> Iterator[str]:
-    """Arguments with the options' new names."""
-    new = _RENAMED.get(name, {})
+    """Arguments with the options' new names; several settings may share a word of a sweep."""
+    new, last = _RENAMED.get(name, {}), ""
     for word in arguments:
-        option, equals, value = word.partition("=")
-        if option in new:
-            sys.stderr.write(f"{PROGRAM} {name}: {option} is called {new[option]} now\n")
-        yield new.get(option, option) + equals + value
+        parts = []
+        for part in word.split(" "):
+            option, equals, value = part.partition("=")
+            if option in new:
+                sys.stderr.write(f"{PROGRAM} {name}: {option} is called {new[option]} now\n")
+            if last == _DEVIATION:
+                option = _logarithm(option)
+            elif equals and _DEVIATION.endswith(option) and option in new:
+                value = _logarithm(value)
+            parts.append(new.get(option, option) + equals + value)
+            last = option if option in new and not equals else ""
+        yield " ".join(parts)
+
+
+def _logarithm(deviation: str) -> str:
+    try:
+        return str(math.log(float(deviation)))
+    except ValueError as error:
+        raise Misuse(f"{_DEVIATION} is {deviation!r:.80}, but must be a number above 0") from error
 
 
 def _description(name: str, options: type) -> str:

@@ -76,7 +76,6 @@ def test_examples_of_the_help_are_read(call, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--swap", "3"], "--swaps"),
         (["--seed", "-3"], "--seed is -3, but must be an integer of at least 0"),
         (["--swaps", "0"], "--swaps is 0, but must be an integer of at least 1 and at most 1,000"),
     ],
@@ -108,9 +107,21 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, capsys, mon
         ("train --drones 4 six", "--drones is 'six', but must be an integer of at least 1, or"),
         ("evaluate --workers two", "--workers is 'two', but must be an integer of at least 1;"),
         ("reproduce neural-swarm2 --figure 2", "--figure is '2', but must be 1 or 5 or"),
+        ("demo --swap 3", "unknown option '--swap'; did you mean '--swaps'?"),
+        ("train --lr 1e-3", "unknown option '--lr'; did you mean '--learning-rate'?"),
+        ("train --epochs 3", "did you mean '--n-epochs'?"),
+        ("train --n-step 3", "did you mean '--n-steps'?"),
+        ("train-sweep --out a --set foo=1", "unknown option '--foo' (--set and --compare take"),
+        ("fly --gama 0.9", "unknown option '--gama' (see"),
+        ("fly --model swap-ppo", "did you mean '--agent'?"),
+        ("evaluate --policy swap-ppo", "did you mean '--agent'?"),
+        ("record --episodes 3", "did you mean '--flights'?"),
+        ("fit -o runs", "unknown option '-o'; did you mean '--out'?"),
+        ("plan --labels no", "--labels takes no value, but got 'no'"),
+        ("fly swap", "unexpected argument 'swap'"),
     ],
 )
-def test_a_value_that_an_option_cannot_take_is_named_with_the_rule_and_the_nearest(
+def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_nearest(
     line, said, capsys
 ):
     assert main(line.split()) == 2
@@ -125,7 +136,9 @@ def test_what_an_option_can_take_is_no_mistake():
     assert find_mistake(FlyOptions, words.split()) is None
     several = "--drones 4 6 --proximity 1 2.5 --sac.tau 0.1"
     assert find_mistake(RlConfig, several.split(), prefixes=True) is None
-    assert find_mistake(FlyOptions, ["--unknown", "x", "--", "y"]) is None  # others say so
+    switches = "--no-tensorboard --num_neighbors 3 --sac.train-freq=4 --log-std-init -0.7"
+    assert find_mistake(RlConfig, switches.split(), prefixes=True) is None
+    assert find_mistake(FlyOptions, ["--unknown", "--help"]) is None
 
 
 WITHOUT_TORCH = """
@@ -189,3 +202,12 @@ def test_old_names_of_options_are_accepted_for_a_version(capsys, tmp_path):
     assert [*cli._with_new_names("fly", ["--rollout"])] == ["--rollout"]
     assert main(["export", "policy", "--policy", "hover", "--out", str(tmp_path / "a.h")]) == 2
     assert "--policy is called --agent now" in capsys.readouterr().err
+    assert [*cli._with_new_names("train", ["--deviation", "1", "--deviation=1"])] == [
+        *("--log-std-init", "0.0", "--log-std-init=0.0")
+    ]
+    settings = ["--compare", "hidden=8 deviation=1", "hidden=9"]
+    assert [*cli._with_new_names("train-sweep", settings)][1:] == [
+        *("hidden=8 log_std_init=0.0", "hidden=9")
+    ]
+    assert main(["train", "--out", str(tmp_path), "--deviation", "-1"]) == 2
+    assert "--deviation is '-1', but must be a number above 0" in capsys.readouterr().err

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import sys
 import threading
 import time
 import urllib.error
 import urllib.request
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -15,7 +18,7 @@ import pytest
 
 from swarm_envs import swap_v1
 from swarm_envs.tasks.obstacles import Column
-from swarm_envs.viewing.live import LiveViewer
+from swarm_envs.viewing.live import ROW, LiveViewer
 from tests.helpers.browsers import PATIENCE_MS, chromium, complaints
 
 
@@ -34,15 +37,25 @@ def ask(url: str, data: dict[str, Any] | None = None, host: str | None = None) -
         return bytes(answer.read())
 
 
+def decoded(event: dict[str, Any]) -> dict[str, Any]:
+    """An event; of a frame, each field of its rows as an array."""
+    if "drones" not in event:
+        return event
+    numbers = np.frombuffer(base64.b64decode(event["drones"]), np.float32)
+    rows = numbers.reshape(len(event["time"]), -1, sum(ROW.values()))
+    parts = np.split(rows, np.cumsum([*ROW.values()])[:-1], axis=-1)
+    return {**event, **dict(zip(ROW, parts, strict=True))}
+
+
 def frames(viewer: LiveViewer, count: int, found: list[dict[str, Any]]) -> threading.Thread:
-    """A browser that reads so many frames."""
+    """A browser that reads so many events: the teams, then frames."""
 
     def read() -> None:
         with urllib.request.urlopen(viewer.url.replace("/?", "/events?"), timeout=20) as events:
             while len(found) < count:
                 line = events.readline()
-                if line.startswith(b"data: {") and b"position" in line:
-                    found.append(json.loads(line[6:]))
+                if line.startswith(b"data: "):
+                    found.append(decoded(json.loads(line[6:])))
 
     thread = threading.Thread(target=read, daemon=True)
     thread.start()
@@ -52,16 +65,41 @@ def frames(viewer: LiveViewer, count: int, found: list[dict[str, Any]]) -> threa
 def test_a_frame_is_the_state_of_the_environment(env, capsys):
     viewer, found = LiveViewer(env.core), list[dict[str, Any]]()
     assert viewer.url in capsys.readouterr().err
-    reader = frames(viewer, 1, found)
+    reader = frames(viewer, 2, found)
     viewer.show()
     reader.join(20)
     viewer.close()
-    (frame,) = found
+    (large, small), frame = found[0]["teams"][0], found[1]
     np.testing.assert_allclose(frame["position"], env.core.physics.state.position, atol=1e-4)
     np.testing.assert_allclose(frame["quaternion"], env.core.physics.state.quaternion, atol=1e-4)
     np.testing.assert_allclose(frame["goal"], env.core.world.drones["goal"], atol=1e-3)
-    assert frame["radius"][0][0] > frame["radius"][0][1]
-    assert frame["hit"] == [[False, False]]
+    np.testing.assert_allclose(frame["force"], env.core.physics.force, atol=1e-4)
+    assert large[0] > small[0] and large[1] != small[1]
+    assert not frame["hit"].any()
+
+
+def test_teams_are_sent_again_when_they_change(env):
+    viewer, found = LiveViewer(env.core), list[dict[str, Any]]()
+    reader = frames(viewer, 4, found)
+    viewer.show()
+    while len(found) < 2:
+        time.sleep(0.01)
+    env.reset(options={"team": "SS"})
+    viewer.show()
+    reader.join(20)
+    viewer.close()
+    assert ["teams" in event for event in found] == [True, False, True, False]
+
+
+def test_a_notebook_shows_the_page_in_its_output(env, monkeypatch, capsys):
+    shown: list[tuple[Any, ...]] = []
+    display = SimpleNamespace(IFrame=lambda *given: given, display=shown.append)
+    shell = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=None), display=display)
+    monkeypatch.setitem(sys.modules, "IPython", shell)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    viewer = LiveViewer(env.core, wait_s=0.0)
+    viewer.close()
+    assert shown == [(viewer.url, "100%", 480)] and not capsys.readouterr().err
 
 
 def test_only_who_knows_the_token_sees_anything(env):
@@ -91,7 +129,7 @@ def test_nobody_looks_and_the_flight_goes_on(env):
 
 def test_a_paused_flight_goes_on_by_steps(env):
     viewer, found = LiveViewer(env.core), list[dict[str, Any]]()
-    reader = frames(viewer, 2, found)
+    reader = frames(viewer, 3, found)
     viewer.show()
     control = viewer.url.replace("/?", "/control?")
     ask(control, {"paused": True})
@@ -113,11 +151,11 @@ def test_many_environments_are_shown_side_by_side(monkeypatch):
     envs: Any = gymnasium.make_vec("swarm_envs/Swap-v1", **given)
     envs.reset(seed=0)
     viewer, found = envs.unwrapped._live, list[dict[str, Any]]()
-    reader = frames(viewer, 1, found)
+    reader = frames(viewer, 2, found)
     reader.join(20)
     envs.close()
     np.testing.assert_allclose(
-        found[0]["position"], envs.unwrapped.core.physics.state.position[:16], atol=1e-4
+        found[1]["position"], envs.unwrapped.core.physics.state.position[:16], atol=1e-4
     )
     with pytest.raises(ValueError, match="render_mode of many environments"):
         gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, render_mode="rgb_array")

@@ -22,6 +22,7 @@ from swarm_envs.agents.policy import FILE, read_policy
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands import train
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.mistakes import find_mistake
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.scale_out.jobs import Job
@@ -97,10 +98,15 @@ def parse(arguments: Sequence[str]) -> RlConfig:
     """Read the arguments of one run as `swarm-envs train` does.
 
     Raises:
-        SystemExit: they are not what it takes; the reason is printed.
+        Misuse: `train` has no such option, or it cannot have such a value.
+        SystemExit: the options do not fit each other; the reason is printed.
     """
     import tyro
 
+    mistake = find_mistake(RlConfig, arguments, prefixes=True)
+    if mistake is not None:
+        given = "--set and --compare take options of `swarm-envs train`"
+        raise Misuse(f"{mistake} ({given}; see `swarm-envs train --help`)")
     return tyro.cli(RlConfig, args=list(arguments), prog="swarm-envs train")
 
 

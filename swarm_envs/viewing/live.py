@@ -7,7 +7,9 @@ carries a random token, so that other users of the machine and other pages see n
 
 from __future__ import annotations
 
+import base64
 import hmac
+import importlib
 import json
 import os
 import secrets
@@ -27,11 +29,14 @@ from swarm_envs.viewing.style import drone_colors
 
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
+    from swarm_envs.vehicles import Team
 
 __all__ = ["LiveViewer"]
 
 MOST_SHOWN = 16
 """Environments that are shown side by side."""
+ROW = {"position": 3, "quaternion": 4, "goal": 3, "force": 3, "hit": 1}
+"""What a frame has of each drone, and how many numbers: m, 1, m, N, 0 or 1."""
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Times real time."""
 _WAIT_S = 10.0  # for the first browser, so that the beginning of a flight is not missed
@@ -54,25 +59,33 @@ class LiveViewer:
         """Where it is seen."""
         self._due = 0.0
         self._between_s = 1.0 / core.config.decision_rate
+        self._shown = slice(0, min(core.num_envs, MOST_SHOWN))
+        self._teams: list[Team] = []
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
-        sys.stderr.write(f"swarm_envs: watch the flight at {self.url}\n")
-        if os.environ.get("DISPLAY") or sys.platform in ("darwin", "win32"):
-            webbrowser.open(self.url)
+        _announce(self.url)
 
     def show(self) -> None:
-        """Send the environments as they are now; wait while the page is paused."""
+        """Send the environments, wait for their time, and for as long as the page is paused."""
         server = self._server
         if self._wait_s:
             server.joined.wait(self._wait_s)
             self._wait_s = 0.0
-        server.send(self._frame())
+        self.send()
         server.wait_while_paused()
         time.sleep(max(0.0, self._due - time.perf_counter()))
         self._due = time.perf_counter() + self._between_s / server.speed
 
+    def send(self) -> None:
+        """Send the environments as they are now, and the looks of teams that have changed."""
+        teams = [task.team for task in self._core.tasks[self._shown]]
+        if teams != self._teams:
+            looks = [_look(team) for team in teams]
+            self._teams, self._server.teams = teams, _message(teams=looks)
+        self._server.send(self._frame())
+
     def close(self) -> None:
         """End the server. May be called more than once."""
-        self._server.send({"closed": True})
+        self._server.send(_message(closed=True))
         self._server.ending = True
         self._server.shutdown()
         self._server.server_close()
@@ -83,6 +96,7 @@ class LiveViewer:
         return {
             "task": core.task.name,
             "arena": arena.tolist(),
+            "row": ROW,
             "speeds": SPEEDS,
             "solids": [
                 np.round(solid.rings(), 3).tolist()
@@ -90,23 +104,37 @@ class LiveViewer:
             ],
         }
 
-    def _frame(self) -> dict[str, Any]:
-        """The first environments: positions, attitudes, goals (m) and forces (N), rounded."""
-        core = self._core
-        shown = slice(0, min(core.num_envs, MOST_SHOWN))
-        drones = core.world.drones[shown]
-        state = core.physics.state
-        teams = [task.team for task in core.tasks[shown]]
-        return {
-            "time": np.round(core.time[shown], 3).tolist(),
-            "position": np.round(state.position[shown], 4).tolist(),
-            "quaternion": np.round(state.quaternion[shown], 4).tolist(),
-            "goal": np.round(drones["goal"], 3).tolist(),
-            "force": np.round(core.physics.force[shown], 4).tolist(),
-            "hit": (drones["crashed"] > 0.0).tolist(),
-            "radius": [[vehicle.diameter / 2.0 for vehicle in team] for team in teams],
-            "color": [drone_colors(team) for team in teams],
-        }
+    def _frame(self) -> bytes:
+        """The environments now: for each drone a row of float32, in the order of `ROW`, base64."""
+        core, drones = self._core, self._core.world.drones[self._shown]
+        columns = (drones["position"], drones["quaternion"], drones["goal"])
+        hit = (drones["crashed"] > 0.0)[..., None]
+        rows = np.concatenate([*columns, core.physics.force[self._shown], hit], axis=-1)
+        coded = base64.b64encode(rows.astype("<f4").tobytes()).decode()
+        return _message(time=np.round(core.time[self._shown], 3).tolist(), drones=coded)
+
+
+def _look(team: Team) -> list[tuple[float, str]]:
+    """Radius, m, and colour of each drone."""
+    sizes = [vehicle.diameter / 2.0 for vehicle in team]
+    return [*zip(sizes, drone_colors(team), strict=True)]
+
+
+def _message(**content: Any) -> bytes:
+    """A server-sent event."""
+    return b"data: " + json.dumps(content).encode() + b"\n\n"
+
+
+def _announce(url: str) -> None:
+    """Show the page: in the output of a notebook, or in a browser where there is a display."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if hasattr(shell, "kernel"):
+        display = importlib.import_module("IPython.display")
+        display.display(display.IFrame(url, "100%", 480))
+        return
+    sys.stderr.write(f"swarm_envs: watch the flight at {url}\n")
+    if os.environ.get("DISPLAY") or sys.platform in ("darwin", "win32"):
+        webbrowser.open(url)
 
 
 class _Server(ThreadingHTTPServer):
@@ -118,23 +146,24 @@ class _Server(ThreadingHTTPServer):
         super().__init__(*address)
         self.token = secrets.token_urlsafe(16)
         self.scene: dict[str, Any] = {}
+        self.teams = b""
         self.joined = threading.Event()
         self.ending = False
         self.watching = 0
         self.speed = 1.0
         self._paused, self._steps = False, 0
         self._changed = threading.Condition()
-        self._frame: tuple[int, bytes] = (0, b"{}")
+        self._frame = b""
 
-    def send(self, frame: dict[str, Any]) -> None:
+    def send(self, frame: bytes) -> None:
         with self._changed:
-            self._frame = (self._frame[0] + 1, json.dumps(frame).encode())
+            self._frame = frame
             self._changed.notify_all()
 
-    def next_frame(self, seen: int) -> tuple[int, bytes]:
+    def next_frame(self, seen: bytes) -> bytes:
         """The latest frame, as soon as it is another; or the same after some seconds."""
         with self._changed:
-            self._changed.wait_for(lambda: self._frame[0] != seen, _IDLE_S)
+            self._changed.wait_for(lambda: self._frame is not seen, _IDLE_S)
             return self._frame
 
     def control(self, asked: dict[str, Any]) -> None:
@@ -147,7 +176,7 @@ class _Server(ThreadingHTTPServer):
             self._changed.notify_all()
 
     def wait_while_paused(self) -> None:
-        """Return at once, or when a page continues, asks for a step, or nobody looks any more."""
+        """Return at once, or when a page resumes, asks for a step, or all pages are closed."""
         with self._changed:
             while self._paused and not self._steps and self.watching:
                 self._changed.wait(0.2)
@@ -195,13 +224,9 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _page(self) -> bytes:
-        page, scene = asset("live.html"), json.dumps(self.server.scene).replace("<", "\\u003c")
-        for mark, text in (
-            ("scene", scene),
-            ("view", asset("scene.js")),
-            ("script", asset("live.js")),
-        ):
-            page = page.replace(f"/*{mark}*/", text)
+        scene = json.dumps(self.server.scene).replace("<", "\\u003c")
+        page = asset("live.html").replace("/*scene*/", scene)
+        page = page.replace("/*view*/", asset("scene.js")).replace("/*script*/", asset("live.js"))
         return page.encode()
 
     def _answer(self, kind: str, body: bytes) -> None:
@@ -216,17 +241,18 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(200)
         self.send_header("Content-Type", "text/event-stream")
         self.end_headers()
-        server, seen = self.server, 0
+        server, seen, teams = self.server, b"", b""
         server.watching += 1
         server.joined.set()
         try:
             while not server.ending:
-                number, frame = server.next_frame(seen)
-                self.wfile.write(
-                    b": still here\n\n" if number == seen else b"data: " + frame + b"\n\n"
-                )
+                frame = server.next_frame(seen)
+                if teams is not server.teams:
+                    teams = server.teams
+                    self.wfile.write(teams)
+                self.wfile.write(b": still here\n\n" if frame is seen else frame)
                 self.wfile.flush()
-                seen = number
+                seen = frame
         except OSError:  # the page was closed
             pass
         finally:

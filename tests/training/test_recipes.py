@@ -39,11 +39,11 @@ def options(**given) -> RlConfig:
 
 def test_what_is_not_given_is_the_recipes():
     ring, swap = with_recipe(options(), "ring_v0"), with_recipe(options(), "swap_v0")
-    assert (ring.layout, ring.horizon_s, ring.deviation) == ("rings", 5.0, 0.2)
+    assert (ring.layout, ring.horizon_s, ring.log_std_init) == ("rings", 5.0, np.log(0.2))
     assert (ring.gamma, swap.gamma) == (0.95, 0.98)
-    assert (swap.layout, swap.horizon_s, swap.deviation) == ("random", 3.5, np.exp(-0.5))
-    given = with_recipe(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
-    assert (given.layout, given.horizon_s, given.deviation) == ("tour", 9.0, 0.5)
+    assert (swap.layout, swap.horizon_s, swap.log_std_init) == ("random", 3.5, -0.5)
+    given = with_recipe(options(layout="tour", horizon_s=9.0, log_std_init=-1.0), "formation_v0")
+    assert (given.layout, given.horizon_s, given.log_std_init) == ("tour", 9.0, -1.0)
     assert with_recipe(given, "formation_v0") == given
 
 

@@ -60,7 +60,7 @@ SPEC = EncoderSpec(FeatureSizes(0, 4, 0, 0), "mlp", "mean", (8,), (), "tanh", ("
 
 def test_values_are_in_units_of_the_spread_of_returns():
     torch.manual_seed(0)
-    networks = ActorCriticNetworks(SPEC, state=6, actions=3, deviation=0.5)
+    networks = ActorCriticNetworks(SPEC, state=6, actions=3, log_std=-0.7)
     returns = 40.0 + 3.0 * torch.randn(10_000)
     networks.note_returns(returns)
     mean, deviation = networks.spread()
@@ -76,7 +76,7 @@ def test_values_are_in_units_of_the_spread_of_returns():
 
 
 def test_a_decision_is_as_probable_as_the_normal_distribution_says():
-    networks = ActorCriticNetworks(SPEC, state=6, actions=3, deviation=0.3)
+    networks = ActorCriticNetworks(SPEC, state=6, actions=3, log_std=-1.2)
     means, actions = torch.randn(7, 3), torch.randn(7, 3)
     normal = torch.distributions.Normal(means, 0.3)
     wanted = normal.log_prob(actions).sum(-1)

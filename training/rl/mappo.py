@@ -36,17 +36,17 @@ class ActorCriticNetworks(nn.Module):
         spec: of the actor.
         state: numbers that the critic takes of the team, from one drone.
         actions: width of an action.
-        deviation: of actions, at the start.
+        log_std: of actions, at the start.
     """
 
-    def __init__(self, spec: EncoderSpec, state: int, actions: int, deviation: float) -> None:
+    def __init__(self, spec: EncoderSpec, state: int, actions: int, log_std: float) -> None:
         super().__init__()
         self.actor = Actor(spec, actions)
         critic = hidden_layers((state, *spec.hidden), "tanh")
         self.critic = nn.Sequential(*critic, nn.Linear(spec.hidden[-1], 1))
         _make_orthogonal(self.actor, 0.01)
         _make_orthogonal(self.critic, 1.0)
-        self.log_deviation = nn.Parameter(torch.full((actions,), float(np.log(deviation))))
+        self.log_deviation = nn.Parameter(torch.full((actions,), log_std))
         self.register_buffer("moments", torch.tensor([0.0, 1.0, 0.0]))
         self.moments: Tensor
         self.start: Actor | None = None
@@ -95,12 +95,12 @@ class MappoLearner(Learner):
         super().__init__(config, task)
         torch.manual_seed(config.seed)
         config = self.config
-        assert config.deviation is not None  # the recipe has one
+        assert config.log_std_init is not None  # the recipe has one
         self.core = self.env.core
         observed = self.env.observation_space.shape[0]
         state = observed + (self.core.num_drones - 1) * self.core.team_state().shape[-1]
-        width, deviation = self.core.mode.width, config.deviation
-        self.networks = ActorCriticNetworks(self.spec, state, width, deviation)
+        width = self.core.mode.width
+        self.networks = ActorCriticNetworks(self.spec, state, width, config.log_std_init)
         actor = self.networks.actor
         self.networks.start = self.start_from(actor.trunks, actor.head)
         self._adam(config.learning_rate)

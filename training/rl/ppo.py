@@ -30,7 +30,7 @@ class PpoLearner(Sb3Learner):
     def __init__(self, config: RlConfig, task: str) -> None:
         super().__init__(config, task)
         config = self.config
-        assert config.deviation is not None  # the recipe has one
+        assert config.log_std_init is not None  # the recipe has one
         self.model = PPO(
             TeamPolicy,
             self.env,
@@ -48,7 +48,7 @@ class PpoLearner(Sb3Learner):
             device="cpu",
             policy_kwargs={
                 "spec": self.spec,
-                "log_std_init": float(np.log(config.deviation)),
+                "log_std_init": config.log_std_init,
                 "entropy_weight": config.ent_coef,
                 "start_kl": config.start_kl,
             },

@@ -178,7 +178,7 @@ def formation_curriculum(task: Task, config: RlConfig) -> Task:
     )
 
 
-_REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "gamma": 0.98}
+_REACH = {"horizon_s": 3.5, "log_std_init": -0.5, "gamma": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
 _WHOLE_CLOCK: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
 Metrics = Mapping[str, Any]
@@ -267,7 +267,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         ),
         "ring": Recipe(
             layouts={"rings": {}},
-            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2, "gamma": 0.95},
+            defaults={"layout": "rings", "horizon_s": 5.0, "log_std_init": math.log(0.2), "gamma": 0.95},
             reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
             features=REFERENCE,
             features_of_types=REFERENCE,

@@ -165,9 +165,9 @@ class RlConfig(AirOptions, RunOptions):
     """widths of the network that a set gives each neighbour to"""
     per_type: bool = False
     """a policy of its own for each type of vehicle in the team"""
-    deviation: Annotated[float, Range(1e-3, 10.0)] | None = None
-    """standard deviation of actions at the start; the same in every state, and learned; the
-    recipe's if not given"""
+    log_std_init: Annotated[float, Range(-7.0, 2.5)] | None = None
+    """logarithm of the actions' standard deviation at the start; the same in every state, and
+    learned; the recipe's if not given"""
     second_stage: Annotated[float, Range(0.0, 0.9)] = 0.25
     """share of the steps that are trained again from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
@@ -389,7 +389,7 @@ _ON_POLICY = (
         "gae_lambda",
         "clip_range",
     ),
-    *("ent_coef", "deviation", "second_stage", "second_rate", "second_deviation"),
+    *("ent_coef", "log_std_init", "second_stage", "second_rate", "second_deviation"),
 )
 _REWARDS = ("gamma", "proximity", "crash", "time_cost", "reward_scale")
 _FOREIGN = {

@@ -4,7 +4,8 @@
   const scene = JSON.parse(get("scene").textContent), [low, high] = scene.arena;
   const token = new URLSearchParams(location.search).get("token");
   const FORCE_M_PER_N = 4.0, LEAST_N = 0.005, TRAIL = 60;
-  let frame = null, trails = [], paused = false, columns = 1;
+  const WIDTH = Object.values(scene.row).reduce((sum, count) => sum + count, 0);
+  let frame = null, teams = [], trails = [], paused = false, columns = 1;
   const view = makeScene(get("swarm"), draw);
 
   const place = (p, e) => {
@@ -12,9 +13,9 @@
     return [p[0] + wide * (e % columns), p[1] - deep * Math.floor(e / columns), p[2]];
   };
   function drone(e, i) {
-    const p = place(frame.position[e][i], e), radius = frame.radius[e][i], color = frame.color[e][i], force = frame.force[e][i];
+    const p = place(frame.position[e][i], e), [radius, color] = teams[e][i], force = frame.force[e][i];
     view.drone(p, frame.quaternion[e][i], 0.62 * radius, 0.38 * radius, color);
-    if (frame.hit[e][i]) view.ring(p, "#c62828", 1.3 * radius, 2.5);
+    if (frame.hit[e][i][0]) view.ring(p, "#c62828", 1.3 * radius, 2.5);
     if (get("forces").checked && Math.hypot(...force) > LEAST_N) view.arrow(p, force.map((f) => FORCE_M_PER_N * f));
   }
   function draw() {
@@ -25,14 +26,24 @@
       view.ground(place([low[0], low[1], 0], e), place([high[0], high[1], 0], e));
       for (const rings of scene.solids) view.solid(rings.map((ring) => ring.map((p) => place(p, e))));
       team.forEach((p, i) => {
-        const color = frame.color[e][i], trail = trails[e] && trails[e][i];
-        view.shadow(place(p, e), 0, frame.radius[e][i]);
+        const [radius, color] = teams[e][i], trail = trails[e] && trails[e][i];
+        view.shadow(place(p, e), 0, radius);
         if (get("goals").checked) view.goal(place(frame.goal[e][i], e), color);
         if (trail && trail.length > 1) view.path(trail.map((t) => place(t, e)), color + "70", 1.2);
         items.push([view.project(place(p, e))[2], e, i]);
       });
     });
     items.sort((a, b) => b[0] - a[0]).forEach(([, e, i]) => drone(e, i));
+  }
+  function decode({ time, drones }) { // rows of float32, environment by environment
+    const numbers = new Float32Array(Uint8Array.from(atob(drones), (c) => c.charCodeAt(0)).buffer), found = { time };
+    let from = 0;
+    for (const [name, count] of Object.entries(scene.row)) {
+      let row = from - WIDTH;
+      found[name] = teams.map((team) => team.map(() => { row += WIDTH; return Array.from(numbers.subarray(row, row + count)); }));
+      from += count;
+    }
+    return found;
   }
   function take(next) {
     const begun = !frame || next.position.length !== frame.position.length || next.position[0].length !== frame.position[0].length;
@@ -72,7 +83,8 @@
   events.onmessage = (event) => {
     const next = JSON.parse(event.data);
     if (next.closed) { events.close(); get("said").textContent = `${scene.task}: the environment was closed`; }
-    else if (next.position) take(next);
+    else if (next.teams) teams = next.teams;
+    else take(decode(next));
   };
   events.onerror = () => { get("said").textContent = "the program has ended"; events.close(); };
   window.live = { get frame() { return frame; }, camera: view.camera };
