@@ -47,21 +47,21 @@ class Command:
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Fly randomised stacked swaps with and without compensation of the downwash.
+    """Fly stacked swaps with and without compensation of the downwash.
 
-    Prints the lowest drone's worst height error, and writes a picture, a video and every number.
+    Prints the worst height error of the lowest drone; writes a picture, a video and all results.
     """
 
     out: Path = Path("demo")
-    """folder for summary.json, demo.png and demo.mp4; made if missing"""
+    """output folder for summary.json, demo.png and demo.mp4"""
     seed: Seed = 0
-    """the swaps are drawn from it"""
+    """random seed of the swaps"""
     swaps: Annotated[int, Range(1, 1000)] = 6
-    """randomised swaps of each scenario; each is flown twice"""
+    """number of random swaps per scenario; each is flown twice"""
     video: bool = True
-    """make the video; it takes most of the time"""
+    """render the video, which takes most of the time"""
     json: Path | None = None
-    """write what was measured to this file too"""
+    """also write the results to this file"""
 
 
 def _demo(arguments: Sequence[str]) -> int:
@@ -185,23 +185,25 @@ def _train_sweep(arguments: Sequence[str]) -> int:
 
 
 COMMANDS: Mapping[str, Command] = {
-    "demo": Command("drones swap places through each other's downwash", _demo),
-    "fly": Command("fly one episode: metrics, film, replay page, trajectories", _in_module("fly")),
-    "evaluate": Command("many episodes of agents, and their scores", _in_module("evaluate")),
-    "record": Command("flights of an agent as a Minari dataset", _in_module("record")),
-    "benchmark": Command("every agent on every task, and a report of it", _in_module("benchmark")),
-    "grade": Command("points for the assignments of a course", _in_module("grade")),
+    "demo": Command("stacked swaps with and without compensation of downwash", _demo),
+    "fly": Command(
+        "fly one episode and write metrics, films, replays and trajectories", _in_module("fly")
+    ),
+    "evaluate": Command("evaluate agents on many episodes", _in_module("evaluate")),
+    "record": Command("record episodes of an agent as a Minari dataset", _in_module("record")),
+    "benchmark": Command("evaluate every agent on every benchmark task", _in_module("benchmark")),
+    "grade": Command("grade submissions of a course", _in_module("grade")),
     "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
-    "replay": Command("play a recorded episode in a browser", _in_module("replay", "fly")),
-    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _in_module("plan")),
-    "show": Command("plan, fly, film and export a drone show with lights", _in_module("show")),
-    "collect": Command("fly drones through each other's wakes and log the forces", _collect),
-    "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
-    "train": Command("train a policy by reinforcement learning", _train),
-    "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
-    "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
-    "export": Command("flights, policies and force models for real drones", _export),
-    "reproduce": Command("reproduce a figure or table of a paper", _reproduce),
+    "replay": Command("convert a recorded episode to a replay page", _in_module("replay", "fly")),
+    "plan": Command("plan paths on a grid for up to a million robots", _in_module("plan")),
+    "show": Command("plan, fly, film and export a drone light show", _in_module("show")),
+    "collect": Command("collect flight logs in simulation", _collect),
+    "curriculum": Command("learn the interaction force with a curriculum", _curriculum),
+    "train": Command("train a policy with PPO, MAPPO, SAC or DAgger", _train),
+    "train-sweep": Command("train with several seeds and options", _train_sweep),
+    "fit": Command("fit a force model to flight logs", _fit),
+    "export": Command("export flights, policies and force models to real drones", _export),
+    "reproduce": Command("reproduce figures and tables of the papers", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
 
@@ -288,9 +290,9 @@ def _overview() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name.ljust(width)}  {c.summary}" for name, c in COMMANDS.items()]
     head = [f"usage: {PROGRAM} COMMAND [options]", "", "commands:"]
-    explains = f"`{PROGRAM} COMMAND --help` explains a command's options"
-    version = f"`{PROGRAM} --version` says which version this is."
-    example = f"To begin: {PROGRAM} fly {EXAMPLES['fly']}"
+    explains = f"Run `{PROGRAM} COMMAND --help` for the options of a command"
+    version = f"`{PROGRAM} --version` prints the version."
+    example = f"Example: {PROGRAM} fly {EXAMPLES['fly']}"
     return "\n".join([*head, *lines, "", f"{explains}; {version}", example])
 
 

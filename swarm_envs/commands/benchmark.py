@@ -19,47 +19,47 @@ class CellOptions:
     """Which cells of the benchmark are flown, and where they are kept."""
 
     out: Path | None = None
-    """folder of the report, the tables, every episode and the replay pages"""
+    """output folder for the report, tables, episodes and replay pages"""
     report: Path | None = None
-    """write the report of this folder again, and the replay pages that it lacks; nothing else is
-    flown"""
+    """rebuild the report of this folder, with missing replay pages, without new episodes"""
     verify: Path | None = None
-    """check this results file (scores.json, or the folder that holds it): what does not follow
-    from its episodes, and what comes out otherwise when it is flown again"""
+    """check a results file (scores.json, or its folder): recompute the report and fly some episodes
+    again"""
     join: list[Path] = field(default_factory=list)
-    """put these results files into one, and its report, in the folder --out; nothing is flown"""
+    """merge these results files into one report in the folder --out"""
     agent: list[str] = field(default_factory=lambda: ["*"])
-    """agents: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
-    agents of your own, as of `evaluate`: path/to/file.py:Class"""
+    """agents: included names or patterns, such as `swap-*` (quoted), and custom agents as of
+    `evaluate`, path/to/file.py:Class"""
     task: list[str] = field(default_factory=lambda: ["*-v2"])
-    """ids of tasks, such as `swap-circle-4-v2`, or patterns of them, in quotes; `*-v1` are those of
-    release 0.1.0"""
+    """task ids, such as `swap-circle-4-v2`, or patterns (quoted); `*-v1` are those of release
+    0.1.0"""
     episodes: Count | None = None
-    """of every agent on every task; by default those of the tables, more where they are cheap"""
+    """number of episodes per agent and task; default: depends on the task and the speed of the
+    agent"""
     quick: bool = False
-    """fly a sixteenth of the episodes, to see that all works"""
+    """fly a sixteenth of the episodes"""
     seed: Seed = SEED
-    """the episodes' seeds are drawn from it; with another, scores compare with nobody else's"""
+    """random seed of the episodes; scores of other seeds are not comparable"""
 
 
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions(CrewOptions, CellOptions):
-    """Fly every agent on every task that it supports, and report how they did.
+    """Evaluate every agent on every benchmark task that it supports, and write a report.
 
-    Interrupted or killed, the same command resumes. An agent that fails is named with the reason,
-    the others go on, and the exit code is 1; what an agent does not support is in the report too.
-    Options of the environment hold on every task, whose ids then say that it is changed.
+    An interrupted command resumes when it is run again. An agent that fails is reported with its
+    error, and the exit status is 1. Options of the environment apply to every task and change the
+    tasks' ids.
     """
 
     replays: bool = True
-    """record for each cell an episode that can be looked at, one click from the report"""
+    """record a replay of one episode per agent and task"""
     table: Literal["parquet", "csv"] = "parquet"
-    """form of the tables of episodes; csv needs no pyarrow"""
+    """format of the tables of episodes; csv does not need pyarrow"""
     json: Path | None = None
-    """write what scores.json holds to this file too"""
+    """also write the content of scores.json to this file"""
     scale: ScaleOptions = field(default_factory=ScaleOptions)
-    """who shares the flights"""
+    """parallel evaluation"""
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing can be flown."""

@@ -28,31 +28,30 @@ if TYPE_CHECKING:
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(EpisodeOptions):
-    """Fly many episodes of one or more agents on the same seeds, and report what they add up to.
+    """Evaluate agents on many episodes with the same seeds, and report rates and means.
 
-    Interrupted or killed, the same command resumes after the last whole episode. An agent that
-    fails in flight is named in the report, the others go on, and the exit code is 1. One that
-    cannot fly this at all is refused before anything flies.
+    An interrupted command resumes after the last complete episode when it is run again. An agent
+    that fails during an episode is reported with its error, and the exit status is 1. Agents that
+    cannot fly the task are refused before the first episode.
     """
 
     agent: list[str] = field(default_factory=list)
-    """agents to evaluate: names as of `fly`, folders of trained policies, or path/to/file.py:Class;
-    NAME+filter flies behind a safety filter (by default the agent that the benchmark recommends for
-    the task)"""
+    """agents: names as of `fly`, folders of trained policies, or path/to/file.py:Class; the suffix
+    +filter adds a safety filter (default: the best for the task in the benchmark)"""
     episodes: Count = 256
-    """episodes of each agent"""
+    """number of episodes per agent"""
     seed: Seed = 0
-    """the episodes' seeds are drawn from it: the same for every agent"""
+    """random seed from which the seeds of the episodes are drawn, the same for every agent"""
     physics: str = "batch"
     """`batch` or `bullet`"""
     force_rate: Count = 240
-    """evaluations of the force per second: 240 over an integer"""
+    """force evaluations per second: 240 over an integer"""
     out: Path | None = None
-    """folder for report.json, and for every episode's numbers in episodes/"""
+    """output folder for report.json, and for the results of every episode in episodes/"""
     json: Path | None = None
-    """write the report to this file; episodes are kept beside it until it is written"""
+    """write the report to this file; until then, episodes are stored next to it"""
     scale: ScaleOptions = field(default_factory=ScaleOptions)
-    """who shares the episodes"""
+    """parallel evaluation"""
 
     def __post_init__(self) -> None:
         """Refuse names that would be flown twice, and two numbers of drones."""

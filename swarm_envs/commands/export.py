@@ -27,11 +27,11 @@ OVERVIEW = """\
 usage: swarm-envs export KIND [options]
 
 kinds:
-  trajectory  a flight or a plan as the polynomial pieces that Crazyflies fly
+  trajectory  a flight or a plan as polynomial pieces for Crazyflies
   policy      a trained policy as a C header for a microcontroller
   force       a force model as a C header for a microcontroller
 
-`swarm-envs export KIND --help` explains a kind's options."""
+Run `swarm-envs export KIND --help` for the options of a kind."""
 """What `swarm-envs export` says without a kind."""
 
 
@@ -40,13 +40,13 @@ class HeaderOptions:
     """Where a header is written, and how it names what it defines."""
 
     out: Path
-    """the header to write, such as learned.h"""
+    """output header, such as learned.h"""
     name: str | None = None
-    """prefix of everything that the header defines; by default the file's name"""
+    """prefix of all names in the header; default: the file name"""
     seed: Seed = 0
-    """the states of the header's self-test are drawn from it"""
+    """random seed of the header's self-test"""
     json: Path | None = None
-    """write what the header holds and costs to this file too"""
+    """also write the content and its costs to this file"""
 
 
 @command_options
@@ -54,11 +54,11 @@ class HeaderOptions:
 class ForceOptions(HeaderOptions):
     """Write a fitted force model as a C99 header for a microcontroller.
 
-    It holds the weights as float32 and needs no library; see docs/forces.md.
+    The header contains float32 weights and needs no library; see docs/forces.md.
     """
 
     model: str = "learned"
-    """`learned`, or the path of weights that `swarm-envs fit` made"""
+    """`learned`, or a weights file of `swarm-envs fit`"""
 
 
 @command_options
@@ -66,13 +66,13 @@ class ForceOptions(HeaderOptions):
 class PolicyOptions(HeaderOptions):
     """Write a trained policy as a C99 header for a microcontroller.
 
-    It picks the nearest neighbours, makes the features, evaluates the network and steers the
+    The header selects the nearest neighbors, computes features and network, and updates the
     set-point, in float32 and without heap; see docs/deploy.md.
     """
 
     agent: str
-    """swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo, a .safetensors file, or a
-    training run's folder"""
+    """swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo, a .safetensors file, or the
+    folder of a training run"""
 
 
 def _check_outputs(options: HeaderOptions) -> str:
@@ -151,35 +151,36 @@ def _write(options: HeaderOptions, text: str, facts: dict[str, Any]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryOptions:
-    """Fit polynomial pieces to a flight, check them, and write them as cflib and Crazyswarm do.
+    """Fit polynomial pieces to a flight, check them, and write them for cflib and Crazyswarm.
 
     Writes drone_0.csv (pieces), drone_0_samples.csv and so on, and report.json; nothing if the
-    pieces must not be flown. See docs/deploy.md.
+    checks fail. See docs/deploy.md.
     """
 
     file: Annotated[Path, tyro.conf.Positional]
-    """what `swarm-envs fly --trajectory` wrote, .parquet or .npz, or a plan that `SwarmPlan.save`
-    wrote, .npz or .json"""
+    """recording of `swarm-envs fly --trajectory`, .parquet or .npz, or a plan of `SwarmPlan.save`,
+    .npz or .json"""
     out: Path
-    """folder to write into; made if missing"""
+    """output folder"""
     path: str = "flown"
-    """of a recording: `flown`, or `setpoint` for what the tracking loop was asked for"""
+    """path of a recording: `flown`, or `setpoint`, the input of the tracking controller"""
     yaw: str = "hold"
-    """of a recording: `hold` for that of the start throughout, or `flown`"""
+    """yaw of a recording: `hold`, that of the start, or `flown`"""
     tolerance: float = 0.01
     """largest distance from the path, m"""
     pieces: int = 31
-    """most pieces for each drone; 31 fill the firmware's memory"""
+    """largest number of pieces per drone; 31 fill the firmware's memory"""
     begin_s: float = 0.0
-    """leave out what was flown before, s"""
+    """skip everything before this time, s"""
     end_s: float | None = None
-    """leave out what was flown after, s"""
+    """skip everything after this time, s"""
     settle_s: float = 1.0
-    """ramp from and to rest where a flight begins or ends in motion, s; 0 refuses such a flight"""
+    """duration of ramps from and to rest if the flight starts or ends in motion, s; 0 refuses such
+    flights"""
     rate: float = 100.0
-    """samples a second in the sampled files"""
+    """samples per second in the sampled files"""
     json: Path | None = None
-    """write the report to this file too"""
+    """also write the report to this file"""
 
 
 def export_trajectory(options: TrajectoryOptions) -> None:

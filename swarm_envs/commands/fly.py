@@ -34,18 +34,18 @@ class EpisodeFields:
     """What is flown: these come first in the help."""
 
     task: str = "swap"
-    """the task: `swap`, or with its version, `swap_v1`"""
+    """task, such as `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
-    """of the task, such as `random` or `stacked`; its default if not given"""
+    """layout of the task, such as `random` or `stacked`; default: the task's"""
     drones: Count | None = None
-    """number of drones, if no team is given; if not given either, 4 in swap, ring and formation,
-    and the task's own in others"""
+    """number of drones if no team is given; default: 4 in swap, ring and formation, otherwise the
+    task's"""
     physics: str | None = None
-    """`bullet` or `batch`; Bullet where it is installed, if not given"""
+    """`bullet` or `batch`; default: Bullet if it is installed"""
     interactions: str = "learned"
-    """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
+    """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float | None = None
-    """time limit, s; the task's if not given"""
+    """time limit, s; default: the task's"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,29 +80,28 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(EpisodeOptions):
-    """Fly one episode, print its metrics, and write what is asked for.
+    """Fly one episode, print its metrics, and write the requested files.
 
-    A crash in flight is a result, not a failure of the command.
+    A crash is a valid result, with exit status 0.
     """
 
     agent: str | None = None
-    """the agent, by default the best for the task by the benchmark: hover, random, straight-line,
-    fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive,
-    air-aware, neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo,
-    the folder of a trained policy, or path/to/file.py:Class; with +filter at its end behind a
-    safety filter"""
+    """agent; default: the best for the task in the benchmark. Names: hover, random, straight-line,
+    fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also -compensated),
+    tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive, air-aware,
+    neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo. Also the
+    folder of a trained policy, or path/to/file.py:Class. The suffix +filter adds a safety filter"""
     seed: Seed = 0
-    """of the episode and the agent"""
+    """random seed of the episode and the agent"""
     out: Path | None = None
-    """folder for flight.json, trajectory.parquet (without pyarrow .npz), replay.html and, where
-    ffmpeg is installed, flight.mp4"""
+    """output folder for flight.json, trajectory.parquet (.npz without pyarrow), replay.html and,
+    with ffmpeg, flight.mp4"""
     video: Path | None = None
     """write a film, .mp4 or .gif"""
     replay: Path | None = None
-    """write a page to play the flight in a browser, .html"""
+    """write a replay page for browsers, .html"""
     trajectory: Path | None = None
-    """write positions, forces, rewards ..., .parquet or .npz"""
+    """write positions, forces, rewards and more, .parquet or .npz"""
     json: Path | None = None
     """write metrics and events, .json"""
 
@@ -346,14 +345,14 @@ def _write_files(files: Mapping[str, Path], recording: Recording) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayOptions:
-    """Make a page out of a recorded flight, to play it in a browser without any network."""
+    """Convert a recorded flight to a page that plays in a browser, without a network."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """what `swarm-envs fly --trajectory` wrote, .parquet or .npz"""
+    """recording of `swarm-envs fly --trajectory`, .parquet or .npz"""
     out: Path = Path("replay.html")
-    """the page"""
+    """output page"""
     video: Path | None = None
-    """write a film too, .mp4 or .gif"""
+    """also write a film, .mp4 or .gif"""
 
 
 def run_replay(options: ReplayOptions) -> None:

@@ -18,40 +18,43 @@ if TYPE_CHECKING:
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Plan paths for robots on a grid that each have a goal of their own: RTH3D, PIBT, LaCAM*.
+    """Plan collision-free paths for robots on a grid with RTH3D, PIBT or LaCAM*.
 
-    Draws an instance of a family, or reads one of the MAPF benchmarks, plans, validates, and prints
-    the makespan and what bounds it.
+    Samples an instance, or reads one of the MAPF benchmarks; plans, validates, and prints the
+    makespan and its bounds.
     """
 
     grid: str = "48x24x12"
-    """vertices along x, y and z, such as 144x72x36; two sides for a flat grid"""
+    """vertices along x, y and z, such as 144x72x36; two numbers for a 2-D grid"""
     density: Annotated[float, Range(0.0, 1.0, above=True)] | None = None
-    """robots per vertex, such as 0.333; a third if not given, 2/9 between buildings"""
+    """robots per vertex, such as 0.333; default: 1/3, or 2/9 between buildings"""
     robots: Count | None = None
     """number of robots, instead of a density"""
     family: str = "uniform"
-    """uniform, quasi-random, mirror, rings, blocks, small-blocks, buildings, quasi-buildings"""
+    """distribution of starts and goals: uniform, quasi-random, mirror, rings, blocks, small-blocks,
+    buildings, quasi-buildings"""
     map: Path | None = None
-    """a .map of the MAPF benchmarks, instead of a grid and a family"""
+    """.map file of the MAPF benchmarks, instead of a grid and a family"""
     scen: Path | None = None
-    """the .scen with starts and goals on that map: of the first --robots, or of all"""
+    """.scen file with starts and goals on that map; the first --robots, or all"""
     method: str = "auto"
-    """rth3d, rth3d-lba, rth3d-lba-paper, pibt, lacam, or auto, the best of those that fit"""
+    """rth3d, rth3d-lba, rth3d-lba-paper, pibt, lacam, or auto, the best of the applicable
+    methods"""
     labels: bool = True
-    """whether each robot has a goal of its own; if not, any may take any, in the fewest steps"""
+    """labeled planning: each robot has its own goal; otherwise any robot may take any goal, in the
+    fewest steps"""
     seed: Seed = 0
-    """of the instance, of pibt and of lacam"""
+    """random seed of the instance, of pibt and of lacam"""
     time_limit_s: Annotated[float, POSITIVE_S] | None = None
-    """seconds after which no further phase of planning begins"""
+    """time after which no further planning phase starts, s"""
     out: Path | None = None
-    """folder for plan.npz, plan.json and plan.png, all three"""
+    """output folder for plan.npz, plan.json and plan.png"""
     save: Path | None = None
     """write the paths, .npz"""
     picture: Path | None = None
-    """draw the plan, .png"""
+    """write a picture of the plan, .png"""
     json: Path | None = None
-    """write what was measured, .json"""
+    """write the results, .json"""
 
     def __post_init__(self) -> None:
         """Refuse a grid that is none, and two numbers of robots."""

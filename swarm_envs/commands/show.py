@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class ShowOptions:
-    """Plan a drone show with lights, fly it with forces, film it at night, export it.
+    """Plan a drone light show, fly it with interaction forces, film it at night, and export it.
 
-    Drones begin on the ground, form one shape after another, and land. Shapes: heart, star, sphere,
+    Drones start on the ground, form one shape after another, and land. Shapes: heart, star, sphere,
     helix, wave, plane, pyramid, cube, rings, blocks; text:WORD; letters:ABC, one after another; a
-    drawing (.svg); a point cloud (.csv or .npy with x, y, z and perhaps red, green, blue).
+    drawing (.svg); a point cloud (.csv or .npy with x, y, z and optionally red, green, blue).
     """
 
     shapes: tuple[str, ...] = ("text:SWARM", "sphere", "heart", "helix")
@@ -34,38 +34,40 @@ class ShowOptions:
     drones: Annotated[int, Range(2, 2000)] = 150
     """number of drones"""
     colors: tuple[str, ...] = ()
-    """of each shape: gold, #ff8800, a gradient red:gold from the bottom to the top, or rainbow"""
+    """colors of each shape: gold, #ff8800, a gradient red:gold from bottom to top, or rainbow"""
     labels: bool = False
-    """whether drone i flies to point i of each shape; if not, any drone takes any place"""
+    """labeled transitions: drone i takes point i of each shape; otherwise any drone takes any
+    point"""
     spacing_m: Annotated[float, POSITIVE_M] = 0.35
-    """distance that reference paths keep at any time, heights divided by --height-factor; places
-    of a shape are 1.42 times as far apart"""
+    """minimum distance of reference paths, with heights divided by --height-factor; points of a
+    shape are 1.42 times as far apart, m"""
     height_factor: Annotated[float, Range(1.0, 10.0)] = 2.0
-    """how many times farther drones are below each other than aside, for the downwash"""
+    """factor by which vertical distances must be larger than horizontal ones, because of
+    downwash"""
     lean_deg: Annotated[float, Range(0.0, 90.0)] = 30.0
-    """by how much flat shapes lean back"""
+    """backward tilt of flat shapes, degrees"""
     largest_m: Annotated[float, POSITIVE_M] = 60.0
-    """largest width, depth or height of a shape"""
+    """largest width, depth or height of a shape, m"""
     speed: Annotated[float, POSITIVE] = 2.0
-    """largest speed of the reference paths, m/s"""
+    """maximum speed of the reference paths, m/s"""
     acceleration: Annotated[float, POSITIVE] = 4.0
-    """their largest acceleration, m/s^2"""
+    """maximum acceleration of the reference paths, m/s^2"""
     hold_s: Annotated[float, NOT_NEGATIVE] = 3.0
     """time at each shape, s"""
     fly: bool = True
-    """fly the paths; if not, the film shows the paths themselves"""
+    """fly the paths; otherwise the film shows the planned paths"""
     world: Annotated[str, OneOf(("hall", "ideal"))] = "hall"
-    """`hall`: with random force, noise and delay; or `ideal`"""
+    """`hall`, with random forces, noise and delay, or `ideal`"""
     seed: Seed = 0
-    """of the hall and of labelled ways"""
+    """random seed of the hall and of labeled transitions"""
     out: Path | None = None
-    """folder for show.json, show.skyc and show.mp4, all three"""
+    """output folder for show.json, show.skyc and show.mp4"""
     json: Path | None = None
-    """write what was planned and flown, .json"""
+    """write the results of planning and flight, .json"""
     skyc: Path | None = None
     """write the show for Skybrush, .skyc"""
     video: Path | None = None
-    """write the film, .mp4 or .gif"""
+    """write a film, .mp4 or .gif"""
     trajectory: Path | None = None
     """write the flight, .npz or .parquet, for `swarm-envs export trajectory` and `replay`"""
 

@@ -38,30 +38,30 @@ _OURS = ("out", "json", "seed", "progress")
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions:
-    """Train with several seeds, with or without variants of the options, and compare.
+    """Train with several seeds, and optionally several variants of the options, and compare them.
 
-    Every run has a folder of its own, `OUT/VARIANT/seed-K`, as `swarm-envs train` makes it, and is
-    judged on the same episodes. Interrupted or killed, the same command resumes. A run that fails
-    is named in the report, the others go on, and the exit code is 1.
+    Each run has its own folder `OUT/VARIANT/seed-K`, as of `swarm-envs train`, and all policies are
+    evaluated on the same episodes. An interrupted command resumes when it is run again. A run that
+    fails is reported with its error, and the exit status is 1.
     """
 
     out: Path
-    """folder of all runs, and of sweep.json; on storage that all machines of a cluster share"""
+    """folder of all runs and of sweep.json; on a cluster, on shared storage"""
     seeds: list[Seed] = field(default_factory=lambda: [0, 1, 2, 3, 4])
-    """of the runs, one each"""
+    """random seeds, one per run"""
     set: list[str] = field(default_factory=list)
     """options of `train` for every run, NAME=VALUE, such as `drones=4 hidden=128,128`"""
     compare: list[str] = field(default_factory=lambda: [""])
-    """variants, each in quotes: more such options, such as `"hidden=64,64" "hidden=128,128
+    """variants: more such options, each variant in quotes, such as `"hidden=64,64" "hidden=128,128
     ent_coef=0.01"`"""
     episodes: Count = 1024
-    """in which each policy is judged, on each layout"""
+    """number of evaluation episodes per layout"""
     report_seed: Seed = 7
-    """the episodes' seeds are drawn from it, as by `evaluate --seed`"""
+    """random seed of the evaluation, as of `evaluate --seed`"""
     json: Path | None = None
-    """write the report to this file too"""
+    """also write the report to this file"""
     scale: ScaleOptions = field(default_factory=ScaleOptions)
-    """who shares the runs"""
+    """parallel training"""
 
     def __post_init__(self) -> None:
         """Refuse runs that would be flown twice."""

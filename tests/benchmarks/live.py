@@ -1,6 +1,6 @@
 """Python's time for a frame of the live viewer, with a page that reads all of them.
 
-    python -m tests.benchmarks.live
+python -m tests.benchmarks.live
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from typing import Any
 
 import gymnasium
 
-import swarm_envs  # noqa: F401: registers its environments
 from swarm_envs.viewing.live import LiveViewer
+
+_NAME = "swarm_envs:swarm_envs/Swap-v1"  # Gymnasium imports what is before the colon
 
 
 def milliseconds_a_frame(num_envs: int = 16, num_drones: int = 16, frames: int = 500) -> float:
     """Mean CPU time of the process for a frame, ms: packing, sending, and the reader's own."""
-    envs: Any = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=num_envs, num_drones=num_drones)
+    envs: Any = gymnasium.make_vec(_NAME, num_envs=num_envs, num_drones=num_drones)
     envs.reset(seed=0)
     viewer = LiveViewer(envs.unwrapped.core)
     events = urllib.request.urlopen(viewer.url.replace("/?", "/events?"))

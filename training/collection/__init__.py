@@ -6,7 +6,7 @@ flown, all flights to a folder), `motion` (random walks, stacked swaps), `flight
 the interaction force), `storage` (files), `table` (rows for the trainer).
 `swarm_envs.training.belief` fits the deep set of the compensated controller to them.
 
-Command: `swarm-envs collect --out DIR --seed 0`; the page is docs/collect.md.
+Command: `swarm-envs collect --out DIR --seed 0`; the page is docs/flight-logs.md.
 """
 
 from swarm_envs.training.collection.collect import CollectionConfig, collect

@@ -7,7 +7,7 @@ reading: `run` (all of it: how close drones came, and how close the next round m
 `curriculum_config` (options and stages), `curriculum_report` (how much of the true force a model
 explains, table, picture).
 
-Command: `swarm-envs curriculum --out DIR --seed 0`; the page is docs/curriculum.md.
+Command: `swarm-envs curriculum --out DIR --seed 0`; the page is docs/reproduce.md.
 """
 
 from importlib import import_module

@@ -6,8 +6,7 @@ Neural-Swarm2 eq. 10, and a sum over pairs), `examples`, `optimisers`, `train`, 
 `evaluate`, `lipschitz`, and `pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the
 same rows, and also makes the parameters that ship.
 
-Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the pages are docs/fit.md and
-docs/training.md.
+Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the page is docs/fit.md.
 """
 
 from importlib import import_module

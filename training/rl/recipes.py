@@ -267,7 +267,12 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         ),
         "ring": Recipe(
             layouts={"rings": {}},
-            defaults={"layout": "rings", "horizon_s": 5.0, "log_std_init": math.log(0.2), "gamma": 0.95},
+            defaults={
+                "layout": "rings",
+                "horizon_s": 5.0,
+                "log_std_init": math.log(0.2),
+                "gamma": 0.95,
+            },
             reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
             features=REFERENCE,
             features_of_types=REFERENCE,

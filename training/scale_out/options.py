@@ -29,10 +29,10 @@ class ScaleOptions:
     """Who shares the work; the results are the same."""
 
     workers: Count = 1
-    """processes of this machine; 1 for this one alone"""
+    """number of local processes"""
     ray: str | None = None
-    """a Ray cluster does it: `auto` for the one that runs here, `local` for one on this machine
-    alone (of --workers processors, if more than 1), or its address, such as 10.0.0.1:6379"""
+    """run on a Ray cluster: `auto` for the running one, `local` for a new one on this machine (with
+    --workers processors, if more than 1), or an address, such as 10.0.0.1:6379"""
 
     def __post_init__(self) -> None:
         """Check what the annotations cannot say."""
