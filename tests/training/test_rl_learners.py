@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ def test_values_are_in_units_of_the_spread_of_returns():
 def test_a_decision_is_as_probable_as_the_normal_distribution_says():
     networks = ActorCriticNetworks(SPEC, state=6, actions=3, log_std=-1.2)
     means, actions = torch.randn(7, 3), torch.randn(7, 3)
-    normal = torch.distributions.Normal(means, 0.3)
+    normal = torch.distributions.Normal(means, math.exp(-1.2))
     wanted = normal.log_prob(actions).sum(-1)
     assert torch.allclose(networks.log_probability(means, actions), wanted, atol=1e-4)
 
