@@ -6,7 +6,6 @@ One policy flies all of them (parameter sharing), and they fly in one batched ca
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import deepcopy
 from itertools import accumulate
 from typing import Any
 
@@ -204,7 +203,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     ) -> None:
         """Fill the infos of a team's drones that are done (E, N); `over` (E,), `cut` (E, N)."""
         drones, places = core.num_drones, np.flatnonzero(done).tolist()
-        shown = self.observe(core.rows.reshape(-1, core.rows.shape[-1])[places])
+        shown = self._seen(core, places)
         ends = np.flatnonzero(over).tolist()
         metrics = dict(zip(ends, core.metrics_of(ends), strict=True))
         for row, place in enumerate(places):
@@ -212,7 +211,11 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             info["TimeLimit.truncated"] = bool(cut.flat[place])
             info["terminal_observation"] = _row(shown, row)
             if e in metrics:
-                info["episode_metrics"] = deepcopy(metrics[e])
+                info["episode_metrics"] = dict(metrics[e])
+
+    def _seen(self, core: SwarmCore, places: list[int]) -> Any:
+        """What the drones at these places of a core observe."""
+        return self.observe(core.rows.reshape(-1, core.rows.shape[-1])[places])
 
     def _observations(self) -> Any:
         width = self.core.rows.shape[-1]

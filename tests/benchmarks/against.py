@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import atexit
+import importlib.util
 import json
 import math
 import os
@@ -71,6 +72,11 @@ def measured() -> Iterator[Measured]:
         ("flight alone, no forces", "flight", BATCH, {"interactions": "none"}),
         ("batch, learned forces", "batch", LARGE, {"force_rate": 240}),
     ]
+    if importlib.util.find_spec("stable_baselines3"):
+        for encoder in ("mlp", "deep-set"):
+            row = {"what": f"train, {encoder}", "environments": 128, "drones": 4, "force_rate": 48}
+            options = {"encoder": encoder}
+            yield Measured(row | {"unit": "agent-steps/s"}, "training", options, 4 * 16_384)
     for what, maker, (envs, n), chosen in kinds:
         row = {"what": what, "environments": envs, "drones": n, "unit": "agent-steps/s"}
         options = {"envs": envs, "drones": n, **chosen}
@@ -197,9 +203,11 @@ def compared(row: Row, pair: Pair | str, fast: bool) -> Iterator[Row]:
         yield row | {"what": name, "unit": unit} | found
 
 
-def staying_rows(trees: Sequence[Tree], repetitions: int) -> Iterator[Row]:
-    """Rows of what is measured in processes that stay."""
+def staying_rows(trees: Sequence[Tree], repetitions: int, only: str = "") -> Iterator[Row]:
+    """Rows of what is measured in processes that stay, or of one maker alone."""
     for job in measured():
+        if only not in ("", job.maker):
+            continue
         pair = in_turn(trees, job, repetitions)
         if not isinstance(pair, str):
             one, two = ([job.work / s if job.work else 1e3 * s for s in side] for side in pair)
@@ -229,8 +237,8 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
     """Everything that is measured, in the order of the table."""
     other = options.old or checked_out(options.ref)
     trees = [Tree(other, BUILD / f"kernels-{other.name}"), Tree(options.new, BUILD / "kernels-new")]
-    yield from staying_rows(trees, options.repetitions)
-    if options.first_steps:
+    yield from staying_rows(trees, options.repetitions, options.only)
+    if options.first_steps and not options.only:
         yield from first_rows(trees, options.first_steps)
     if options.peers:
         for rates in RATES:
@@ -242,6 +250,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ref", default="HEAD", help="commit that this tree is measured against")
     parser.add_argument("--old", type=Path, help="a folder with its tree, in place of a commit")
     parser.add_argument("--new", type=Path, default=ROOT, help="this tree's folder")
+    parser.add_argument("--only", default="", help="measure this alone, such as training")
     parser.add_argument("--first-steps", type=int, default=3, help="runs of the first steps")
     parser.add_argument("--peers", help="interpreter that has crazyflow, measured beside")
 

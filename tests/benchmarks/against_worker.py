@@ -17,6 +17,7 @@ import time
 import traceback
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,18 @@ def flight(envs: int, drones: int, **options: Any) -> Call:
     return partial(fly, 5, np.ones(envs, dtype=np.bool_))
 
 
+def training(**options: Any) -> Call:
+    """Four rollouts of PPO with their updates, by the recipe for swaps of four drones."""
+    rl = "swarm_envs.training.rl"
+    config = importlib.import_module(f"{rl}.rl_config").RlConfig(
+        out=Path("never"), steps=10**9, threads=1, **options
+    )
+    learner = importlib.import_module(f"{rl}.learner").make_learner(config, "swap_v1")
+    return lambda: learner.fly(range(learner.rollouts, learner.rollouts + 4))
+
+
 MAKERS: dict[str, Callable[..., Call]] = {
+    "training": training,
     "environment": environment,
     "reset": reset,
     "batch": batch,

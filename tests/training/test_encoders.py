@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from torch.distributions import Normal, kl_divergence
 
 from swarm_envs import swap_v0
@@ -152,9 +153,9 @@ def test_every_algorithm_has_every_encoder(algo, encoder):
     learner: Any = make_learner(config, "swap_v0")
     values = learner.env.observe(rows_of(learner))
     seen = torch.from_numpy(values)
-    network = learner.network()
+    policy = learner.network()
     sac = algo == "sac"
-    means = network.actor.get_action_dist_params(seen)[0].tanh() if sac else network.actor(seen)
+    means = policy.actor.get_action_dist_params(seen)[0].tanh() if sac else policy.means(seen)
     found = learner.actor()[ANY](values, learner.sizes)
     np.testing.assert_allclose(found, means.detach().numpy(), atol=2e-6)
 
@@ -172,7 +173,7 @@ def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
 
 
 def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
-    """The divergence in the loss is that of two normal distributions of the same deviation."""
+    """By the gradient of the divergence of normal distributions of the same deviation."""
     first = make(drones=4, **SET)
     write_policy(tmp_path / "policy.safetensors", policy_of(first))
     learner: Any = make_learner(
@@ -181,15 +182,21 @@ def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
     values = learner.env.observe(rows_of(learner))
     before = first.model.predict(values, deterministic=True)[0]
     np.testing.assert_allclose(learner.model.predict(values, deterministic=True)[0], before)
-    policy, seen = learner.model.policy, torch.from_numpy(values)
+    model, seen = learner.model, torch.from_numpy(values)
     with torch.no_grad():
-        policy.action_net.bias += 0.2
-    acted = torch.zeros(len(values), 3)
-    bonus = policy.evaluate_actions(seen, acted)[2]
-    normal = policy.get_distribution(seen).distribution
-    kl = kl_divergence(normal, Normal(normal.mean - 0.2, normal.stddev)).sum(-1)
-    entropy = learner.config.ent_coef * normal.entropy().sum(-1)
-    torch.testing.assert_close(bonus, entropy - 3.0 * kl, atol=1e-4, rtol=1e-4)
+        model.policy.action_net.bias += 0.2
+        means = model.policy.means(seen)
+    zeros = torch.zeros(len(values))
+    batch = RolloutBufferSamples(seen, means + 0.1, zeros, zeros, zeros, zeros)
+    found = []
+    for model.start_kl in (0.0, 3.0):
+        model.policy.log_std.grad = torch.zeros(3)
+        found.append([model._loss_gradient(means, batch)[0], model.policy.log_std.grad])
+    at, log_std = means.clone().requires_grad_(), model.policy.log_std.detach().requires_grad_()
+    away = kl_divergence(Normal(at, log_std.exp()), Normal(means - 0.2, log_std.exp()))
+    (3.0 * away.sum(-1).mean()).backward()
+    for k, wanted in enumerate((at.grad, log_std.grad)):
+        torch.testing.assert_close(found[1][k] - found[0][k], wanted, atol=1e-6, rtol=1e-4)
     with pytest.raises(ValueError, match="the policy to start from has networks"):
         make(drones=4, start=str(tmp_path))
 

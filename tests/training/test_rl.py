@@ -225,7 +225,6 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
         ("--drones 4 0", "--drones is (4, 0)"),
         ("--set-hidden 0", "--set-hidden is '0', but must be a sequence, each an integer"),
-        ("--drones 2 4 --algo mappo", "--algo mappo trains one team"),
         ("--activation relu --algo sac", "--algo sac has no such option"),
     ],
 )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
+from copy import deepcopy
+from functools import partial
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -15,73 +16,87 @@ pytest.importorskip("stable_baselines3")
 import gymnasium
 import torch
 from gymnasium import spaces
+from stable_baselines3 import PPO
 from torch import nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
-from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.agents.policy import Policy, PolicyNote
-from swarm_envs.training.rl.encoders import EncoderSpec
 from swarm_envs.training.rl.learner import make_learner
-from swarm_envs.training.rl.mappo import (
-    ActorCriticNetworks,
-    MappoLearner,
-    generalised_advantages,
-)
+from swarm_envs.training.rl.mappo import SpreadLinear
 from swarm_envs.training.rl.recipes import evaluate_policy
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig, SacConfig
 from swarm_envs.training.rl.sac import SacLearner, SoftActorCritic, TwinCritic
 
 
-def test_the_critic_sees_itself_first_and_the_team_in_turn():
-    config = RlConfig(out=Path("never"), algo="mappo", drones=3, environments=2, batch_size=96)
-    learner = MappoLearner(config, "swap_v0")
-    learner.core.reset([0, 1])
-    observed = learner._observations()
-    seen, states = learner._states(observed).numpy(), learner.core.team_state()
-    for e in range(2):
-        for i in range(3):
-            others = [states[e, (i + k) % 3] for k in (1, 2)]
-            assert np.array_equal(seen[e, i], np.concatenate([observed[e, i].numpy(), *others]))
+def small(algo: str, **options: Any) -> Any:
+    """A learner with episodes that end one drone after another."""
+    given: dict[str, Any] = {"environments": 8, "n_steps": 16, "batch_size": 64, "seed": 3}
+    given |= {"interactions": "none", "on_contact": "end_pair", **options}
+    return make_learner(RlConfig(**{**given, "out": Path("never"), "algo": algo}), "swap_v1")
 
 
-def test_advantages_are_weighed_sums_of_later_errors_of_the_episode():
-    draws, decay = np.random.default_rng(0), 0.8
-    errors, ended = draws.normal(size=(12, 5)), draws.random((12, 5)) < 0.2
-    found = generalised_advantages(torch.from_numpy(errors), torch.from_numpy(ended), decay)
-    for column in range(5):
-        for t in range(12):
-            last = next((k for k in range(t, 12) if ended[k, column]), 11)
-            later = np.arange(t, last + 1)
-            expected = float(np.sum(decay ** (later - t) * errors[later, column]))
-            assert float(found[t, column]) == pytest.approx(expected, abs=1e-12)
+@pytest.mark.parametrize("algo", ["ppo", "mappo"])
+def test_what_is_drawn_is_as_probable_as_stable_baselines3_says(algo):
+    made = small(algo, drones=(2, 4))
+    policy, seen = made.model.policy, torch.from_numpy(made.env.reset())
+    actions, values, log_probs = policy(seen)
+    found = policy.evaluate_actions(seen, actions)
+    torch.testing.assert_close((values, log_probs), found[:2], atol=1e-5, rtol=1e-5)
+    assert torch.equal(policy(seen, deterministic=True)[0], policy._predict(seen, True))
 
 
-SPEC = EncoderSpec(FeatureSizes(0, 4, 0, 0), "mlp", "mean", (8,), (), "tanh", ("",))
+@pytest.mark.parametrize("encoder", ["mlp", "deep-set"])
+def test_the_update_is_that_of_stable_baselines3(encoder):
+    """From the same rollout and draws, its own method leads to the same weights."""
+    made = small("ppo", encoder=encoder, ent_coef=0.1)
+    made.fly(range(1))
+    model, found = made.model, []
+    before = deepcopy((model.policy.state_dict(), model.policy.optimizer.state_dict()))
+    for update in (model.train, partial(PPO.train, model)):
+        model.policy.load_state_dict(before[0])
+        model.policy.optimizer.load_state_dict(deepcopy(before[1]))
+        np.random.seed(1)  # noqa: NPY002  # what Stable-Baselines3 draws from
+        update()
+        found.append(deepcopy(model.policy.state_dict()))
+        assert model.logger.name_to_value["train/approx_kl"] > 1e-3
+    for name, tensor in found[0].items():
+        torch.testing.assert_close(tensor, found[1][name], atol=1e-6, rtol=1e-5)
+        assert not torch.equal(tensor, before[0][name])
+
+
+def test_a_critic_of_the_team_sees_itself_first_and_the_others_in_turn():
+    made = small("mappo", drones=(2, 3))
+    made.env.reset()
+    seen, features = made.env._observations(), made.sizes.width
+    width = made.env.core.team_state().shape[-1]
+    for core, begin in zip(made.env.cores, (0, 8), strict=True):
+        states, drones = core.team_state(), core.num_drones
+        own = made.env.observe(core.rows)
+        for e, i in product(range(4), range(drones)):
+            others = [states[e, (i + k) % drones] for k in range(1, drones)]
+            others += [np.zeros(width, np.float32)] * (3 - drones)
+            expected = np.concatenate([own[e, i], *others])
+            assert np.array_equal(seen[begin + e * drones + i], expected)
+    changed = torch.from_numpy(seen.copy())
+    changed[:, features:] += 1.0
+    policy = made.model.policy
+    assert torch.equal(policy.means(changed), policy.means(torch.from_numpy(seen)))
+    assert (policy.predict_values(changed) != policy.predict_values(torch.from_numpy(seen))).all()
 
 
 def test_values_are_in_units_of_the_spread_of_returns():
     torch.manual_seed(0)
-    networks = ActorCriticNetworks(SPEC, state=6, actions=3, log_std=-0.7)
-    returns = 40.0 + 3.0 * torch.randn(10_000)
-    networks.note_returns(returns)
-    mean, deviation = networks.spread()
+    layer, returns = SpreadLinear(nn.Linear(6, 1)), 40.0 + 3.0 * torch.randn(10_000)
+    layer.note_returns(returns)
+    mean, deviation = layer.spread()
     assert float(mean) == pytest.approx(float(returns.mean()), rel=1e-4)
     assert float(deviation) == pytest.approx(float(returns.std()), rel=1e-2)
     for _ in range(400):
-        networks.note_returns(-returns)
-    assert float(networks.spread()[0]) == pytest.approx(-float(returns.mean()), rel=0.02)
+        layer.note_returns(-returns)
+    mean, deviation = layer.spread()
+    assert float(mean) == pytest.approx(-float(returns.mean()), rel=0.02)
     seen = torch.randn(5, 6)
-    mean, deviation = networks.spread()
-    foreseen = networks.critic(seen)[:, 0] * deviation + mean
-    assert torch.allclose(networks.value(seen), foreseen)
-
-
-def test_a_decision_is_as_probable_as_the_normal_distribution_says():
-    networks = ActorCriticNetworks(SPEC, state=6, actions=3, log_std=-1.2)
-    means, actions = torch.randn(7, 3), torch.randn(7, 3)
-    normal = torch.distributions.Normal(means, math.exp(-1.2))
-    wanted = normal.log_prob(actions).sum(-1)
-    assert torch.allclose(networks.log_probability(means, actions), wanted, atol=1e-4)
+    assert torch.allclose(layer(seen), layer.linear(seen) * deviation + mean)
 
 
 DISCOUNT = 0.6
@@ -270,14 +285,14 @@ MARGIN = 0.5
 """By how much success must rise over the untrained policy's."""
 
 
-PPO: dict[str, Any] = {
+EASY: dict[str, Any] = {
     **{"steps": 200_000, "n_steps": 16, "batch_size": 1024, "n_epochs": 8, "learning_rate": 3e-3},
     **{"num_neighbors": 1, "second_stage": 0.0, "checkpoint_rollouts": 1000},
 }
 SAC = {"algo": "sac", "layout": "circle", "steps": 800_000}
 
 
-@pytest.mark.parametrize("options", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("options", [EASY, pytest.param(SAC, marks=pytest.mark.slow)])
 def test_two_drones_learn_to_swap(options):
     """By PPO in 200,000 decisions; by SAC on a circle, as docs/rl.md says, in a few minutes."""
     config = RlConfig(out=Path("never"), drones=2, **options)

@@ -205,10 +205,18 @@ def layers_of(network: nn.Module) -> Layers:
     )
 
 
+class Tanh(nn.Module):
+    """Hyperbolic tangent, in place: what a linear layer gives is used nowhere else."""
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Of any shape."""
+        return values.tanh_()
+
+
 def hidden_layers(widths: Sequence[int], activation: str) -> nn.Sequential:
     """Linear layers from the first width to the last, an activation after each."""
-    follows = {"tanh": nn.Tanh, "relu": nn.ReLU}[activation]
+    follows: nn.Module = nn.ReLU(inplace=True) if activation == "relu" else Tanh()
     parts: list[nn.Module] = []
     for into, out in pairwise(widths):
-        parts += [nn.Linear(into, out), follows()]
+        parts += [nn.Linear(into, out), follows]
     return nn.Sequential(*parts)

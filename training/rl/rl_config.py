@@ -274,11 +274,6 @@ class RlConfig(AirOptions, RunOptions):
                 f"--environments is {self.environments}, but must be a multiple of the {teams} "
                 "teams that fly side by side"
             )
-        if self.algo == "mappo" and teams > 1:
-            raise ValueError(
-                f"--algo mappo trains one team, whose critic sees all of it, not {teams} side by "
-                "side; take --algo ppo"
-            )
         if self.on_policy and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
