@@ -79,7 +79,7 @@ def _demo(arguments: Sequence[str]) -> int:
     print("wrote", ", ".join(map(str, [options.out / "summary.json", *files])))
     crashed = crashed_flights(summary)
     if crashed:
-        message = f"{crashed} flights ended before the clock: their error is not their worst"
+        message = f"{crashed} flights ended early: their worst error is a lower bound"
         return _complain(f"{PROGRAM} demo", message, FAILED)
     return DONE
 

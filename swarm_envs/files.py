@@ -29,7 +29,7 @@ _PARTIAL = re.compile(r"\..+\.\d+\.partial(\..+)?")
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`, with its suffix, that replaces it on success.
+    """Give a temporary path next to `path`, with its suffix, that replaces it on success.
 
     A reader sees the old file or the whole new one. After an exception nothing is left behind, and
     what processes of this machine left that were killed is removed.
@@ -95,7 +95,7 @@ def claimed(folder: Path) -> Iterator[None]:
     """Write into a folder alone: a second process that claims it is refused.
 
     The claim ends with its process, however that ends. Once it holds, what killed processes left
-    half written is removed. A folder that it made, and nobody wrote into, is removed at its end.
+    half written is removed. A folder that it made and that stayed empty is removed at its end.
     Where the system has no `flock`, nothing is claimed.
 
     Raises:

@@ -153,7 +153,7 @@ _HALL_STAYS = (
     Field("residual_quiet", (), "N", None, "Random force, its standard deviation without a wake."),
     Field("residual_more", (), "N", None, "What it grows by where the modelled force is large."),
     Field("residual_half", (), "N", None, "Modelled force at which it has grown by half of that."),
-    Field("residual_alone", (), "N", None, "Its standard deviation where nobody is near."),
+    Field("residual_alone", (), "N", None, "Its standard deviation where no drone is near."),
     Field("force_offset", (), "N", None, "Constant vertical force that no model knows."),
 )
 """What the hall draws for an episode: physics steps read it."""
@@ -172,9 +172,7 @@ _EPISODE = (
     Field("orbit", (3, 3), "m", None, "Centre and half axes of the reference's ellipse."),
     Field("orbit_rate", (), "rad/s", None, "Angular rate on it."),
     Field("orbit_phase", (), "rad", None, "Angle at time zero."),
-    Field(
-        "chased", (), "", None, "Index of the drone beside which the goal is; -1 if there is none."
-    ),
+    Field("chased", (), "", None, "Index of the drone that the goal follows; -1 if there is none."),
     Field("reference_position", (3,), "m", None, "Where the drone should be now."),
     Field("reference_velocity", (3,), "m/s", None, "Derivative of the reference."),
     Field("reference_acceleration", (3,), "m/s^2", None, "Its second derivative."),
@@ -285,7 +283,7 @@ SETTINGS = (
     Field("adaptive_noise", (), "m^2/s^4", None, "Variance of the accelerations it learns from."),
     Field("decision_rate", (), "1/s", None, "Decisions a second.", np.int64),
     Field("decision_s", (), "s", None, "Time between decisions."),
-    Field("horizon_s", (), "s", None, "The clock."),
+    Field("horizon_s", (), "s", None, "Time limit."),
     Field("stage_s", (), "s", None, "Time that each stage lasts; 0 if there is only one."),
     Field("ramp", (), "", None, "Its ramp: see `swarm_envs.tasks.motion.Motion`."),
     Field("success_radius", (), "m", None, "How near a drone must be to its goal or reference."),
@@ -322,7 +320,7 @@ _SCRATCH = (
     Field("seen_velocity", (3,), "m/s", None, "Velocity, likewise."),
     Field("seen_angular_velocity", (3,), "rad/s", None, "Angular velocity, likewise."),
 )
-"""What a block has beside the columns of the drones."""
+"""What a block has besides the columns of the drones."""
 
 
 def record_type(fields: tuple[Field, ...], lanes: int | None = None) -> np.dtype[np.void]:

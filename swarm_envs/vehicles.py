@@ -3,7 +3,7 @@
 `SMALL` and `LARGE` are the quadrotors of Neural-Swarm2, Table I; `SMALL_STRONG` (written `S*`)
 is the small one with stronger motors, used in its ring flights (Fig. 9).
 
-Rotors stand in an X, numbered as on the Crazyflie, seen from above with x forward and y left:
+Rotors form an X, numbered as on the Crazyflie, seen from above with x forward and y left:
 1 front right, 2 back right, 3 back left, 4 front left. Rotors 1 and 3 turn counter-clockwise.
 """
 

@@ -1,4 +1,4 @@
-"""The table of one flight, and its file: CSV or Parquet. The format stands in the package."""
+"""The table of one flight, and its file: CSV or Parquet. The package describes the format."""
 
 from __future__ import annotations
 

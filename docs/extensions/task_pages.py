@@ -113,7 +113,7 @@ def _actions() -> str:
 
 def _observations(env: SwarmParallelEnv) -> str:
     rows = [
-        f"| {f.where.start}{_until(f.where)} | `{f.name}` | {f.unit} | {f.scale:g} |"
+        f"| {f.where.start}{_until(f.where)} | `{f.name}` | {_unit(f.unit)} | {f.scale:g} |"
         for f in env.observation_layout
     ]
     text = (
@@ -123,6 +123,11 @@ def _observations(env: SwarmParallelEnv) -> str:
     return "\n".join([text, "[Tasks](../tasks.md#observations) explains the fields.", "", *table])
 
 
+def _unit(unit: str) -> str:
+    """A field's unit; trained policies were saved with the old words for the time limit."""
+    return unit.replace("the clock", "the time limit")
+
+
 def _until(where: slice) -> str:
     return f"-{where.stop - 1}" if where.stop - where.start > 1 else ""
 
@@ -130,7 +135,7 @@ def _until(where: slice) -> str:
 def observation_table() -> str:
     """The fields of every observation, of one neighbour k and one obstacle k."""
     rows = [
-        f"| `{f.name.replace('_0.', '_k.')}` | {f.where.stop - f.where.start} | {f.unit} "
+        f"| `{f.name.replace('_0.', '_k.')}` | {f.where.stop - f.where.start} | {_unit(f.unit)} "
         f"| {f.scale:g} |"
         for f in observation_layout(1, 1)
     ]

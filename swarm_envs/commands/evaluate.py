@@ -179,7 +179,7 @@ def _unflyable(error: BaseException) -> str:
 
 
 def _described(agent: Agent, env: SwarmParallelEnv) -> dict[str, Any]:
-    """What a report says of an agent beside its scores."""
+    """What a report says of an agent besides its scores."""
     return {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
 
 

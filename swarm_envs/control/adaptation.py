@@ -3,8 +3,8 @@
 At each step of 1/240 s `adapt` compares how the velocity has changed with what the nominal motors,
 the nominal mass and the feed-forward explain of it. This residual holds what no model knows: errors
 of the force model, of mass and thrust, and noise. One of three estimators makes `adaptive_force` of
-it, which `track` compensates beside the feed-forward. They know what a drone knows: its estimate of
-the state, its commands, its nominal mass and lag; never the force that acts.
+it, which `track` compensates in addition to the feed-forward. They use what a drone knows: its
+estimate of the state, its commands, its nominal mass and lag; never the true force.
 
 - Momentum observer (`MomentumObserver`): the residual through a first-order low-pass. De Luca and
   Mattone (ICRA 2003) for robot arms, Tomic et al. (IEEE Trans. Robotics 33(6), 2017) for

@@ -46,7 +46,7 @@ WORLDS = ("ideal", "hall")
 MANY_DRONES = 1024
 """From so many drones in all environments together on, more threads than one pay."""
 MOST_OBSERVED = 10_000
-"""Of K and M: an observation has room for all of them, whoever is there."""
+"""Of K and M: an observation has room for all of them in every episode."""
 MOST_THREADS = 1024
 """Of `threads`: each is the system's."""
 

@@ -55,7 +55,7 @@ class StepResult(NamedTuple):
     terminated: BoolArray
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
-    """(E,) ended by the clock."""
+    """(E,) ended by the time limit."""
     active: BoolArray
     """(E, N) which drones have flown this decision; the others' own episodes ended before it: their
     rewards, terms and observations are 0, and their actions are not used."""

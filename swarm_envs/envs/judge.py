@@ -189,8 +189,8 @@ def metrics(
 ) -> list[dict[str, Any]]:
     """What the episodes of these environments are judged by, so far, in their order.
 
-    - `success`: whether the team did its task, nobody hurt; `stages_reached` of `stages`: sets of
-      goals at which the whole team has stood, nobody hurt; `length_s`: time flown.
+    - `success`: whether the task was done without a crash; `stages_reached` of `stages`: sets of
+      goals that the whole team reached without a crash; `length_s`: time flown.
     - `arrived_fraction`, where contact does not end the team's episode: share of drones that still
       fly and are at their goals, or have kept to their reference.
     - `collided_drones`, `collided_floor`, `collided_wall`, `collided_obstacle`, `tumbled`:

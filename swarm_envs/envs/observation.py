@@ -48,7 +48,7 @@ class ObservationField(NamedTuple):
     name: str
     """What it is, such as `self.velocity` or `neighbor_0.position`."""
     where: slice
-    """Where it stands in the row."""
+    """Its columns in the row."""
     unit: str
     """Unit of the quantity; empty if it has none."""
     scale: float
@@ -188,7 +188,7 @@ def shaper(
 
 
 def _span(prefix: str, layout: tuple[ObservationField, ...]) -> slice:
-    """Where the fields of a prefix stand in a row; nowhere if there are none."""
+    """Columns of the fields of a prefix in a row; empty if there are none."""
     places = [field.where for field in layout if field.name.startswith(prefix)]
     return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
 

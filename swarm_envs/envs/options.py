@@ -173,7 +173,7 @@ Raises:
 def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> Any:
     """Give a view the options as its signature, and a docstring that explains each of them.
 
-    The task's own options come first. Types stand in the docstring, in words, and would make the
+    The task's own options come first. Types are in the docstring, in words, and would make the
     signature unreadable.
     """
     made: Any = view

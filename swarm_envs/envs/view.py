@@ -45,12 +45,12 @@ class View:
 
     @property
     def horizon_s(self) -> float:
-        """The clock: the episode is truncated after this many seconds."""
+        """Time limit, s, after which the episode is truncated."""
         return float(self._core.settings["horizon_s"][0])
 
     @property
     def stage_s(self) -> float:
-        """For how long goals stay where they are, s: the clock, where there is one set of them."""
+        """Time between goal changes, s; the time limit where there is one set of goals."""
         return self._core.task.motion.stage_s or self.horizon_s
 
     @property
@@ -65,7 +65,7 @@ class View:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """What stands in the way, the same in every episode."""
+        """Static obstacles, the same in every episode."""
         return self._core.task.obstacles
 
     @property

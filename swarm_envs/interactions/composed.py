@@ -13,8 +13,9 @@ several push no more than their sum. Several far apart therefore push as each do
 dz is the height of drone j over drone i, and r the lateral distance of i from the axis of j's wake,
 which trails behind j. v_r is the part of the relative horizontal velocity along the way to that
 axis, v_t the rest; near the axis, where there is no such way, all of it is in v_t. The window w is
-one over the distance beside and below. None of these numbers changes when the swarm is turned about
-the vertical, or mirrored. g is a ReLU network, anchored: 0 at the anchor height and above.
+one over the horizontal distance and the depth. None of these numbers changes when the swarm is
+turned about the vertical, or mirrored. g is a ReLU network, anchored: 0 at the anchor height and
+above.
 
 A second output of n, kept within -1 and 1, says how the pair's push leans towards the axis. The
 horizontal force is the sum of these parts, shortened by the same factor as the sum of the pushes.
@@ -47,7 +48,7 @@ def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
     """Write the inputs of the networks in place of the motions that `describe_motion` wrote.
 
     Which forces are extrapolations is marked already. Also written are the pairs' weights, now over
-    the distance beside in place of that in x and y, and the way towards the wakes' axes.
+    the horizontal distance in place of that in x and y, and the way towards the wakes' axes.
     """
     model = field.constants[0]
     own, measured, window = model["environment_range"], model["pair_range"], model["window"]

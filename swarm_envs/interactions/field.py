@@ -45,7 +45,7 @@ VERTICAL_FADE = 0.3
 """The outer part of the vertical reach over which a pair's contribution fades, m."""
 
 ONSET = 0.03
-"""Depth over which a drone beside another comes to be below it, m: the scale of a logistic."""
+"""Depth over which a drone at another's height comes to be below it, m: the scale of a logistic."""
 LOWEST_HEIGHT = 0.07
 """Nothing was measured below this height, m: air near the ground is taken as it is there."""
 

@@ -5,8 +5,8 @@ lateral distance r down with
 
     A (w0 / w)^p exp(-(r / w)^2 / 2) s(dz / 3 cm),   s the logistic function,
 
-so nothing is felt above or beside it. The jet tilts: its axis at depth dz lies where the upper
-drone was when that air left it (its own velocity tells; the relative one fits the flights worse).
+so nothing is felt above it or at its height. The jet tilts: its axis at depth dz lies where the
+upper drone was when the jet left it (by its own velocity; the relative one fits flights worse).
 Several jets together push less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is
 mitigated, and a drone's own jet carries it (ground effect). Linear drag acts on its motion.
 """

@@ -56,7 +56,7 @@ def load_hall(
     """Copy what the hall knows of the drones of the first `count` members into the blocks.
 
     Lanes that are left over in the last block are zeros or what another tile left there: sound
-    numbers, which nobody reads.
+    numbers, which are not read.
     """
     drones, slot = columns.shape[1], 0
     for place in range(count):

@@ -63,7 +63,7 @@ class Placement(NamedTuple):
     team: Team | None = None
     """The vehicles of this episode, where the task draws payloads; None for the task's."""
     chased: IntArray | None = None
-    """(N,) index of the drone that each one chases; -1, and None for all, if it chases nobody."""
+    """(N,) index of the drone that each one chases; -1, and None for all, if it chases none."""
     key: int = 0
     """Stream of random numbers from which kernels draw goals to come: 64 bits."""
 
@@ -116,7 +116,7 @@ class Success:
 @typed
 @dataclass(frozen=True)
 class TrackingSuccess:
-    """When a team has done its task by the clock: no crash, and never far from the reference."""
+    """Success at the time limit: no crash, and never far from the reference."""
 
     worst_error: Annotated[float, POSITIVE_M] = 0.15
     """Every drone must always have been nearer to its reference than this, m."""
@@ -145,7 +145,7 @@ class Task(ABC):
     success: Success | TrackingSuccess | ByScore
     """When the team has done a stage, or the task."""
     obstacles: tuple[Obstacle, ...]
-    """What stands in the way, the same in every episode."""
+    """Static obstacles, the same in every episode."""
     reward_weights: Mapping[str, float]
     """Weight of each reward term; a term left out has none."""
     reward_names: tuple[str, ...]
@@ -186,7 +186,7 @@ class Task(ABC):
 
     @property
     def rules(self) -> dict[str, Any]:
-        """Fields of `swarm_envs.tables.SETTINGS` that its kernels read beside the usual ones."""
+        """Fields of `swarm_envs.tables.SETTINGS` that its kernels read besides the usual ones."""
         return {}
 
     @property
@@ -217,7 +217,7 @@ class Task(ABC):
     @property
     @abstractmethod
     def episode_s(self) -> float:
-        """The clock, unless an environment is given another, s."""
+        """Time limit, unless an environment is given another, s."""
 
     @abstractmethod
     def draw(

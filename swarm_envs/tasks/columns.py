@@ -8,7 +8,7 @@ Layouts:
 - `sprint`: each drone has a place of its own, and just the time to get there and stay. Who stands
   above whom is drawn.
 
-Drones start beside their column, each at the height of its first place and in a direction of its
+Drones start next to their column, each at the height of its first place and in a direction of its
 own, so that straight ways within a column do not meet, with any assignment of places.
 """
 
@@ -90,11 +90,11 @@ class ColumnsTask(Task):
     success: Success = Success(0.06, 1.0, named=False)
     """When the team has gathered."""
     episode_s: Annotated[float, POSITIVE_S] = 6.0
-    """The clock, s."""
+    """Time limit, s."""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way."""
+    """Static obstacles."""
 
     name = "columns_v0"
     reward_names = REWARD_NAMES

@@ -1,7 +1,7 @@
 """Crowd: many drones at constant density fly from goal to goal until the time limit.
 
 Goals are sites, drawn once an episode, all apart from each other and free of obstacles. A drone has
-one of them at a time; when it reaches it, it is given another, drawn among those that nobody has.
+one of them at a time; when it reaches it, another free one is sampled.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from swarm_envs.vehicles import Team
 __all__ = ["REWARD_WEIGHTS", "CrowdTask", "Layout"]
 
 CROWD_LAYOUTS = ("open", "forest", "buildings")
-"""What stands in the way, by name."""
+"""Obstacles of the layouts, by name."""
 Layout = Annotated[str, OneOf(CROWD_LAYOUTS)]
 """One of them."""
 _SITES = 3
@@ -51,7 +51,7 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "reach
 
 
 def crowd_obstacles(layout: str, num_drones: int) -> tuple[Obstacle, ...]:
-    """What stands in the arena of so many drones: the same in every episode.
+    """Obstacles of a layout for a number of drones, the same in every episode.
 
     `forest`: columns of radius 0.15 m, one for each square of 1.2 m, shifted by up to 0.2 m along
     x and y. `buildings`: towers 0.45 m wide on a grid of 1.4 m. Both reach the ceiling.
@@ -168,11 +168,11 @@ class CrowdTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way; the layout's are added."""
+    """Static obstacles in addition to those of the layout."""
 
     name = "crowd_v0"
     episode_s = 30.0
-    """The clock, s."""
+    """Time limit, s."""
     score_names = ("throughput_per_min", "goals_reached")
     reward_names = (*REWARD_NAMES, "reached")
     write_reward_terms = staticmethod(write_crowd_terms)

@@ -63,7 +63,7 @@ class DeliveryTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way."""
+    """Static obstacles."""
 
     name = "delivery_v0"
     reward_names = REWARD_NAMES

@@ -9,8 +9,8 @@ Who goes where (`labels`):
 - `mirror`: each to the place nearest to its point reflection, as in the `rings` of RTH3D, Fig. 9.
 - `blocks`: between `blocks` only; each block goes to another block's place, drawn, as in RTH3D.
 
-Shapes change by the clock, whether they were reached or not, so that the reference is a function of
-time alone.
+Shapes change at fixed times, whether they were reached or not, so that the reference is a function
+of time alone.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class FormationTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way."""
+    """Static obstacles."""
 
     name = "formation_v1"
     reward_names = REWARD_NAMES

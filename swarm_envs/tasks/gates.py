@@ -1,7 +1,7 @@
 """Gates: a team in vertical formation flies a slalom, through each gate all at once.
 
 Drones that are one above another meet each other's downwash at each gate and turn, where they must
-stand in a column at the same moment; between gates they may fly as they like.
+be in a column at the same moment; between gates they may fly as they like.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def pass_gates(
     goals: FloatArray,
     settings: Records,
 ) -> None:
-    """Send teams that stand in a gate, all at once, to the next; the last one ends the episode.
+    """Send teams of which all drones are in a gate to the next one; the last one ends the episode.
 
     Arguments as of `Task.advance`.
     """
@@ -95,11 +95,11 @@ class GatesTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way; the gates' posts are added."""
+    """Static obstacles in addition to the gates' posts."""
 
     name = "gates_v0"
     episode_s = 30.0
-    """The clock, s."""
+    """Time limit, s."""
     score_names = ("gates_per_min", "places_passed")
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)

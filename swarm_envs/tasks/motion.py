@@ -29,7 +29,7 @@ class Motion(NamedTuple):
     kind: int = REST
     """`REST` at the goals; `LINES`: straight from each stage's goals to the next, where the
     environment has a duration; `ORBITS`: on the drones' ellipses; `OWN_GOALS`: at rest at the goal
-    that each drone has now; `PURSUIT`: goals on ellipses, or beside other drones."""
+    that each drone has now; `PURSUIT`: goals on ellipses, or next to other drones."""
     ramp: float = 0.2
     """`LINES`: share of the duration in which the speed grows, and in which it falls. `ORBITS`:
     time in which the rate grows from rest, s."""
@@ -185,10 +185,10 @@ def write_own_goals(
 def write_pursuit(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write goals that are on ellipses or, where a drone chases another, beside that one.
+    """Write goals that are on ellipses or, where a drone chases another, next to that one.
 
     The goal of who chases is the centre of its ellipse, seen from whom it chases; its reference has
-    the velocity of that one, and no acceleration, which nobody observes. Arguments: `write_rest`.
+    the velocity of that one, and no acceleration, which is not observed. Arguments: `write_rest`.
     """
     write_orbits(drones, environments, goals, settings)
     for e in range(drones.shape[0]):

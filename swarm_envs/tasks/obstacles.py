@@ -78,7 +78,7 @@ class Column:
 
 
 Obstacle = Box | Column
-"""What can stand in the way."""
+"""A static obstacle."""
 
 
 def buildings(
@@ -92,7 +92,7 @@ def buildings(
 ) -> tuple[Box, ...]:
     """Square towers on a grid, as in Fig. 1 of the RTH3D paper.
 
-    There they stand in the cells (3 i + 1, 3 j + 1) of the grid, so that a third of each side is
+    There they are in the cells (3 i + 1, 3 j + 1) of the grid, so that a third of each side is
     built up: `width` is a third of `spacing` by default.
 
     Args:

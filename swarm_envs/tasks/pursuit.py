@@ -1,4 +1,4 @@
-"""Pursuit: goals that move, that are swapped again and again, or that are beside other drones.
+"""Pursuit: goals that move, that are swapped again and again, or that follow other drones.
 
 As the dynamic goals of quad-swarm-rl (Huang et al. 2024), whose drones follow an evader or swap
 goals.
@@ -97,11 +97,11 @@ class PursuitTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way."""
+    """Static obstacles."""
 
     name = "pursuit_v0"
     episode_s = 20.0
-    """The clock, s."""
+    """Time limit, s."""
     score_names = ("share_on_goal",)
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
@@ -115,12 +115,12 @@ class PursuitTask(Task):
 
     @property
     def num_stages(self) -> int:
-        """Sets of goals within the clock."""
+        """Sets of goals within the time limit."""
         return math.ceil(self.episode_s / self.change_s) if self.layout == "swap-goals" else 1
 
     @property
     def motion(self) -> Motion:
-        """At rest between swaps; else on ellipses and beside others."""
+        """At rest between swaps; else on ellipses and next to others."""
         if self.layout == "swap-goals":
             return Motion(REST, stage_s=self.change_s)
         return Motion(PURSUIT, _STARTUP_S)

@@ -55,8 +55,8 @@ def write_terms_v0(
     """Write the terms of version 0 of the tasks.
 
     They differ from those of `write_terms` in that `at_goal` and `tracking` are shares of the
-    clock, so that their sum over an episode is at most 1, and that `progress` is cut off at the
-    speed limit. Arguments as of `write_terms`.
+    time limit, so that their sum over an episode is at most 1, and that `progress` is cut off at
+    the speed limit. Arguments as of `write_terms`.
     """
     rules = settings[0]
     write_by_clock(drones, environments, rules.decision_s, rules.horizon_s, 1.0, out)

@@ -228,7 +228,7 @@ class RingTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way."""
+    """Static obstacles."""
 
     name = "ring_v1"
     reward_names = REWARD_NAMES

@@ -22,7 +22,7 @@ SCORED_WEIGHTS: Mapping[str, float] = MappingProxyType(
         "success": 0.0,
     }
 )
-"""Default weight of each reward term: none depends on the clock."""
+"""Default weight of each reward term: none depends on the time limit."""
 
 
 @part
@@ -42,7 +42,7 @@ def send_to(d: Record, goal: FloatArray) -> None:
 
 @part
 def end_by_score(environment: Record, drones: Records, rules: Record) -> None:
-    """Say that an episode which the clock has ended is a success.
+    """Mark episodes that ended at the time limit as successes.
 
     Its score is high enough, and nothing has ever happened to any of its drones (N,).
     """

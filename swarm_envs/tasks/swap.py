@@ -2,13 +2,12 @@
 
 Layouts:
 
-- `stacked`: Neural-Swarm2's data collection and flight test (Sec. VII-B, Fig. 8). Drones stand in
-  horizontal planes on a cylinder, the first of the team on top; each flies straight to the
+- `stacked`: Neural-Swarm2's data collection and flight test (Sec. VII-B, Fig. 8). Drones
+  start in horizontal planes on a cylinder, the first of the team on top; each flies straight to the
   opposite side, and half way all are in one vertical line. The task gives the reference.
-- `circle`: drones stand on a circle at a common height, evenly spaced; each belongs on the opposite
-  side, so that all ways cross in the centre. No reference.
-- `random`: starts anywhere in the box, each drone's goal is another's start. No reference: the
-  way there is the agent's business.
+- `circle`: starts evenly spaced on a circle at a common height; goals are on the opposite side, so
+  that all straight paths cross in the centre. No reference.
+- `random`: starts anywhere in the box; each drone's goal is another's start. No reference.
 """
 
 from __future__ import annotations
@@ -124,11 +123,11 @@ class SwapTask(Task):
     reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the way."""
+    """Static obstacles."""
 
     name = "swap_v1"
     episode_s = 8.0
-    """The clock, s."""
+    """Time limit, s."""
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
 

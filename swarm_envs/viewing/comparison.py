@@ -149,7 +149,7 @@ _COLORS = (WITHOUT_COLOR, COMPENSATED_COLOR)
 
 
 class SideBySide:
-    """Draws frames of two flights beside each other, with their height errors below.
+    """Draws frames of two flights side by side, with their height errors below.
 
     Each half shows the way that the lowest drone should fly (dashed), the way that it flew, and
     the force of the air on it as an arrow. Use it in `with`.

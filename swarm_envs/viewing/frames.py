@@ -73,7 +73,7 @@ class Screen:
         self._camera.close()
 
     def _is_new(self, view: View) -> bool:
-        """Whether another episode is on although the clock did not go back."""
+        """Whether another episode has begun although time did not go back."""
         begun = view.time == 0.0 and not np.array_equal(self._past[-1][1], view.state.position)
         return bool(begun) or view.team != self._camera.team
 

@@ -1,4 +1,4 @@
-"""What a picture shows beside the drones: arena, obstacles, goals, references, trails, forces."""
+"""What a picture shows besides the drones: arena, obstacles, goals, references, trails, forces."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def write_replay(path: Path, recording: Recording, most_samples: int = MOST_SAMP
     Args:
         path: ends in `.html`.
         recording: what it shows.
-        most_samples: drones times frames that the page keeps, beside those of events.
+        most_samples: drones times frames that the page keeps, besides those of events.
 
     Raises:
         ValueError: another suffix.
@@ -100,7 +100,7 @@ def page_data(
     Args:
         recording: the episode.
         happened: its events, near misses among them.
-        most_samples: drones times frames that are kept, beside those of events.
+        most_samples: drones times frames that are kept, besides those of events.
     """
     frames = _frames(recording, happened, most_samples)
     place = {int(frame): k for k, frame in enumerate(frames)}

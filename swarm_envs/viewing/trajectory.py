@@ -1,7 +1,7 @@
 """Trajectory files: a recorded episode as a Parquet table or as npz, written and read back.
 
 A Parquet file is a long table, one row for each drone at each time, in order of time, then of
-drone; the columns `COLUMNS` stand in `GROUPS`, with those of flight logs under the same names.
+drone; its columns are `COLUMNS`, and those of flight logs have the same names.
 What does not change over the episode is JSON in the schema's metadata, under the key `swarm_envs`.
 An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same JSON as the string
 `about`; nothing in it is pickled. All numbers are float64: what is read is what was written.

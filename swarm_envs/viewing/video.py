@@ -134,7 +134,7 @@ def write_video(path: Path, frames: Iterable[Frame], fps: int) -> None:
 
 
 def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Frame]], fps: int) -> Path:
-    """Write an mp4, or beside it a small GIF where ffmpeg does not work.
+    """Write an mp4, or a small GIF where ffmpeg does not work.
 
     Args:
         path: ends in `.mp4`.

@@ -2,10 +2,10 @@
 
 Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
 attractive potential draws to a goal in a small box; goals are sampled again at a fixed frequency.
-Half of the time all goals stand in one vertical line, so that drones pass over and under each
+Half of the time all goals are on one vertical line, so that drones pass over and under each
 other. Neighbours and the floor repel with an artificial potential (Khatib, 1986) of the
 clearance c, U(c) = strength / 2 (1/c - 1/reach)^2 below the reach and 0 above it, whose slope at
-the *measured* positions accelerates the set-point. The constants are ours.
+the *measured* positions accelerates the set-point. The constants are not from the paper.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class MotionRanges:
     goal_period_s: Annotated[float, POSITIVE] = 1.5
     """time between new goals of a walk"""
     aligned: Annotated[float, NOT_NEGATIVE] = 0.5
-    """share of goals that stand in one vertical line"""
+    """share of goals that are on one vertical line"""
     attraction: Drawn = (2.0, 4.5)
     """natural frequency of the attraction to goals, drawn per flight, rad/s"""
     acceleration_limit: Annotated[float, NOT_NEGATIVE] = 3.0
@@ -230,7 +230,7 @@ def draw_goals(
 
 
 def separated(points: FloatArray, radius: FloatArray) -> FloatArray:
-    """Starts (N, 3), m: each drone beside the lower-numbered ones, in x, where it would touch."""
+    """Starts (N, 3), m: each drone moved in x from the lower-numbered ones that it would touch."""
     start = points.copy()
     for i in range(1, len(start)):
         for _ in range(i):

@@ -144,7 +144,7 @@ def _flight_rows(flight: CollectedFlight, label: Label) -> list[tuple[int, Drone
     for i, (name, vehicle) in enumerate(zip(vehicle_names(team), vehicle_ids(team), strict=True)):
         rows = rows_of_drone(name, i, kinds, position, velocity, force)
         rows = rows._replace(step=rows.step * every)
-        found.append((vehicle, rows.select(known[:, i], "force unknown or nobody near")))
+        found.append((vehicle, rows.select(known[:, i], "force unknown or no drone near")))
     return found
 
 
@@ -158,7 +158,7 @@ class DroneRows(NamedTuple):
     scenario: str
     """Who flew around it, such as `L2S`."""
     step: IntArray
-    """(R,) entry of the clock."""
+    """(R,) sample index."""
     position: FloatArray
     """(R, 3) its position, m."""
     velocity: FloatArray

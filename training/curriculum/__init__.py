@@ -1,6 +1,6 @@
 """The curriculum of Neural-Swarm2, Sec. IV-D: fit, fly closer with what was learned, fit again.
 
-Downwash drives drones apart that do not know it, so nobody can fly them close together to learn
+Downwash drives drones apart that do not compensate it, so they cannot fly close enough to learn
 it. So it is done in rounds: one and two drones fly far apart, without compensation, and a
 model is fitted; with it as the pilot's feed-forward they fly closer; then three drones. Order of
 reading: `run` (all of it: how close drones came, and how close the next round may plan),

@@ -63,7 +63,7 @@ UNSEEN_TEAMS = (
     *("SSS", "LSS", "SSL", "LLS", "SLL", "LLL"),
     *("SSSSS", "LLSSS", "SSSLL", "SLSLS", "LLLLL"),
 )
-"""Teams of two, three and five drones, the first on top; nobody flies five while it is learned."""
+"""Teams of two, three and five drones, the first on top; no training flight has five."""
 
 
 _QUICK: Mapping[str, Any] = {

@@ -32,7 +32,7 @@ class ClockedFlight(NamedTuple):
     rate_hz: float
     """Samples per second of the common clock."""
     time: FloatArray
-    """(T,) s since the clock's start."""
+    """(T,) s since the first common sample."""
     known: BoolArray
     """(T,) whether every drone has a measurement here, outside gaps of its log."""
     running: BoolArray

@@ -34,7 +34,7 @@ class LogOptions:
     """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of
     tables of rows, their steps per second"""
     keep_every: Count = 3
-    """every so many entries of the clock one row: neighbouring entries are near copies"""
+    """samples per row: neighbouring samples are nearly equal"""
     max_gap_s: Annotated[float, POSITIVE_S] = 0.05
     """longer pauses of a log (and of three of its steps) are gaps, and not filled"""
     smoothing_s: Annotated[float, NOT_NEGATIVE] = 0.1

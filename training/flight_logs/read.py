@@ -126,7 +126,7 @@ def refuse_copy(known: dict[str, str], key: str, name: str) -> None:
     first = known.setdefault(key, name)
     if first != name:
         raise ValueError(
-            f"{name} is a copy of {first}: the same numbers stand in both, but rows that are held "
+            f"{name} is a copy of {first}: both have the same numbers, but rows that are held "
             "out may not be trained on; remove one of them"
         )
 

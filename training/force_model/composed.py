@@ -78,7 +78,7 @@ class Composed(ForceNetwork):
         return 1.0 + q, 1.0 / (1.0 + kept), height
 
     def wake_tensors(self) -> dict[str, Tensor]:
-        """Return what a weights file holds beside networks and drag, by name."""
+        """Return what a weights file holds besides networks and drag, by name."""
         count, names = len(self.types), self.types
         pairs = [(i, j) for i in range(count) for j in range(count)]
         found = {f"wake.{names[i]}.{names[j]}": self.wake(i, j) for i, j in pairs}
@@ -139,7 +139,7 @@ class Composed(ForceNetwork):
         return force
 
     def window(self, pair: Tensor) -> Tensor:
-        """Weight w of pairs (..., 6) by the distance beside and below."""
+        """Weight w of pairs (..., 6) by the horizontal distance and the depth."""
         assert self.spec.window is not None
         lateral, vertical = self.spec.window
         weight = fade(_length(pair[..., :2]), *lateral) * fade(pair[..., 2].abs(), *vertical)

@@ -105,7 +105,7 @@ class Extremes:
 
 
 def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Errors:
-    """Compare predictions with the labels on validation rows, beside trivial predictors.
+    """Compare predictions, and trivial predictors, with the labels on validation rows.
 
     Args:
         predicted_g: (R,) vertical force predicted for every row.

@@ -1,4 +1,4 @@
-"""Training examples: passes over the rows in random order, and rows that are held out of them.
+"""Training examples: epochs of the rows in random order, and rows that are held out of them.
 
 In a pass every row comes once, turned and mirrored at random. A pass is put in order as a whole,
 so that a step only takes a slice of it.

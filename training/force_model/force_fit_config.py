@@ -32,7 +32,7 @@ class TrainConfig:
     steps: Count | None = None
     """optimiser steps; None counts by `epochs`"""
     epochs: Annotated[float, POSITIVE] | None = None
-    """passes over the training rows; if `steps` is not given either, the mode's own length"""
+    """epochs of training; if `steps` is not given either, the mode's own length"""
     batch_size: Count = 1024
     """rows per step; every row comes once in each pass, in random order"""
     learning_rate: Annotated[float, POSITIVE] = 3e-3
@@ -45,7 +45,7 @@ class TrainConfig:
     the mean of their answers, each turned and mirrored in all eight ways; 0 for labels alone;
     None: the mode's own"""
     teacher_epochs: Annotated[float, POSITIVE] = 16.0
-    """passes over the training rows of each teacher"""
+    """epochs of each teacher"""
     schedule: Literal["cosine", "constant"] | None = None
     """schedule of the rate: a cosine to zero at the last step, or constant; None: the mode's own"""
     average_share: Share | None = None
@@ -60,7 +60,7 @@ class TrainConfig:
     slope_limit: Annotated[float, NOT_NEGATIVE] | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
     slope_weight: Annotated[float, NOT_NEGATIVE] = 0.01
-    """weight of that penalty, (g per m)^2, beside the mean squared error, g^2"""
+    """weight of that penalty, (g per m)^2, relative to the mean squared error, g^2"""
     slope_inputs: Count = 256
     """random inputs per step on which the slope is looked at"""
     position_jitter_m: Annotated[float, NOT_NEGATIVE] = 0.02

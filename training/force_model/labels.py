@@ -2,7 +2,7 @@
 
 Linear body drag is fitted per type and axis to the same rows as the network. A network of a type
 that no training row shows holds the random numbers that it started with: it is set to zero, and
-the report says so. A type that was never a neighbour pushes nobody, one that never was the drone
+the report says so. A type that was never a neighbour pushes none, one that never was the drone
 of a row feels nothing.
 """
 
@@ -217,7 +217,7 @@ def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
         if not pairs[i, j] and pairs[i].any() and felt[j]
     ]
     silenced = [
-        f"type {name!r} is a neighbour in no training row: the model says it pushes nobody"
+        f"type {name!r} is a neighbour in no training row: the model says it pushes no drone"
         for name in quiet
     ]
     return said + silenced + guessed

@@ -1,4 +1,4 @@
-"""Slopes of a force network: a penalty in training, and Lipschitz constants of what ships.
+"""Slopes of a force network: a penalty in training, and Lipschitz constants of the result.
 
 Spectral clipping alone allows slopes of a thousand grams per metre at speeds and places that no
 flight visited, and at the edge of the window. The measured air changes by 100-150 g/m.
@@ -141,7 +141,7 @@ def lipschitz_bound(network: ForceNetwork) -> LipschitzBound:
 
     A neighbour acts through L = Lip(rho) (Lip(phi) + |dw| sup|phi|), in a sum over pairs without
     rho; the environment through M = Lip(rho) Lip(phi_env), twice where an anchor is subtracted.
-    Each stands in inputs of its own, so K neighbours and the environment together have at most
+    Each has inputs of its own, so K neighbours and the environment together have at most
     sqrt(K L^2 + M^2). A network without a finite input range has no bound with a window: infinity.
     The hard cut-off is no Lipschitz function: infinity too.
     """

@@ -78,7 +78,7 @@ OUTER_FADE = FadeWindow()
 @typed
 @dataclass(frozen=True)
 class DeepSetSpec:
-    """What a deep set computes beside its weights."""
+    """What a deep set needs besides its weights."""
 
     types: tuple[str, ...]
     """Vehicle types: each has its own phi and rho."""
@@ -183,7 +183,7 @@ class ForceNetwork(nn.Module, ABC):
     """Linear drag by type, N s/m."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Set the constants that the weights of a subclass come beside.
+        """Set the constants that a subclass needs besides its weights.
 
         Args:
             spec: types, window, clamp and anchor.

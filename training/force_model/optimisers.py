@@ -209,7 +209,7 @@ class Soap(torch.optim.Optimizer):
 
 
 def _padded_places(shapes: Sequence[tuple[int, int]], size: int) -> Tensor:
-    """Where the matrices' entries stand in a flattened stack of square ones."""
+    """Places of the matrices' entries in a flattened stack of square ones."""
     parts = []
     for index, (rows, columns) in enumerate(shapes):
         row = torch.arange(rows)[:, None] * size

@@ -5,7 +5,7 @@ The vertical label of drone i at time t, less the modelled force f, is taken as
     offset_i + s(|f|) x(t) + white noise,  s(|f|) / W = quiet + (wake - quiet) |f| / (|f| + half W),
 
 W being the drone's weight and x an Ornstein-Uhlenbeck process of unit variance and one
-correlation time. Where nobody is in the interaction volume, s / W is one number, `alone`, and the
+correlation time. Where no drone is in the interaction volume, s / W is one number, `alone`, and the
 correlation time is that of drones in company. The offset belongs to a drone in a flight:
 calibration of mass and thrust. Labels hold noise of the sensors, which no drone feels: it is white,
 so the autocovariance jumps by its variance at lag zero (the *nugget*), and is kept apart by fitting

@@ -351,7 +351,7 @@ def train_taught(
         rows: as `train`.
         spec: the function to fit; teachers have the same.
         config: how. Teachers take `teacher_epochs` and draw from seeds of their own.
-        checkpoint: as `train`; teachers have files beside it (`teacher_checkpoint`), so that a
+        checkpoint: as `train`; teachers have files next to it (`teacher_checkpoint`), so that a
             run that was killed continues with the network it was at.
         progress: show a progress bar, which says which network trains.
         watch: called with every new entry of the history of the network that is the result.

@@ -56,7 +56,7 @@ from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import GRAM_FORCE
 
 ROTOR_DEPTH_M = 0.03
-"""Vertical distance over which a neighbour passes from beside to above."""
+"""Vertical distance over which a neighbour at the same height comes to be above."""
 
 GROUND_REFERENCE_M = 0.07
 """Height at which the ground effect is G: the lowest that was measured."""

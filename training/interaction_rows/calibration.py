@@ -72,7 +72,7 @@ class Offsets:
 
 
 NO_OFFSETS = Offsets({}, {})
-"""For rows whose labels are exact, such as those of our own simulator."""
+"""For rows whose labels are exact, such as those of a simulator."""
 
 
 def quiet_rows(rows: InteractionRows, max_speed: float = QUIET_SPEED) -> BoolArray:

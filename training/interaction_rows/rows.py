@@ -1,6 +1,6 @@
 """Rows of measured interaction force: one drone at one time, its neighbours, and the label.
 
-The table is the one interface between flights (measured ones, or ours) and everything that is
+The table is the one interface between flights (measured or simulated) and everything that is
 fitted to them. World frame, z up; SI, but labels in gram-force, as Neural-Swarm2 gives them.
 """
 
