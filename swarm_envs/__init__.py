@@ -48,10 +48,7 @@ def gymnasium_name(task: str, suffix: str = "") -> str:
 
 
 def register() -> None:
-    """Register every task with Gymnasium and PettingZoo, unless it is registered.
-
-    PettingZoo has a registry from version 1.27 on.
-    """
+    """Register every task with Gymnasium and, from 1.27 on, PettingZoo, unless it is registered."""
     for task in TASKS:
         if gymnasium_name(task) not in gymnasium.registry:
             _register_with_gymnasium(task)

@@ -59,10 +59,7 @@ Target = TypeVar("Target", bound=Callable[..., Any])
 
 
 class WrongKind(TypeError, ValueError):
-    """An argument is of another kind than its annotation.
-
-    A ValueError too, since checks of values raise that for the same mistake.
-    """
+    """An argument is of another kind than its annotation; checks of values raise ValueError."""
 
 
 class Kind(NamedTuple):
@@ -400,15 +397,10 @@ def kind_of(annotation: Any) -> Kind:
         return Kind("a mapping", lambda value: isinstance(value, Mapping))
     if origin is Callable or annotation is Callable:
         return Kind("a function", callable)
-    return _class(annotation)
-
-
-def _class(kind: Any) -> Kind:
-    if not inspect.isclass(kind) or kind is object or typing.is_typeddict(kind):
+    plain = inspect.isclass(annotation) and not typing.is_typeddict(annotation)
+    if not plain or annotation is object or getattr(annotation, "_is_protocol", False):
         return ANYTHING
-    if getattr(kind, "_is_protocol", False):
-        return ANYTHING
-    return Kind(f"a {kind.__name__}", lambda value: isinstance(value, kind))
+    return Kind(f"a {annotation.__name__}", lambda value: isinstance(value, annotation))
 
 
 def _any_of(parts: Sequence[Kind]) -> Kind:

@@ -81,10 +81,9 @@ def within_box(
 def nearest(
     i: int, position: FloatArray, drones: Records, found: IntArray, square: FloatArray
 ) -> int:
-    """List the nearest other drones of drone `i`, nearest first, equal ones by their index.
+    """Write indices (K,) and squared distances, m^2, of the drones nearest to drone `i`; return K.
 
-    Of the N drones at `position`, m, those that no longer fly are left out. Indices (K,) and
-    squared distances, m^2, are written; returned is how many there are, at most K.
+    Nearest first, equal ones by their index; those that no longer fly are left out.
     """
     count, places, bound = 0, found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for j in range(position.shape[0]):

@@ -146,12 +146,8 @@ def _along_line(start: npt.ArrayLike, goal: npt.ArrayLike, profile: _Profile) ->
     value = profile.value[..., None]
     # Weighted so that the end is met to the last bit.
     position = origin * (1.0 - value) + end * value
-    return _reference(position, *(part[..., None] * way for part in profile[1:]))
-
-
-def _reference(*parts: FloatArray) -> Reference:
-    """Arrays of one shape, each with its own memory."""
-    return Reference(*(np.array(part) for part in np.broadcast_arrays(*parts)))
+    parts = np.broadcast_arrays(position, *(part[..., None] * way for part in profile[1:]))
+    return Reference(*map(np.array, parts))  # each with its own memory
 
 
 def _points(name: str, value: npt.ArrayLike) -> FloatArray:

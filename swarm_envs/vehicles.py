@@ -208,10 +208,8 @@ def team_string(team: Sequence[Vehicle]) -> str:
 
 @lru_cache(maxsize=256)
 def _read_tokens(team: str) -> Team:
-    return tuple(_vehicle(token, team) for token in _TOKEN.findall(team) if token != "2")
-
-
-def _vehicle(token: str, team: str) -> Vehicle:
-    if token not in VEHICLES:
-        raise ValueError(unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}"))
-    return VEHICLES[token]
+    tokens = [token for token in _TOKEN.findall(team) if token != "2"]
+    for token in tokens:
+        if token not in VEHICLES:
+            raise ValueError(unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}"))
+    return tuple(VEHICLES[token] for token in tokens)

@@ -9,10 +9,10 @@ import os
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,11 +44,9 @@ REQUIRED = tuple(name for name in COLUMNS if name not in OPTIONAL)
 SUFFIXES = (".csv", ".parquet")
 """How names of logs end."""
 
-_LONGEST_NAME = 31
 _OTHERWISE = "write the table as CSV"
 """What to do without pyarrow."""
 _EMPTY = "the file is empty; copy it again or delete it"
-_BAD_CELL = re.compile(r"could not convert string (?P<value>'.*') to .* row (\d+), column (\d+)")
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Columns by name, each (lines,)."""
@@ -153,69 +151,42 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
         raise FileNotFoundError(f"no flight log at {os.fspath(path)!r}; give its path")
     try:
         return from_columns(_read_csv(file) if ending == ".csv" else _read_parquet(file))
-    except UnicodeDecodeError as error:
-        raise ValueError(f"path {file.name!r} is no text in UTF-8: {error}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"path {file.name!r} is no table of text in UTF-8: {error}") from error
 
 
 def _read_csv(path: Path) -> Columns:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        numbers = array("q")
-        lines = _filled(file, numbers)
-        names = [name.strip() for name in next(csv.reader(lines), [])]
+        reader = csv.reader(file)
+        lines = (row for row in reader if "".join(row).strip())
+        names = [name.strip() for name in next(lines, [])]
         if not names:
             raise ValueError(_EMPTY)
         check_columns(names)
-        known = [i for i, name in enumerate(names) if name in COLUMNS]
-        kinds = np.dtype(
-            [(names[i], f"U{_LONGEST_NAME + 1}" if names[i] in TEXT else "f8") for i in known]
-        )
-        first = next(lines, None)
-        if first is None:
-            raise ValueError("no line follows the header; log at least a second of flight")
-        table = _parse(itertools.chain([first], lines), names, known, kinds, numbers)
-    found: dict[str, npt.NDArray[Any]] = {names[i]: table[names[i]] for i in known}
-    for name in TEXT:
-        found[name] = np.char.strip(found[name])
-        longest = int(np.char.str_len(found[name]).max())
-        if longest > _LONGEST_NAME:
-            raise ValueError(
-                f"column {name!r} holds a name of more than {_LONGEST_NAME} letters, but at most "
-                f"{_LONGEST_NAME} are read; shorten it"
-            )
-    empty = {name: np.zeros(0) for name in names if name not in COLUMNS}
-    return {**found, **empty}
-
-
-def _filled(file: TextIO, numbers: array[int]) -> Iterator[str]:
-    """Lines that are not blank; their numbers in the file, from 1, are appended to `numbers`."""
-    for number, line in enumerate(file, start=1):
-        if line.strip():
-            numbers.append(number)
-            yield line
-
-
-def _parse(
-    lines: Iterable[str],
-    names: Sequence[str],
-    known: Sequence[int],
-    kinds: np.dtype[Any],
-    numbers: Sequence[int],
-) -> npt.NDArray[Any]:
-    try:
-        return np.loadtxt(
-            lines, dtype=kinds, delimiter=",", quotechar='"', comments=None, usecols=known, ndmin=1
-        )
-    except ValueError as error:
-        bad = _BAD_CELL.search(str(error))
-        if bad is None:
-            raise ValueError(
-                f"{error}; write one value for each of the {len(names)} columns"
-            ) from None
-        line, column = numbers[int(bad[2]) + 1], names[int(bad[3]) - 1]
-        raise ValueError(
-            f"column {column!r} holds {bad['value']} in line {line}, but must hold finite numbers; "
-            "mend or remove the line"
-        ) from None
+        known = [i for i, name in enumerate(names) if name in COLUMNS and name not in TEXT]
+        text = [names.index(name) for name in TEXT]
+        words, numbers = list[list[str]](), array("d")
+        for row in lines:
+            if len(row) <= max(*known, *text):
+                raise ValueError(
+                    f"line {reader.line_num} has {len(row)} values; write one value for each of "
+                    f"the {len(names)} columns"
+                )
+            words.append([row[i].strip() for i in text])
+            for i in known:
+                try:
+                    numbers.append(float(row[i]))
+                except ValueError:
+                    raise ValueError(
+                        f"column {names[i]!r} holds {row[i]!r:.80} in line {reader.line_num}, but "
+                        "must hold finite numbers; mend or remove the line"
+                    ) from None
+    if not words:
+        raise ValueError("no line follows the header; log at least a second of flight")
+    table = np.frombuffer(numbers).reshape(len(words), -1)
+    found: dict[str, npt.NDArray[Any]] = {name: np.zeros(0) for name in names}
+    found |= {names[i]: column for i, column in zip(known, table.T, strict=True)}
+    return found | dict(zip(TEXT, np.array(words).T, strict=True))
 
 
 def _read_parquet(path: Path) -> Columns:

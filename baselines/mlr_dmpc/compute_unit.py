@@ -64,10 +64,7 @@ class UnitRound:
 
 @dataclass
 class ComputeUnit:
-    """Our recovery: plans whenever what it knows is enough for the plan at hand.
-
-    It starts, or comes back, in round `since`.
-    """
+    """Our recovery: plans when what it knows is enough. Starts, or comes back, in round `since`."""
 
     information: SwarmInformation
     planner: Planner

@@ -24,10 +24,7 @@ __all__ = ["solver"]
 
 @dataclass(frozen=True, eq=False)
 class _Affine:
-    """A quantity at some instants, of one axis: `start` times its first state, plus `free` times z.
-
-    Its value is (K,) for a state (3,) and variables z (n,), or (K, 3) for all axes at once.
-    """
+    """Of one axis: `start` (K, 3) times its first state plus `free` (K, n) times variables z."""
 
     start: FloatArray  # (K, 3) by position, velocity and acceleration at the start
     free: FloatArray  # (K, n) by the variables

@@ -136,10 +136,7 @@ class InformationTrackers:
         self._forget(drones)
 
     def add(self, drones: IntArray, identity: Identity, promises: bool) -> None:
-        """A plan may have been sent to one of some drones (D,).
-
-        `promises`: note what it keeps clear of, as its contents are not known.
-        """
+        """A plan may have been sent to one of some drones (D,); `promises`: of unknown contents."""
         if promises:
             self._promise(drones, identity)
         slots = self._slots(drones, np.full(len(drones), identity.number))
@@ -168,17 +165,14 @@ class InformationTrackers:
         rows = self.numbers[drones]
         match, free = rows == numbers[:, None], rows == _FREE
         if not (match | free).any(axis=1).all():
-            self._widen()
+            more = InformationTrackers(len(self.located))
+            for name in ("numbers", "possible", "_known", "_contents"):
+                both = np.concatenate([getattr(self, name), getattr(more, name)], axis=1)
+                setattr(self, name, both)
             return self._slots(drones, numbers)
         slots = np.where(match.any(axis=1), match.argmax(axis=1), free.argmax(axis=1))
         self.numbers[drones, slots] = numbers
         return np.asarray(slots)
-
-    def _widen(self) -> None:
-        more = InformationTrackers(len(self.located))
-        for name in ("numbers", "possible", "_known", "_contents"):
-            both = np.concatenate([getattr(self, name), getattr(more, name)], axis=1)
-            setattr(self, name, both)
 
     def _promise(self, drones: IntArray, identity: Identity) -> None:
         """Note what an unknown plan keeps clear of, unless it may follow another unknown one."""

@@ -33,12 +33,7 @@ def checked_points(
             f"{what}[{i}] = {array[i].tolist()} is outside the box {config.box}: move it, or set "
             "another box in MlrDmpcConfig"
         )
-    _check_apart(what, array, config)
-    return array
-
-
-def _check_apart(what: str, points: FloatArray, config: MlrDmpcConfig) -> None:
-    gap = np.linalg.norm((points[:, None] - points) * config.inverse_scaling, axis=-1)
+    gap = np.linalg.norm((array[:, None] - array) * config.inverse_scaling, axis=-1)
     np.fill_diagonal(gap, np.inf)
     if gap.min() < config.sampled_distance_m:
         i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
@@ -48,6 +43,7 @@ def _check_apart(what: str, points: FloatArray, config: MlrDmpcConfig) -> None:
             f"{config.sampled_distance_m:.4f} m at samples, so as to keep {config.distance_m} m: "
             "move them apart"
         )
+    return array
 
 
 def checked_options(

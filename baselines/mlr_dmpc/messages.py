@@ -203,7 +203,7 @@ class Codec:
         drone_bytes = math.ceil(num_drones / 8)
         self._mask_bytes = (math.ceil(num_units / 8), drone_bytes, drone_bytes)
         # Plans with more jerks than the reference's need larger slots.
-        self._slot_bytes = SLOT_BYTES + max(0, _trajectory_bytes(config) - _TRAJECTORY_BYTES)
+        self._slot_bytes = SLOT_BYTES + max(0, 12 * (config.num_inputs + 2) - _TRAJECTORY_BYTES)
         lower, upper = np.array(config.box)
         self._lower = np.stack([lower, *([[-1.0] * 3] * 2)])
         self._span = np.stack([upper - lower, *([[2.0] * 3] * 2)])
@@ -238,7 +238,8 @@ class Codec:
 
     def carried(self, kinematics: FloatArray) -> FloatArray:
         """(..., n, 3) position (and velocity, acceleration) as 16 bit carry them, in bounds."""
-        return self._unsteps(self._steps(kinematics))
+        lower, span = (side[: kinematics.shape[-2]] for side in (self._lower, self._span))
+        return np.asarray(lower + self._steps(kinematics) * (span / _STEPS))
 
     def carried_targets(self, targets: FloatArray) -> FloatArray:
         """(N, 3) targets as 16 bit carry them."""
@@ -305,25 +306,14 @@ class Codec:
         share = (kinematics - self._lower[:count]) / self._span[:count]
         return np.rint(np.minimum(np.maximum(share, 0.0), 1.0) * _STEPS).astype(np.int64)
 
-    def _unsteps(self, steps: npt.NDArray[np.integer]) -> FloatArray:
-        count = steps.shape[-2]
-        return np.asarray(self._lower[:count] + steps * (self._span[:count] / _STEPS))
-
     def _ids(self, ids: tuple[int, ...]) -> bytes:
         end = 1 << self._id_bits  # negative ones, NONE and UNSURE, become the largest numbers
         together = sum(i % end << k * self._id_bits for k, i in enumerate(ids))
         return together.to_bytes(math.ceil(len(ids) * self._id_bits / 8), "little")
 
 
-def _trajectory_bytes(config: MlrDmpcConfig) -> int:
-    return 36 + 12 * (config.num_inputs - 1)
-
-
 def pack_trajectory(trajectory: Trajectory, named: bool) -> bytes:
-    """A trajectory in float32, after its identity if that is not clear from the slot.
-
-    The last jerk is zero and is not sent.
-    """
+    """A trajectory in float32 without its last jerk, which is zero; `named`: after its identity."""
     name = _packed_identity(trajectory.identity) if named else b""
     numbers = np.concatenate([trajectory.state, trajectory.jerk[:-1]])
     return name + numbers.astype("<f4").tobytes()

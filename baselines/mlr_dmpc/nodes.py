@@ -36,10 +36,7 @@ _LOST_M, _LOST_SPEED = 0.5, 10.0
 
 
 class Drone:
-    """One drone, locked to the view at deployment; it flies a hover at first.
-
-    If it is not `airborne`, it joins once a plan for it is accepted.
-    """
+    """One drone, which flies a hover at first; if not `airborne`, it joins by its first plan."""
 
     def __init__(
         self,
@@ -126,10 +123,7 @@ class Drone:
         return accepted
 
     def give_up(self, measured: FloatArray, round_: int) -> bool:
-        """Rest where it is measured to be, if that is far off its reference; whether it did.
-
-        `measured`: (2, 3) position and velocity at the start of a round, m and m/s.
-        """
+        """Rest at a measured position and velocity (2, 3) far off its reference; whether it did."""
         off = np.linalg.norm(measured - state_at(self.flying, round_, self._config)[:2], axis=1)
         if off[0] <= _LOST_M and off[1] <= _LOST_SPEED:
             return False
@@ -168,16 +162,16 @@ class SwarmNodes(ABC):
     def send(
         self, k: int, targets: FloatArray, alive: Collection[int], present: Collection[int]
     ) -> tuple[DroneStates, dict[int, Any], dict[int, int]]:
-        """All messages of round k, of units that are alive and drones that are switched on.
-
-        Returns:
-            States, messages by slot, and the node that sends in each slot.
-        """
+        """What drones and units that are on say in round k: states, messages by slot, senders."""
         slots, senders = {}, {}
         for unit in range(self.options.num_units):
-            message = self._step(unit, k, targets) if unit in alive else None
             if unit not in alive:
                 self.units[unit] = None
+                continue
+            if self.units[unit] is None:
+                self.units[unit] = self.make_unit(unit, targets, k)
+            message = self.units[unit].step(self._inboxes.get(unit), k)
+            self.reports[unit] = self.units[unit].report
             if message is not None:
                 slots[unit], senders[unit] = message, len(self.drones) + unit
         for drone in self.drones:
@@ -207,13 +201,6 @@ class SwarmNodes(ABC):
             gone=gone,
             reinitialised=np.array([k - drone.gave_up < _REPORTED_ROUNDS for drone in drones]),
         )
-
-    def _step(self, unit: int, k: int, targets: FloatArray) -> Any:
-        if self.units[unit] is None:
-            self.units[unit] = self.make_unit(unit, targets, k)
-        message = self.units[unit].step(self._inboxes.get(unit), k)
-        self.reports[unit] = self.units[unit].report
-        return message
 
     def receive(
         self, log: RoundLog[Any], alive: Collection[int], present: Collection[int]
@@ -249,10 +236,7 @@ class SwarmNodes(ABC):
 
 
 class RecoveryNodes(SwarmNodes):
-    """Nodes that plan on whatever the radio loses.
-
-    `joins`: drones that are not in the air yet. `informed`: whether units know the hovers.
-    """
+    """Nodes that plan on whatever is lost. `informed`: whether units know the hovers."""
 
     def __init__(
         self,

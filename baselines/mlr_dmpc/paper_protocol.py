@@ -152,7 +152,9 @@ class PaperUnit:
         elif self.state is _UnitState.RUN_DMPC:
             self.state = _UnitState.WAIT
         self.report.doing = self.state.name.lower()
-        own = self._priorities(round_)
+        newest = [known[max(known)] if known else None for known in self.candidates]
+        own = self.planner.prioritise(newest, self.targets, round_)
+        own[[not known for known in self.candidates]] = _UNKNOWN
         message = PaperMessage(PaperKind.EMPTY, round_, self.unit)
         self._just_planned = NONE
         if self.state is _UnitState.RUN_DMPC:
@@ -191,12 +193,6 @@ class PaperUnit:
 
     def _deprecate_all(self) -> None:
         self.deprecated = [True] * len(self.deprecated)
-
-    def _priorities(self, round_: int) -> Levels:
-        newest = [known[max(known)] if known else None for known in self.candidates]
-        own = self.planner.prioritise(newest, self.targets, round_)
-        own[[not known for known in self.candidates]] = _UNKNOWN
-        return own
 
     def _run(
         self, message: PaperMessage, inbox: Inbox[PaperMessage] | None, own: Levels, round_: int

@@ -132,10 +132,7 @@ PRESETS = {
 
 
 class LossProcess:
-    """What arrives in each round. Draws depend on seed, round, sender and receiver only.
-
-    Nodes are the drones, then the compute units.
-    """
+    """What arrives in each round, by seed, round, sender and receiver; drones come before units."""
 
     def __init__(self, model: LossModel, num_drones: int, num_units: int, seed: int) -> None:
         self._model, self._seed = model, seed

@@ -165,10 +165,7 @@ class Program:
 
 
 class RowGeneration:
-    """The optimum of a program: solved with ever more rows until it breaks none of the others.
-
-    `first`: rows (m, 3) as in `active`, to try as active first.
-    """
+    """The optimum of a program: solved with ever more rows until it breaks none of the others."""
 
     def __init__(self, problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> None:
         """`first`: rows (m, 3) as in `active`, to try as active first."""

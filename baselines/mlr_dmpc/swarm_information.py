@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from swarm_envs.baselines.mlr_dmpc import messages
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
     SPARE_M,
     HalfSpaces,
@@ -21,16 +22,6 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
     voronoi_planes,
 )
 from swarm_envs.baselines.mlr_dmpc.information_tracker import InformationTrackers
-from swarm_envs.baselines.mlr_dmpc.messages import (
-    NONE,
-    UNSURE,
-    DroneStates,
-    MembershipView,
-    MessageKind,
-    Missing,
-    UnitMessage,
-    ViewId,
-)
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Inbox
 from swarm_envs.baselines.mlr_dmpc.trajectory import (
@@ -86,7 +77,7 @@ class Membership:
     """The view of one compute unit, which starts or comes back in round `since`."""
 
     def __init__(
-        self, unit: int, view: MembershipView, num_units: int, num_drones: int, since: int
+        self, unit: int, view: messages.MembershipView, num_units: int, num_drones: int, since: int
     ) -> None:
         self._adopt(view, since, num_drones)
         self._unit, self._since = unit, since
@@ -101,16 +92,13 @@ class Membership:
         self._others_behind = False
         self._retry = since + LISTENING_ROUNDS
 
-    def update(self, inbox: Inbox[UnitMessage], present: frozenset[int]) -> bool:
-        """Take in a round; whether another view is now in force.
-
-        `present`: units that were heard, or whose slots are known to be given away.
-        """
+    def update(self, inbox: Inbox[messages.UnitMessage], present: frozenset[int]) -> bool:
+        """Take in a round, in which units were `present`; whether another view is now in force."""
         drones, states = len(self.view.drones), inbox.states
         lost = max(drones - int(states.said.sum()), 0)
         self._absences.observe(present, -math.log((lost + 0.5) / (drones + 1)))
         locks = states.lock[states.said]
-        self._highest = max(self._highest, ViewId.of(int(locks.max(initial=0))))
+        self._highest = max(self._highest, messages.ViewId.of(int(locks.max(initial=0))))
         self._heard_of |= states.said
         self.gone |= states.said & states.gone
         self.joining = np.where(states.said, states.joining, self.joining)
@@ -136,8 +124,12 @@ class Membership:
         """Adopt a view of one's own if the present one no longer fits; whether it did."""
         if round_ < self._since + LISTENING_ROUNDS:
             return False
-        if self._highest > self.view.id:
-            return self._propose_blindly(round_)
+        if self._highest > self.view.id:  # of which nobody says who belongs to it
+            waiting = self._behind_since
+            if waiting is None or round_ - waiting < _LONE_ROUNDS:
+                return False
+            self._behind_since = None
+            return self._proposed(round_)
         if self._unit not in self.view.units:
             return round_ >= self._retry and self._proposed(round_)
         gone = {unit for unit in self.view.units if self._absences.gone(unit)}
@@ -152,21 +144,10 @@ class Membership:
         """Whether the unit belongs to the highest view that it knows of."""
         return self._unit in self.view.units and self._highest <= self.view.id
 
-    def announced(self, round_: int) -> MembershipView | None:
+    def announced(self, round_: int) -> messages.MembershipView | None:
         """The view, as long as a member may not have heard of it."""
         new = self.view.id.epoch > 0 and round_ - self.adopted < _ANNOUNCED_ROUNDS
         return self.view if new or self._others_behind else None
-
-    def _propose_blindly(self, round_: int) -> bool:
-        """Nobody says who belongs to a higher view: after a while, claim all drones heard of.
-
-        Drones follow only if none of theirs is forgotten.
-        """
-        waiting = self._behind_since
-        if waiting is None or round_ - waiting < _LONE_ROUNDS:
-            return False
-        self._behind_since = None
-        return self._proposed(round_)
 
     def _proposed(self, round_: int) -> bool:
         """Adopt a view with all members, of an identity that was never used before.
@@ -177,24 +158,21 @@ class Membership:
         """
         units = {unit for unit in self.view.units if not self._absences.gone(unit)} | {self._unit}
         units |= {unit for unit in range(self._absences.count) if self._absences.present(unit)}
-        id_ = ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
+        id_ = messages.ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
         self._retry = round_ + 2 * (self._retry - self._since)
         drones, gone = self._heard_of & ~self.gone, self.gone
-        view = MembershipView(id_, tuple(sorted(units)), _members(drones), _members(gone))
+        members = (frozenset(np.flatnonzero(some).tolist()) for some in (drones, gone))
+        view = messages.MembershipView(id_, tuple(sorted(units)), *members)
         self._adopt(view, round_, len(gone))
         self._highest = id_
         return True
 
-    def _adopt(self, view: MembershipView, round_: int, num_drones: int) -> None:
+    def _adopt(self, view: messages.MembershipView, round_: int, num_drones: int) -> None:
         self.view = view
         self.adopted = round_
         """Round at which the view was adopted."""
         self.drones: BoolArray = np.isin(np.arange(num_drones), list(view.drones))
         """(N,) the drones of the view."""
-
-
-def _members(drones: BoolArray) -> frozenset[int]:
-    return frozenset(np.flatnonzero(drones).tolist())
 
 
 _VOID_ROUNDS = 2
@@ -209,7 +187,7 @@ class SwarmInformation:
     def __init__(
         self,
         unit: int,
-        view: MembershipView,
+        view: messages.MembershipView,
         num_units: int,
         targets: FloatArray,
         config: MlrDmpcConfig,
@@ -221,19 +199,19 @@ class SwarmInformation:
         self.targets = np.array(targets)
         self.donated: dict[tuple[int, int], int] = {}
         """Drone to which a unit (first) has given its slot in a round (second)."""
-        self.requests: dict[int, tuple[Missing, ...]] = {}
+        self.requests: dict[int, tuple[messages.Missing, ...]] = {}
         """What each unit lacked in the last round, as far as heard."""
-        self.reported: dict[int, UnitMessage] = {}
+        self.reported: dict[int, messages.UnitMessage] = {}
         """The last round's messages of units."""
-        self.planned: list[Missing] = []
+        self.planned: list[messages.Missing] = []
         """The last round's plans, as far as heard, the unit's own first: others may lack them."""
-        self._selections: dict[int, tuple[ViewId, tuple[int, ...]]] = {}
+        self._selections: dict[int, tuple[messages.ViewId, tuple[int, ...]]] = {}
         self._complete: dict[int, list[tuple[int, frozenset[int]]]] = {}
         self._gave_up = np.full(len(targets), -(10**6))
         self._since = since
 
     @property
-    def view(self) -> MembershipView:
+    def view(self) -> messages.MembershipView:
         """The view in force at this unit."""
         return self.membership.view
 
@@ -256,9 +234,9 @@ class SwarmInformation:
         located = self.trackers.located | ~self.membership.drones
         return bool(located.all()) and self.membership.member
 
-    def missing(self) -> list[Missing]:
+    def missing(self) -> list[messages.Missing]:
         """Trajectories that may be flown and are not known."""
-        return [Missing(*one) for one in self.trackers.missing(self.flying)]
+        return [messages.Missing(*one) for one in self.trackers.missing(self.flying)]
 
     def void(self, round_: int) -> BoolArray:
         """(N,) who has given up its reference lately: no distance is promised then."""
@@ -272,14 +250,14 @@ class SwarmInformation:
             for round_, lacking in self._complete.get(unit, [])
         )
 
-    def update(self, inbox: Inbox[UnitMessage], own: UnitMessage | None) -> None:
+    def update(self, inbox: Inbox[messages.UnitMessage], own: messages.UnitMessage | None) -> None:
         """Take in what was heard in the last round, and what the unit itself sent."""
         last = inbox.round
         for message in inbox.slots.values():
             for ahead, drone in enumerate(message.donations, start=1):
-                if drone != NONE:
+                if drone != messages.NONE:
                     self.donated[message.unit, last + ahead] = drone
-            if message.kind is MessageKind.ANSWER:
+            if message.kind is messages.MessageKind.ANSWER:
                 self.donated[message.unit, last] = message.drone
         given = {unit for unit, round_ in self.donated if round_ == last}
         present = frozenset({*inbox.slots, *given, self.unit})
@@ -294,23 +272,28 @@ class SwarmInformation:
             self._account(unit, said, last, given)
         sent = [*([own] if own is not None else []), *inbox.slots.values()]
         self.planned = [
-            Missing(message.drone, message.trajectory.identity)
+            messages.Missing(message.drone, message.trajectory.identity)
             for message in sent
-            if message.kind is MessageKind.PLAN and message.trajectory is not None
+            if message.kind is messages.MessageKind.PLAN and message.trajectory is not None
         ]
         self.reported = {
             unit: message
             for unit, message in inbox.slots.items()
-            if message.kind is not MessageKind.ANSWER and message.view == self.view.id
+            if message.kind is not messages.MessageKind.ANSWER and message.view == self.view.id
         }
         for message in self.reported.values():
-            self._hear(message, last)
+            if message.selection is not None:
+                self.select(last + 1, message.selection)
+            self.requests[message.unit] = message.missing
+            if message.complete:
+                lacking = frozenset(missing.drone for missing in message.missing)
+                self._complete.setdefault(message.unit, []).append((last, lacking))
         self.trackers.strike(
             {
                 Identity(last - ago + 1, message.unit).number: planned
                 for message in self.reported.values()
                 for ago, planned in enumerate(message.recent)
-                if planned != UNSURE
+                if planned != messages.UNSURE
             }
         )
         self._forget(last)
@@ -320,7 +303,7 @@ class SwarmInformation:
         if self.membership.propose(round_):
             self.trackers.lose()
 
-    def _locate(self, states: DroneStates) -> None:
+    def _locate(self, states: messages.DroneStates) -> None:
         said, lock = states.said, self.view.id.number
         self.targets[said] = states.target[said]
         self._gave_up[said & states.reinitialised] = states.round
@@ -333,30 +316,23 @@ class SwarmInformation:
             lambda drone: states.at_rest(drone, self._config),
         )
 
-    def _account(self, unit: int, message: UnitMessage | None, last: int, given: set[int]) -> None:
+    def _account(
+        self, unit: int, message: messages.UnitMessage | None, last: int, given: set[int]
+    ) -> None:
         """Add what a member's slot may have sent to a drone in the last round."""
         if message is not None and message.trajectory is not None:
             self.trackers.learn(message.drone, message.trajectory)
-            if message.kind is MessageKind.PLAN and message.view == self.view.id:
+            if message.kind is messages.MessageKind.PLAN and message.view == self.view.id:
                 self.trackers.add(np.array([message.drone]), message.trajectory.identity, False)
         elif message is None and unit not in given and unit != self.unit:
             selection = self.selection(last)
             (drones,) = np.nonzero(self.membership.drones)
             if selection is not None:
                 rank = self.view.rank(unit, last)
-                chosen = selection[rank] if rank < len(selection) else NONE
-                drones = np.array([chosen][: chosen != NONE], dtype=np.int64)
+                chosen = selection[rank] if rank < len(selection) else messages.NONE
+                drones = np.array([chosen][: chosen != messages.NONE], dtype=np.int64)
             promises = self._config.planes == "fixed"
             self.trackers.add(drones, Identity(last + 1, unit), promises)
-
-    def _hear(self, message: UnitMessage, last: int) -> None:
-        """Take in all but the trajectory of a unit's message."""
-        if message.selection is not None:
-            self.select(last + 1, message.selection)
-        self.requests[message.unit] = message.missing
-        if message.complete:
-            lacking = frozenset(missing.drone for missing in message.missing)
-            self._complete.setdefault(message.unit, []).append((last, lacking))
 
     def _forget(self, last: int) -> None:
         self.donated = {key: one for key, one in self.donated.items() if key[1] >= last}
@@ -407,16 +383,16 @@ def assign_to_units(info: SwarmInformation, chosen: list[int], round_: int) -> t
     size = len(info.view.units)
     lacks = {unit: {m.drone for m in requests} for unit, requests in info.requests.items()}
     lacks[info.unit] = {i for i in chosen if info.trackers.sole(i) is None}
-    slots = [NONE] * size
+    slots = [messages.NONE] * size
     taker = {info.view.rank(unit, round_): unit for unit in info.view.units}
     for drone in chosen:
-        free = [rank for rank in range(size) if slots[rank] == NONE]
+        free = [rank for rank in range(size) if slots[rank] == messages.NONE]
         fits = [r for r in free if drone not in lacks.get(taker[r], ())]
         slots[(fits or free)[0]] = drone
     return tuple(slots)
 
 
-def with_relay(info: SwarmInformation, message: UnitMessage) -> UnitMessage:
+def with_relay(info: SwarmInformation, message: messages.UnitMessage) -> messages.UnitMessage:
     """The message, with a trajectory that another unit lacks if this one has it, or may lack."""
     order = sorted(info.requests, key=lambda unit: (unit - info.unit) % 256)
     asked = [request for unit in order for request in info.requests[unit]]
@@ -424,6 +400,6 @@ def with_relay(info: SwarmInformation, message: UnitMessage) -> UnitMessage:
         contents = info.trackers.contents(*request)
         if contents is not None:
             return message._replace(
-                kind=MessageKind.RELAY, drone=request.drone, trajectory=contents
+                kind=messages.MessageKind.RELAY, drone=request.drone, trajectory=contents
             )
     return message

@@ -65,10 +65,7 @@ class Trajectory:
             object.__setattr__(self, name, rounded)
 
     def states(self, times: FloatArray) -> FloatArray:
-        """States (T, 3, 3), position, velocity and acceleration, at times (T,) since its start, s.
-
-        Past the end: the last position, at rest.
-        """
+        """States (T, 3, 3) at times (T,) since its start, s; past the end the last place."""
         at = np.asarray(times, dtype=np.float64)
         return _states(self.state, self.jerk, self.input_sampling_s, at)
 

@@ -75,7 +75,9 @@ def program(
         positions, jerk = _samples_left(around, 0.0, fixed)[0], around.jerk
     between = voronoi_planes(positions, neighbors, config)
     if around is not None:
-        _take_planes(between, flown, neighbors, config)
+        both = neighbors.concurrent  # here both drones need the same plane
+        same = voronoi_planes(flown, neighbors.some(both), config)
+        between.normals[both], between.offsets[both] = same
     parts = [between, *planes]
     spaces = HalfSpaces(*(np.concatenate(arrays) for arrays in zip(*parts)))
     slack = np.einsum("rsi,si->rs", spaces.normals, positions) - spaces.offsets
@@ -110,15 +112,6 @@ def _asked(slack: FloatArray, margin: float, rounding: float) -> FloatArray:
     """
     worn = np.minimum(slack + _ROW_ROUNDING, 0.0)
     return np.asarray(np.minimum(margin, np.maximum(slack - rounding, worn)))
-
-
-def _take_planes(
-    between: HalfSpaces, flown: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig
-) -> None:
-    """Put the planes of what is flown (S, 3) where both drones need the same one."""
-    both = neighbors.concurrent
-    same = voronoi_planes(flown, neighbors.some(both), config)
-    between.normals[both], between.offsets[both] = same
 
 
 def _program_rows(

@@ -222,13 +222,6 @@ def _urgency(
     return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[trigger]
 
 
-def _levels(urgencies: FloatArray) -> Levels:
-    """(N,) urgencies in 8 bit, from 2 to 254, finer where they are small; the order is kept."""
-    scale = math.log1p(_COARSEST / _FINEST)
-    share = np.minimum(np.log1p(urgencies / _FINEST) / scale, 1.0)
-    return np.asarray(_LEAST + np.rint(share * (_MOST - _LEAST)), dtype=np.int64)
-
-
 def consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
     """(N,) priorities of all units as one, (11): the largest, but zero where any says zero."""
     joint = own.copy()
@@ -284,10 +277,7 @@ class Planner:
     def prioritise(
         self, trajectories: Sequence[Trajectory | None], targets: FloatArray, round_: int
     ) -> Levels:
-        """Priorities (N,) for plans that start in round k + 1; also decides who makes room.
-
-        By each drone's newest candidate; one without counts as at its target (N, 3).
-        """
+        """Priorities (N,) for plans from round k + 1 on, by newest candidates; who makes room."""
         options, config = self.options, self.options.config
         swarm, ages = _snapshot(trajectories, targets, round_, config)
         rng = np.random.default_rng((options.seed, round_))
@@ -296,7 +286,9 @@ class Planner:
         points = swarm.ends if options.measure == "end" else swarm.positions
         distances = np.linalg.norm(self._targets - points, axis=1)
         urgencies = _urgency(options.trigger, distances, ages, options.num_units, config)
-        out = _levels(urgencies)
+        # In 8 bit, from 2 to 254, finer where they are small; the order is kept.
+        share = np.minimum(np.log1p(urgencies / _FINEST) / math.log1p(_COARSEST / _FINEST), 1.0)
+        out = np.asarray(_LEAST + np.rint(share * (_MOST - _LEAST)), dtype=np.int64)
         speeds = np.linalg.norm(swarm.velocities, axis=1)
         out[deadlocked(swarm.ends, speeds, self._targets, config)] = DEADLOCKED
         return out
@@ -310,10 +302,7 @@ class Planner:
         round_: int,
         planes: Sequence[HalfSpaces] = (),
     ) -> Planned:
-        """Replan for a drone that flies `own`, from round k + 1 on.
-
-        `neighbors`: all that other drones may fly. `planes`: further half-spaces.
-        """
+        """Replan for a drone that flies `own`, from round k + 1, among `neighbors` and `planes`."""
         options, start = self.options, round_ + 1
         walls = None if options.obstacles is None else options.obstacles(own, start)
         return plan_trajectory(

@@ -167,7 +167,9 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
         """A plan that keeps the predicted forces within bounds; look if it converged."""
         starts, goals = view.setpoint.position.copy(), view.goals.copy()
         bounds = bounds_for(task, self._model, starts, goals)
-        duration = _duration(starts, goals, task.motion.stage_s or view.horizon_s)
+        needed = float(shortest_time(np.abs(goals - starts), SPEED_LIMIT, ACCELERATION_LIMIT).max())
+        clock = task.motion.stage_s or view.horizon_s
+        duration = min(_LONGEST_S, max(clock - _SPARE_S, 1.25 * needed + 0.5))
         return plan_swarm(
             starts, goals, view.team, self._model, bounds, seed, max_duration=duration
         )
@@ -212,10 +214,3 @@ def _force_bounds(
             least = FORCE_BOUNDS_G.get(vehicle.token, max(FORCE_BOUNDS_G.values()))
             bounds[vehicle.token] = max(bounds.get(vehicle.token, least), needed)
     return bounds
-
-
-def _duration(starts: FloatArray, goals: FloatArray, clock: float) -> float:
-    """Time for a plan, s: as the clock allows, but no less than flying there needs."""
-    way = np.abs(goals - starts)
-    needed = float(shortest_time(way, SPEED_LIMIT, ACCELERATION_LIMIT).max())
-    return min(_LONGEST_S, max(clock - _SPARE_S, 1.25 * needed + 0.5))

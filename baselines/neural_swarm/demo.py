@@ -91,7 +91,14 @@ def run_demo(
     begin = time.perf_counter()
     engine, compensated = default_engine(), belief or load_belief()
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(swaps)]
-    flown = _fly_all(seeds, compensated, engine, progress)
+    controllers = (ControllerConfig(), ControllerConfig(feedforward=compensated))
+    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
+    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
+    with progress_bar("flights", total, progress) as bar:
+        flown = {
+            team: [run_flights(test, controller, seeds, bar.update) for controller in controllers]
+            for team, test in tests.items()
+        }
     comparisons = {
         team: Comparison(f"{team} ({text})", *([f.record(e) for e in range(swaps)] for f in sides))
         for (team, text), sides in zip(SCENARIOS.items(), flown.values(), strict=True)
@@ -121,20 +128,6 @@ def run_demo(
     summary["wall_time_s"] = round(time.perf_counter() - begin, 2)
     write_json(out / "summary.json", summary)
     return summary
-
-
-def _fly_all(
-    seeds: Sequence[int], belief: InteractionModel, engine: str, progress: bool
-) -> dict[str, list[Flights]]:
-    """Flights of every scenario by both controllers, which differ in the compensated force."""
-    controllers = (ControllerConfig(), ControllerConfig(feedforward=belief))
-    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
-    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
-    with progress_bar("flights", total, progress) as bar:
-        return {
-            team: [run_flights(test, controller, seeds, bar.update) for controller in controllers]
-            for team, test in tests.items()
-        }
 
 
 def _scenario(sides: Sequence[Flights]) -> dict[str, Any]:

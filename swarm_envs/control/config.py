@@ -221,10 +221,7 @@ class ControllerConfig:
 
 
 def low_pass_blend(cutoff_hz: float, step: float) -> float:
-    """Share of the new sample in a first-order low-pass (3 dB at the cut-off, Hz; step, s).
-
-    Exact for an input held over the step.
-    """
+    """Share of a sample held for a step, s, in a first-order low-pass (3 dB at the cut-off, Hz)."""
     return -math.expm1(-2.0 * math.pi * cutoff_hz * step)
 
 

@@ -274,10 +274,7 @@ def fit_flight(
     most: PieceCount = MOST_PIECES,
     progress: bool = False,
 ) -> tuple[Pieces, ...]:
-    """Pieces for every drone of a flight, all of the same duration.
-
-    Drones that hover at an end of the flight are held at rest there.
-    """
+    """Pieces for every drone, all of one duration; who hovers at an end is held at rest there."""
     fitted = []
     for i, name in enumerate(tqdm(flight.names, "fit", unit="drone", disable=not progress)):
         first, last = flight.end_speeds[:, i] <= AT_REST

@@ -149,11 +149,7 @@ def largest_jump(pieces: Pieces, derivative: int = 0) -> float:
 
 
 def write_pieces(path: str | Path, pieces: Pieces) -> None:
-    """Write the CSV file, whole or not at all, so that it is read back to the last bit.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write the CSV file, whole or not at all, so that it is read back to the last bit."""
     rows = np.concatenate([pieces.duration[:, None], pieces.coefficients.reshape(-1, 32)], axis=1)
     with (
         written_whole(Path(path)) as partial,

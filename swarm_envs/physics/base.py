@@ -301,7 +301,10 @@ class Physics:
         Raises:
             ValueError: the state does not fit, or holds an impossible value; nothing is changed.
         """
-        new = self._default_state() if state is None else state
+        new = state
+        if new is None:
+            new = hover_state(self.team, self._default_positions())
+            new.rotor_thrust[:] = self.world.drones["hover_thrust"][..., None]
         check_state(new, self.state)
         where = self._everywhere if mask is None else self._everywhere & mask
         self._place(new, where)
@@ -398,12 +401,6 @@ class Physics:
         Args:
             where: (M,) the environments in which they were.
         """
-
-    def _default_state(self) -> SwarmState:
-        """At rest 1 m above the ground, rotors at hover, batteries full."""
-        state = hover_state(self.team, self._default_positions())
-        state.rotor_thrust[:] = self.world.drones["hover_thrust"][..., None]
-        return state
 
     def _default_positions(self) -> FloatArray:
         row = np.zeros((self.num_envs, len(self.team), 3))

@@ -78,10 +78,7 @@ def bounce_pair(blocks: Records, slot: int, other: int) -> None:
 
 @part
 def bounce_off(blocks: Records, slot: int, obstacles: FloatArray, m: int) -> None:
-    """Let the drone of a slot bounce off obstacle `m` if they overlap.
-
-    A drone whose centre is inside goes back against its velocity.
-    """
+    """Let the drone of a slot bounce off obstacle `m`; one inside it goes back as it came."""
     b, lane = blocks[slot // LANES], slot % LANES
     x, y, z = three(b.position, lane)
     x, y, z = nearest_point(obstacles, m, x, y, z)

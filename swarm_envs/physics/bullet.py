@@ -239,7 +239,11 @@ class BulletPhysics(Physics):
             else:
                 for body, new, old in zip(self.bodies[e], wanted, built, strict=True):
                     if new != old:
-                        self._rebuild(e, body, *new)
+                        mass, inertia = new
+                        self._bullet.changeDynamics(
+                            body, -1, mass=mass, localInertiaDiagonal=inertia,
+                            physicsClientId=self.clients[e],
+                        )  # fmt: skip
             self._built[e] = wanted
             self.settle(e)
 
@@ -253,12 +257,6 @@ class BulletPhysics(Physics):
         self._active, self._tumbling = self.world.drones["active"], self.world.drones["tumbling"]
         wrenches = self.world.drones["wrench"]
         self._wrenches = wrenches.reshape(*wrenches.shape[:2], 2, 3)  # a view: force and torque
-
-    def _rebuild(self, e: int, body: int, mass: float, inertia: list[float]) -> None:
-        client = self.clients[e]
-        self._bullet.changeDynamics(
-            body, -1, mass=mass, localInertiaDiagonal=inertia, physicsClientId=client
-        )
 
     def settle(self, e: int) -> None:
         """Put the bodies of environment `e` where its state says, to the last bit.

@@ -106,10 +106,7 @@ def sinc_cos(angle: float) -> tuple[float, float]:
 
 @part
 def spin_rotors(blocks: Records, count: int) -> None:
-    """Count a physics step, and move the rotors towards their commands (eq. 1c).
-
-    The force of the blocks has just been evaluated; metrics and rotor thrusts are changed in place.
-    """
+    """Count a physics step, and move the rotors towards their commands (eq. 1c), in place."""
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
@@ -130,10 +127,7 @@ def spin_rotors(blocks: Records, count: int) -> None:
 
 @part
 def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None:
-    """Advance the bodies of the first `count` blocks by one step of 1/240 s, in place.
-
-    `twisting` is True if the air has a torque on them, else None.
-    """
+    """Advance the bodies of `count` blocks by 1/240 s; `twisting`: True if the air turns them."""
     dt = TIME_STEP
     for n in range(count):
         b = blocks[n]
@@ -191,10 +185,9 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
 
 @part
 def gust(environment: Record, first: int, drones: int, settings: Records, blocks: Records) -> None:
-    """Advance the gusts of an environment by a step, and write the force on drones: `external`.
+    """Advance an environment's gusts by a step, and write the force on drones from slot `first`.
 
-    The acceleration is an Ornstein-Uhlenbeck process, exactly discretised. The first drone is in
-    the slot `first` of the blocks.
+    The acceleration is an Ornstein-Uhlenbeck process, exactly discretised.
     """
     kept, strength = settings[0].gust_kept, settings[0].gust_strength
     fresh = strength * math.sqrt(1.0 - kept * kept)

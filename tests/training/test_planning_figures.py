@@ -13,6 +13,10 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, ControllerConfig, PositionGains
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import bullet_available
+from swarm_envs.training.reproduce.planned_swap_figures import (
+    format_scenarios,
+    scenario_rows,
+)
 from swarm_envs.training.reproduce.planned_swaps import (
     JITTER_M,
     PID,
@@ -28,10 +32,6 @@ from swarm_envs.training.reproduce.planned_swaps import (
     measure_track,
     plan_at,
     track_plan,
-)
-from swarm_envs.training.reproduce.planned_trials_figure import (
-    format_scenarios,
-    scenario_rows,
 )
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 from tests.helpers.papers import run_quietly

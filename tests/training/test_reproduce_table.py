@@ -112,7 +112,7 @@ def test_an_interrupted_table_goes_on(rows, tmp_path, monkeypatch):
 
 def test_runs_of_other_settings_are_refused(rows, tmp_path):
     run_table(asked(rows, tmp_path, SOME[:1]))
-    with pytest.raises(ValueError, match="was made with other steps; choose another folder"):
+    with pytest.raises(ValueError, match="steps is 8 there, 9 here; choose another folder"):
         run_table(asked(rows, tmp_path, SOME[:1], steps=9))
     with pytest.raises(FileNotFoundError, match="give its path by --data"):
         run_table(asked(tmp_path / "no.npz", tmp_path))

@@ -101,12 +101,6 @@ def goals_reached(unseen: list[Unseen]) -> bool:
     return all(least >= GOALS[size] for size, (_, least) in _by_size(unseen).items())
 
 
-def _mean_explained(unseen: Sequence[Unseen], size: int, k: int) -> float:
-    """Of the model of a round, over teams of a size; NaN if nothing was flown."""
-    shares = [u["explained"][k] for u in unseen if u["drones"] == size]
-    return float(np.mean(shares)) if unseen else np.nan
-
-
 def rounds_table(rounds: Sequence[Mapping[str, Any]], unseen: list[Unseen]) -> str:
     """The rounds as a table, plain text."""
     head = ("round", "planned", "gap error", "clearance", "distance", "cut", "rows", "val. MSE")
@@ -115,7 +109,8 @@ def rounds_table(rounds: Sequence[Mapping[str, Any]], unseen: list[Unseen]) -> s
     lines = [(*head, *shares), (*units, *("% of f_z" for _ in shares))]
     for k, r in enumerate(rounds):
         c = r["closeness"]
-        means = [_mean_explained(unseen, size, k) for size in GOALS]
+        by_size = [[u["explained"][k] for u in unseen if u["drones"] == size] for size in GOALS]
+        means = [float(np.mean(own)) if unseen else np.nan for own in by_size]
         lines.append(
             (
                 f"{r['number']} {r['title']}",

@@ -164,10 +164,7 @@ def weights_of(config: CurriculumConfig, number: int) -> Path:
 def fly_round(
     config: CurriculumConfig, number: int, clearance_m: float, earlier: list[CollectedFlight]
 ) -> tuple[CurriculumRound, list[CollectedFlight]]:
-    """Fly a round (from 1) whose swaps plan a clearance, m, fit, and report; what is done is read.
-
-    Returns the report, and the flights of all rounds so far.
-    """
+    """Fly round `number` with a clearance, m, fit and report, or read it: report and flights."""
     began, stage = time.perf_counter(), config.stages[number - 1]
     folder = _round_folder(config, number)
     feedforward = weights_of(config, number - 1) if stage.compensated else None
@@ -210,10 +207,7 @@ def fly_round(
 def _fit_all(
     config: CurriculumConfig, number: int, flights: list[CollectedFlight]
 ) -> dict[str, Any]:
-    """Fit a model to the flights of all rounds so far; returns what its report says.
-
-    A fit that was killed resumes from its checkpoint; one that is done is read.
-    """
+    """Fit a model to all flights so far, or resume or read that fit: what its report says."""
     folder = _round_folder(config, number)
     table, said = folder / "rows.npz", folder / "fit" / "learned.json"
     if not (table.exists() and said.exists()):

@@ -23,7 +23,6 @@ from swarm_envs.training.force_model.force_fit_config import (
     TrainConfig,
     with_mode_defaults,
 )
-from swarm_envs.training.provenance import json_ready
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.study import Cells, Report, Study
 from swarm_envs.viewing.style import GREY, INK, picture
@@ -40,12 +39,6 @@ _RECIPE: Mapping[str, Any] = {
     "teachers": 0,
     "schedule": "constant",
     "average_share": 0.2,
-}
-# What reports that do not know these options stand for.
-_BEFORE: Mapping[str, Any] = {
-    "optimiser": "adam",
-    "teachers": 0,
-    "teacher_epochs": 16.0,
 }
 _TRAINING = tuple(entry.name for entry in fields(TrainConfig) if entry.name != "seed")
 
@@ -108,6 +101,7 @@ def ablation_fit(options: Any, cell: str, seed: int) -> FitConfig:
 def _grid(options: Any) -> Cells:
     """What fits each run, or reads it if it has ended; the table is rewritten after each."""
     from swarm_envs.training.flight_logs.fit_data import data_sha256
+    from swarm_envs.training.force_model import pipeline
 
     if not options.data.exists():
         raise FileNotFoundError(
@@ -115,51 +109,23 @@ def _grid(options: Any) -> Cells:
         )
     digest = data_sha256(options.data)
     configs = {job: ablation_fit(options, *job) for job in _jobs(options)}
-    runs = {job: _finished(config, digest) for job, config in configs.items()}
-    reports = {job: report for job, report in runs.items() if report is not None}
+    paths = {job: config.out / pipeline.REPORTS[config.model] for job, config in configs.items()}
+    for job, config in configs.items():
+        pipeline.check_finished(paths[job], config, digest)
+    reports = {job: _read(path) for job, path in paths.items() if path.is_file()}
 
     def run(job: tuple[str, int]) -> Mapping[str, Any]:
         if job not in reports:
-            _fit(configs[job])
-            reports[job] = _read(configs[job])
+            pipeline.fit(configs[job])
+            reports[job] = _read(paths[job])
             write_json(options.out / "table_3.json", _ablation_table(options, reports))
         return reports[job]
 
     return {f"{cell}, seed {seed}": partial(run, (cell, seed)) for cell, seed in configs}
 
 
-def _fit(config: FitConfig) -> None:
-    from swarm_envs.training.force_model.pipeline import fit
-
-    fit(config)
-
-
-def _report_path(config: FitConfig) -> Path:
-    from swarm_envs.training.force_model.pipeline import REPORTS
-
-    return config.out / REPORTS[config.model]
-
-
-def _read(config: FitConfig) -> Mapping[str, Any]:
-    report: dict[str, Any] = json.loads(_report_path(config).read_text(encoding="utf-8"))
-    return report
-
-
-def _finished(config: FitConfig, digest: str) -> Mapping[str, Any] | None:
-    """The report of a run if it has ended."""
-    if not _report_path(config).is_file():
-        return None
-    report = _read(config)
-    wanted = json.loads(json.dumps(json_ready(replace(config, progress=True))))
-    made = {**_BEFORE, **report["config"], "progress": True}
-    differing = sorted(k for k in wanted if wanted[k] != made.get(k))  # old options are gone
-    if report["data_sha256"] != digest:
-        differing.append("the data")
-    if differing:
-        raise ValueError(
-            f"the run in {str(config.out)!r} was made with other {', '.join(differing)}; choose "
-            "another folder by --out, or delete it"
-        )
+def _read(path: Path) -> Mapping[str, Any]:
+    report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return report
 
 

@@ -17,16 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.baselines.neural_swarm import theorem
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import fly, format_columns, swap_test
-from swarm_envs.baselines.neural_swarm.theorem import (
-    clamped_radius,
-    error_ball,
-    error_envelope,
-    fly_point_mass,
-    integral_force,
-    without_clamp,
-)
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_array
@@ -60,11 +53,7 @@ def growing_error(steps: int, rate: float) -> FloatArray:
 def random_errors(
     rng: np.random.Generator, flights: int, steps: int, size: float, rate: float
 ) -> FloatArray:
-    """Errors (E, T, 3), N, that change at their largest rate, in directions that turn at random.
-
-    The rate of change has the norm `rate`, N/s; at the edge of the ball of `size`, N, it points
-    inwards.
-    """
+    """Errors (E, T, 3), N, that change by `rate`, N/s, at random, within a ball of `size`."""
     errors = np.zeros((flights, steps, 3))
     heading = _directions(rng, flights)
     for k in range(1, steps):
@@ -139,14 +128,14 @@ def measure_ball(name: str, seed: int, flights: int) -> Cell:
     """Fly one set of gains: the bound, and the largest errors that were found."""
     gains, mass, steps = GAINS[name], SMALL.mass, round(_DURATION_S / TIME_STEP)
     clamped, rate = ControllerConfig(gains), _RATE_G * GRAM_FORCE
-    free, ball = without_clamp(clamped), error_ball(gains, mass, rate)
+    free, ball = theorem.without_clamp(clamped), theorem.error_ball(gains, mass, rate)
     worst = growing_error(steps, rate)
     rng = np.random.default_rng(seed)
     drawn = random_errors(rng, flights, steps, _SIZE_G * GRAM_FORCE, rate)
-    point = _norms([fly_point_mass(SMALL, free, e, TIME_STEP, _START) for e in drawn])
-    point_worst = _norms([fly_point_mass(SMALL, free, worst, TIME_STEP)])[0]
+    point = _norms([theorem.fly_point_mass(SMALL, free, e, TIME_STEP, _START) for e in drawn])
+    point_worst = _norms([theorem.fly_point_mass(SMALL, free, worst, TIME_STEP)])[0]
     time = np.arange(steps + 1) * TIME_STEP
-    envelope = error_envelope(gains, mass, rate, time, _START)
+    envelope = theorem.error_envelope(gains, mass, rate, time, _START)
     quadrotor = {
         key: (_norms(fly_quadrotors(SMALL, config, worst[None]))[0],
               _norms(fly_quadrotors(SMALL, config, drawn, _START)))
@@ -162,10 +151,10 @@ def measure_ball(name: str, seed: int, flights: int) -> Cell:
         "quadrotor_growing_cm": 100.0 * quadrotor["free"][0].max(),
         "quadrotor_random_cm": 100.0 * quadrotor["free"][1][:, late].max(),
         "quadrotor_over_envelope": float((quadrotor["free"][1] / envelope).max()),
-        "clamp_holds_g": integral_force(clamped, mass) / GRAM_FORCE,
+        "clamp_holds_g": theorem.integral_force(clamped, mass) / GRAM_FORCE,
         "clamped_growing_cm": 100.0 * quadrotor["clamped"][0].max(),
         "clamped_random_cm": 100.0 * quadrotor["clamped"][1][:, late].max(),
-        "clamped_bound_cm": 100.0 * clamped_radius(clamped, mass, -worst[-1, 2]),
+        "clamped_bound_cm": 100.0 * theorem.clamped_radius(clamped, mass, -worst[-1, 2]),
     }
     curves = {
         "time_s": time,
@@ -192,8 +181,8 @@ def _measure_belief(seed: int, flights: int) -> Cell:
     return {
         "error_g": round(size / GRAM_FORCE, 3),
         "error_rate_g_per_s": round(rate / GRAM_FORCE, 2),
-        "ball_cm": round(100.0 * error_ball(controller.gains, SMALL.mass, rate).radius, 2),
-        "clamped_bound_cm": round(100.0 * clamped_radius(controller, SMALL.mass, size), 2),
+        "ball_cm": round(100.0 * theorem.error_ball(controller.gains, SMALL.mass, rate).radius, 2),
+        "clamped_bound_cm": round(100.0 * theorem.clamped_radius(controller, SMALL.mass, size), 2),
         "flown_cm": round(100.0 * float(flown.worst_height_error[:, -1].max()), 2),
     }
 

@@ -36,10 +36,7 @@ def label_axis(
 def draw_numbered_bars(
     axis: Axes, groups: Sequence[str], series: Sequence[tuple[Sequence[float], str, str | None]]
 ) -> None:
-    """Draw bars side by side in each group, on a logarithmic axis, with their heights above.
-
-    A series has the heights of its bars by group, their colour, and their name in the legend.
-    """
+    """Draw series (heights by group, colour, name) as bars on a logarithmic axis, numbers above."""
     for k, (heights, color, label) in enumerate(series):
         places = np.arange(len(groups)) + 0.2 * (k - 0.5 * (len(series) - 1))
         axis.bar(places, heights, 0.19, color=color, label=label)

@@ -57,11 +57,7 @@ def about(value: float, share: float) -> Between:
 
 @dataclass(frozen=True)
 class Reason:
-    """Why our number is another than the paper's.
-
-    A reason explains numbers in one direction and so far, not any number at all: beyond its range
-    a difference stands as unexplained.
-    """
+    """Why our number may be another than the paper's: in one direction and so far, no further."""
 
     text: str
     """A sentence."""

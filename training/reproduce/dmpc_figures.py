@@ -142,23 +142,15 @@ def _report(fly: _Fly, options: DmpcSwarmOptions, cells: Mapping[str, Cell]) -> 
         draw = plot_jam if options.figure == "4" else sequence
         files[f"{name}.png"] = partial(draw, flights=flights)
         if options.replay:
-            files |= _replay_pages(options, flights)
+            from swarm_envs.viewing.replay import write_replay
+
+            for cell, flight in flights.items():
+                plain = "".join(c if c.isalnum() else "_" for c in cell).strip("_")
+                page = recording_of(flight, cell, options.seed)
+                files[f"{name}_{plain}.html"] = partial(write_replay, recording=page)
     theirs = {**THEIRS, "jam, ours": None, "jam, none": None}  # of which there is no time
     summary = {"cells": dict(cells), "theirs_s": theirs}
     return Report(summary, _text(cells), _table(cells), files)
-
-
-def _replay_pages(
-    options: DmpcSwarmOptions, flights: Mapping[str, ReferenceFlight]
-) -> dict[str, Callable[[Path], object]]:
-    from swarm_envs.viewing.replay import write_replay
-
-    pages: dict[str, Callable[[Path], object]] = {}
-    for name, flight in flights.items():
-        plain = "".join(c if c.isalnum() else "_" for c in name).strip("_")
-        recording = recording_of(flight, name, options.seed)
-        pages[f"{options.chosen.file}_{plain}.html"] = partial(write_replay, recording=recording)
-    return pages
 
 
 def _text(cells: Mapping[str, Cell]) -> str:

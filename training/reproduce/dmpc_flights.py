@@ -215,7 +215,9 @@ def plot_jam(path: Path, flights: Mapping[str, ReferenceFlight]) -> None:
             axis.plot(flight.position[..., 0], flight.position[..., 1], linewidth=0.8)
             axis.plot(*flight.target[0, :, :2].T, "s", markersize=4, color=GREY)
             axis.set_aspect("equal")
-            axis.set(title=f"{name.split(', ')[1]}: {_jam_outcome(flight)}", xlabel="x (m)")
+            ended = "not all arrive" if flight.total_s is None else f"{flight.total_s:.1f} s"
+            outcome = "crash" if flight.scaled_distance.min() < CRASH_M else ended
+            axis.set(title=f"{name.split(', ')[1]}: {outcome}", xlabel="x (m)")
         last = axes[-1]
         for (name, flight), color in zip(flights.items(), _COLORS, strict=False):
             last.plot(flight.time, flight.scaled_distance, color=color, label=name.split(", ")[1])
@@ -225,12 +227,6 @@ def plot_jam(path: Path, flights: Mapping[str, ReferenceFlight]) -> None:
         last.set(xlabel="Time (s)", ylabel="Least scaled distance (m)", ylim=(0.0, 0.5))
         last.legend(fontsize=8, title="recovery")
         last.grid(True)
-
-
-def _jam_outcome(flight: ReferenceFlight) -> str:
-    if flight.scaled_distance.min() < CRASH_M:
-        return "crash"
-    return "not all arrive" if flight.total_s is None else f"{flight.total_s:.1f} s"
 
 
 def plot_losses(path: Path, cells: Mapping[str, Cell]) -> None:

@@ -113,10 +113,7 @@ def force_on_ego_g(
     position: FloatArray,
     velocity: FloatArray | None = None,
 ) -> FloatArray:
-    """Vertical force f_a,z (R,) on the first drone of R swarms of a team, gram-force, up positive.
-
-    Positions (R, N, 3) are in m, velocities in m/s; None for rest.
-    """
+    """f_a,z (R,), g, on the first of a team at positions (R, N, 3), m; velocities None for rest."""
     motion = np.zeros_like(position) if velocity is None else velocity
     force: FloatArray = model.forces(position, motion, "".join(team))[:, 0, 2] / GRAM_FORCE
     return force
@@ -311,23 +308,15 @@ def _draw(
     for neighbour in found.case.neighbours:
         draw_drone(axis, neighbour.kind, neighbour.y, neighbour.z)
         if neighbour.vy:
-            _draw_arrow(axis, neighbour.y, neighbour.z, neighbour.vy)
+            begin, z = neighbour.y + 0.09, neighbour.z
+            arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.6}
+            end = (begin + 0.22 * neighbour.vy, z)
+            axis.annotate("", end, (begin, z), arrowprops=arrow, zorder=6)
     base = found.case.floor_m
     axis.set(xlim=(-_HALF_WIDTH_M, _HALF_WIDTH_M), xticks=[-0.4, -0.2, 0, 0.2, 0.4])
     axis.set_ylim(base - _BELOW_M, base + _HEIGHT_M)
     axis.set_aspect("equal")
     return colors
-
-
-def _draw_arrow(axis: Axes, y: float, z: float, speed: float) -> None:
-    start, length = y + 0.09, 0.22 * speed
-    axis.annotate(
-        "",
-        (start + length, z),
-        (start, z),
-        arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.6},
-        zorder=6,
-    )
 
 
 def _finish(figure: Figure, axes: Any, colors: Any, label: str) -> None:

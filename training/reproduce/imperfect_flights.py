@@ -34,11 +34,7 @@ _NOISE_HZ = 5.0
 @typed
 @dataclass(frozen=True)
 class Imperfection:
-    """How the compensation of a controller is made worse; by default not at all.
-
-    Raises:
-        ValueError: a number is negative or not finite.
-    """
+    """How the compensation of a controller is made worse; by default not at all."""
 
     scale: _Size = 1.0
     """Factor of the predicted force."""
@@ -71,33 +67,25 @@ def fly_imperfectly(
     seeds: Sequence[int],
     imperfection: Imperfection = NOTHING,
 ) -> Worst:
-    """Fly one episode for each seed, all at once; the same seeds give the same flights.
-
-    What the controller feeds forward is spoiled. Seeds draw the swaps as `flights.fly` does, and
-    the noise; the test's decision rate is not used.
-    """
+    """Fly one episode for each seed; seeds draw swaps as `flights.fly` does, and the noise."""
     core = test.core(len(seeds), action="rotors", decision_rate=PHYSICS_RATE)
     try:
         core.reset(list(seeds))
         loop = TrackingController(test.task.team, len(seeds), replace(controller, feedforward=None))
         most = core.world.drones["nominal_max_rotor_thrust"][..., None]
+        straight = np.zeros((core.num_envs, core.num_drones))
         rng = np.random.default_rng(list(seeds))
         belief = _Belief(core, controller.feedforward, imperfection, rng)
         while core.running.any():
             state = _measure(core.physics.state, imperfection, rng)
-            commands = loop.commands(state, _setpoint(core), belief.force(state))
+            setpoint = Setpoint(*reference_of(core.world.drones), straight, straight)
+            commands = loop.commands(state, setpoint, belief.force(state))
             core.step(2.0 * commands / most - 1.0)
         drones = core.world.drones
         crashed = np.asarray((drones["crashed"] > 0.0).any(axis=1))
         return Worst(drones["worst_height_error"].copy(), crashed)
     finally:
         core.close()
-
-
-def _setpoint(core: SwarmCore) -> Setpoint:
-    reference = reference_of(core.world.drones)
-    straight = np.zeros((core.num_envs, core.num_drones))
-    return Setpoint(*reference, straight, straight)
 
 
 def _measure(state: SwarmState, imperfection: Imperfection, rng: np.random.Generator) -> SwarmState:

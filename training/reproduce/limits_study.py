@@ -230,11 +230,7 @@ def _row(point: _SweepPoint, flown: Cell, baseline: Cell) -> dict[str, Any]:
 
 
 def harmful_values(sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Where the compensated median becomes the larger one, between two points of the sweep.
-
-    Returns:
-        For each crossing the case, the belief and the value, interpolated linearly in the ratio.
-    """
+    """Where the compensated median becomes the larger one, interpolated linearly in the ratio."""
     found = []
     own = [row for row in rows if row["sweep"] == sweep.name]
     for case, belief in dict.fromkeys((row["case"], row["belief"]) for row in own):

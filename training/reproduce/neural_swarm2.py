@@ -18,9 +18,8 @@ from swarm_envs.training.reproduce.lag_study import LAG
 from swarm_envs.training.reproduce.limits_study import LIMITS
 from swarm_envs.training.reproduce.paired_flight_figures import FIGURE_1, FIGURE_8, FIGURE_9
 from swarm_envs.training.reproduce.paired_flights import SWAPS
-from swarm_envs.training.reproduce.planned_swap_figure import FIGURE_6
+from swarm_envs.training.reproduce.planned_swap_figures import FIGURE_6, FIGURE_7
 from swarm_envs.training.reproduce.planned_swaps import SCENARIOS, TRIALS
-from swarm_envs.training.reproduce.planned_trials_figure import FIGURE_7
 from swarm_envs.training.reproduce.study import StudyOptions, drawing
 
 _PAPER = "neural-swarm2"  # as `swarm-envs reproduce` names the paper

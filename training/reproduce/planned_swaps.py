@@ -57,10 +57,7 @@ class _PlannedSwap(NamedTuple):
 
 
 def draw_swap(team: str, seed: int) -> _PlannedSwap:
-    """Draw a trial of a team of two or more: places in a row, robots in random order, no one stays.
-
-    The same seed gives the same trial, whoever plans it.
-    """
+    """Draw a trial by a seed: places in a row, robots in random order, of whom none stays."""
     count = len(parse_team(team))
     if count < 2:
         raise ValueError(f"team {team!r} has {count} robot, but a swap takes two; name more")
@@ -74,10 +71,7 @@ def draw_swap(team: str, seed: int) -> _PlannedSwap:
 
 
 def figure_6_swap() -> _PlannedSwap:
-    """The three-robot swap of Fig. 6: the large one starts between the small ones, and ends aside.
-
-    The paper's coordinates are not published; these are the means of `draw_swap`.
-    """
+    """Fig. 6's swap, unpublished: the means of `draw_swap`; the large one begins in between."""
     y = SPACING_M * np.array([-1.0, 1.0, 0.0])
     starts = np.column_stack([np.zeros(3), y, np.full(3, _HEIGHT_M)])
     return _PlannedSwap("SSL", starts, starts[[1, 2, 0]])
@@ -153,11 +147,7 @@ def track_plan(
     gains: PidGains = PID,
     dt: float = TIME_STEP,
 ) -> Track:
-    """Let a PID track a plan on double integrators that feel the model's forces, from start to end.
-
-    Forces and controls are held over a step of dt, s, which is then exact. The plan may have been
-    made with another model, or with none.
-    """
+    """Let a PID track a plan on double integrators with a model's forces, held over dt, s."""
     if plan.states.shape[1] != len(team) or plan.steps < 1:
         raise ValueError(
             f"the plan has {plan.steps} steps of {plan.states.shape[1]} robots, but must have at "
@@ -195,10 +185,7 @@ def fly_plan(
     truth: str | InteractionModel = "learned",
     engine: str = "batch",
 ) -> tuple[Track, bool]:
-    """Fly a plan from its beginning to its end; `feedforward` is what the controller compensates.
-
-    Returns what became of it, sampled after each decision, and whether it ended by a crash.
-    """
+    """Fly a plan; the track, sampled after each decision, and whether it ended by a crash."""
     horizon_s = round(plan.duration * _DECISION_RATE) / _DECISION_RATE
     test = FlightTest(SwapTask(plan.team, "random"), truth, engine, horizon_s=horizon_s)
     core = test.core(1, action="setpoint", decision_rate=_DECISION_RATE, controller=controller)
@@ -257,11 +244,7 @@ class TrialSettings:
     """What every plan shall keep to, whoever makes it."""
 
     def plan(self, swap: _PlannedSwap, planner: str, seed: int) -> SwarmPlan:
-        """Plan a swap in the y-z plane, with everything equal but the model.
-
-        Raises:
-            ValueError: no plan can exist, or there is no such planner.
-        """
+        """Plan a swap in the y-z plane, with everything equal but the model."""
         check_name("planner", planner, PLANNERS)
         model = self.model if planner == "aware" else None
         return plan_swarm(

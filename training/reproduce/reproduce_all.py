@@ -150,10 +150,7 @@ def _listing() -> str:
 
 
 def steps_of(options: ReproduceAllOptions, study: Study) -> list[_Step]:
-    """The commands that remake a study, one after another.
-
-    Rows of measured force that a study is made from are collected where `--data` gives none.
-    """
+    """The commands that remake a study; rows of measured force are collected unless `--data` is."""
     folder, steps = options.folder(study), []
     given: dict[str, Any] = {"out": folder, "seed": options.seed}
     if study.numbers:
@@ -268,11 +265,7 @@ def run_many(
     progress: bool = True,
     say: Callable[[str], None] = print,
 ) -> dict[str, StudyOutcome]:
-    """Run the studies that are not complete, and give all outcomes; one that fails stops no other.
-
-    `each` is called with the outcomes of all studies so far after each, `say` with what an earlier
-    run has left.
-    """
+    """Run what is not complete; one that fails stops no other. `each` gets all outcomes so far."""
     found = {study.key: outcome_of(options, study) for study in studies}
     todo = [study for study in studies if found[study.key].state in ("not run", "failed")]
     done = sum(outcome.state == "done" for outcome in found.values())

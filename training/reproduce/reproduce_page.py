@@ -32,10 +32,7 @@ _COUNTED: dict[Agreement, str] = {
 
 
 def html_page(outcomes: Sequence[StudyOutcome], about: Sequence[str], out: Path) -> str:
-    """The whole page as HTML that asks for nothing outside itself.
-
-    `about` are lines that stand at the top; pictures are taken from `out`, the folder of the run.
-    """
+    """The page as HTML that needs nothing else: lines `about` it, pictures from folder `out`."""
     by_paper: dict[str, list[StudyOutcome]] = {}
     for outcome in outcomes:
         by_paper.setdefault(outcome.study.paper, []).append(outcome)

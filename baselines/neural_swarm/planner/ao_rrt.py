@@ -42,11 +42,7 @@ _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
 @typed
 @dataclass(frozen=True)
 class SearchConfig:
-    """Options of stage 1.
-
-    Raises:
-        ValueError: a number is out of range; the message names it.
-    """
+    """Options of stage 1."""
 
     iterations: Count = 100_000
     """The most iterations (lines 6 to 11) of all trees together."""

@@ -24,17 +24,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
 from swarm_envs.baselines.neural_swarm.planner.force_jacobian import force_jacobian
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.trajectories import (
-    BOUNDED_FRACTIONS,
-    Trajectories,
-    closest_approach,
-    position_within,
-    states_within,
-    step_weights,
-    vertical_forces,
-)
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -99,7 +91,7 @@ class ConvexSubproblem:
 
 def convexify(
     problem: PlanningProblem,
-    prior: Trajectories,
+    prior: ways.Trajectories,
     robot: int,
     trust_state: tuple[float, float],
     trust_control: float,
@@ -113,8 +105,8 @@ def convexify(
     axes, bounds, steps = list(problem.axes), problem.bounds, prior.steps
     columns, dims = axes + [3 + axis for axis in axes], len(axes)
     others = [j for j in range(len(problem.team)) if j != robot]
-    within = states_within(prior, BOUNDED_FRACTIONS)
-    felt = vertical_forces(problem, within)
+    within = ways.states_within(prior, ways.BOUNDED_FRACTIONS)
+    felt = ways.vertical_forces(problem, within)
     states = np.concatenate([prior.states[:-1], within.reshape(-1, *within.shape[2:])])
     jacobian = force_jacobian(problem.model, problem.team, states, robot)[..., columns]
     by_state = jacobian[steps:, :, 2].reshape(*felt.shape, 2 * dims)
@@ -133,7 +125,7 @@ def convexify(
         force=prior.forces[:-1, robot][:, axes],
         force_by_state=jacobian[:steps, robot][:, axes],
         effort_by_state=np.einsum("km,kmb->kb", share, jacobian[:steps, others, 2]),
-        shares=BOUNDED_FRACTIONS,
+        shares=ways.BOUNDED_FRACTIONS,
         bounded=within[:, :, robot][..., columns],
         bounded_force=felt[:, :, robot],
         bounded_by_state=by_state[:, :, robot],
@@ -151,17 +143,17 @@ def convexify(
 
 
 def _half_spaces(
-    problem: PlanningProblem, prior: Trajectories, robot: int, others: list[int]
+    problem: PlanningProblem, prior: ways.Trajectories, robot: int, others: list[int]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normals (T, M, D), fractions (T, M) and levels (T, M) that keep a robot from the others."""
     axes = list(problem.axes)
     offset = prior.states[:, [robot]] - prior.states[:, others]
-    near = closest_approach(offset, prior.dt)
+    near = ways.closest_approach(offset, prior.dt)
     direction = near.offset[..., axes]
     length = np.linalg.norm(direction, axis=-1, keepdims=True)
     upward = np.eye(len(axes))[-1]
     normal = np.where(length > _TINY, direction / np.maximum(length, _TINY), upward)
-    there = position_within(prior.states[:, others], near.fraction, prior.dt)
+    there = ways.position_within(prior.states[:, others], near.fraction, prior.dt)
     apart = problem.bounds.clearances(problem.team)[robot, others]
     return normal, near.fraction, apart + (normal * there[..., axes]).sum(axis=-1)
 
@@ -351,7 +343,7 @@ class RobotProgram:
 
     def _add_neighbors(self, rows: ConstraintRows, problem: ConvexSubproblem) -> None:
         """Half-spaces, and the forces on the neighbours, all softened by slacks of their own."""
-        first, second = step_weights(problem.fraction[..., None], problem.dt)
+        first, second = ways.step_weights(problem.fraction[..., None], problem.dt)
         normal, x, slack = problem.normal, self._x[:, None], self._slack[..., None]
         rows.add(
             normal.shape[:2],
@@ -377,7 +369,7 @@ class RobotProgram:
         """Entries of slope (S, T, ..., 2 D) times states within steps, which depend on the ends."""
         shape = (1, self._steps, *(1,) * (slope.ndim - 3), -1)
         share = problem.shares.reshape(-1, *(1,) * (slope.ndim - 1))
-        first, second = step_weights(share, problem.dt)
+        first, second = ways.step_weights(share, problem.dt)
         by_place, by_speed = np.split(slope, 2, axis=-1)
         by_start = first * by_place + (1.0 - share) * by_speed
         start, end = self._x[:-1].reshape(shape), self._x[1:, self._dims :].reshape(shape)
@@ -388,7 +380,7 @@ class RobotProgram:
 
     def _may_touch(self, problem: ConvexSubproblem) -> Any:
         """(T, M) whether the trust region lets a robot cross the half-space of a step."""
-        first, second = step_weights(problem.fraction, problem.dt)
+        first, second = ways.step_weights(problem.fraction, problem.dt)
         p, v = np.split(problem.prior[:, None], 2, axis=-1)
         place = p[:-1] + first[..., None] * v[:-1] + second[..., None] * v[1:]
         reach = np.abs(problem.normal) @ problem.trust_state[: self._dims]

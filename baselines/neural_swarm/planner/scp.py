@@ -22,6 +22,7 @@ from typing import Annotated
 import numpy as np
 
 from swarm_envs.arguments import NOT_NEGATIVE, Range, typed
+from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     PenaltyWeights,
     ProgramSolution,
@@ -30,16 +31,6 @@ from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     convexify,
 )
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.trajectories import (
-    BOUNDED_FRACTIONS,
-    CHECKED_FRACTIONS,
-    Trajectories,
-    integrate_velocity,
-    pairwise_approach,
-    states_within,
-    trajectories_through,
-    vertical_forces,
-)
 from swarm_envs.state import FloatArray
 
 
@@ -75,7 +66,7 @@ class MeritTerms:
 
 
 def merit_terms(
-    problem: PlanningProblem, motions: Trajectories, force_bounds: FloatArray
+    problem: PlanningProblem, motions: ways.Trajectories, force_bounds: FloatArray
 ) -> MeritTerms:
     """Evaluate motions that fit their controls and forces; `force_bounds` (N,), N, may be lower."""
     bounds, axes = problem.bounds, list(problem.axes)
@@ -84,8 +75,8 @@ def merit_terms(
     low, high = np.array(bounds.lower)[axes], np.array(bounds.upper)[axes]
     outside = np.maximum(position - high, low - position).max(axis=(0, 2))
     fast = np.abs(velocity).max(axis=(0, 2)) - bounds.speed
-    strong = _force_excess(problem, motions, BOUNDED_FRACTIONS, force_bounds).max(axis=0)
-    lacking = bounds.clearances(problem.team) - pairwise_approach(motions).distance
+    strong = _force_excess(problem, motions, ways.BOUNDED_FRACTIONS, force_bounds).max(axis=0)
+    lacking = bounds.clearances(problem.team) - ways.pairwise_approach(motions).distance
     end = np.concatenate([position[-1] - problem.goals[:, axes], velocity[-1]], axis=-1)
     return MeritTerms(
         effort=(controls**2).sum(axis=(0, 2)),
@@ -98,10 +89,10 @@ def merit_terms(
 
 
 def _force_excess(
-    problem: PlanningProblem, motions: Trajectories, fractions: FloatArray, bounds: FloatArray
+    problem: PlanningProblem, motions: ways.Trajectories, fractions: FloatArray, bounds: FloatArray
 ) -> FloatArray:
     """Vertical force over its bound, less 1, at S fractions of each step: (S, T, N)."""
-    forces = vertical_forces(problem, states_within(motions, fractions))
+    forces = ways.vertical_forces(problem, ways.states_within(motions, fractions))
     return np.asarray(np.abs(forces) / bounds - 1.0)
 
 
@@ -171,7 +162,7 @@ class StepRecord:
 class RefinementResult:
     """The result of stage 2."""
 
-    trajectories: Trajectories
+    trajectories: ways.Trajectories
     """The best motions found."""
     history: tuple[StepRecord, ...]
     """Every program, in order."""
@@ -187,7 +178,7 @@ class _Refiner:
     """The state of one refinement."""
 
     def __init__(
-        self, problem: PlanningProblem, motions: Trajectories, options: RefinementOptions
+        self, problem: PlanningProblem, motions: ways.Trajectories, options: RefinementOptions
     ) -> None:
         team = len(problem.team)
         self.problem, self.motions, self.options = problem, motions, options
@@ -206,7 +197,9 @@ class _Refiner:
     def tighten(self) -> bool:
         """Lower the bounds of forces that are exceeded between knots; says whether any was."""
         bounds = self.problem.bounds.force_bounds(self.problem.team)
-        peak = _force_excess(self.problem, self.motions, CHECKED_FRACTIONS, bounds).max(axis=(0, 1))
+        peak = _force_excess(self.problem, self.motions, ways.CHECKED_FRACTIONS, bounds).max(
+            axis=(0, 1)
+        )
         excess = 1.0 + np.maximum(peak, 0.0)
         if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
             return False
@@ -274,17 +267,16 @@ class _Refiner:
 
 def refine(
     problem: PlanningProblem,
-    initial: Trajectories,
+    initial: ways.Trajectories,
     rng: np.random.Generator,
     options: RefinementOptions | None = None,
     deadline: float = float("inf"),
     watch: Callable[[StepRecord], None] | None = None,
 ) -> RefinementResult:
-    """Refine motions until no robot can improve the team's plan.
+    """Refine motions until no robot can improve the team's plan, or the deadline has passed.
 
-    The initial ones begin at the starts, and may miss goals and break bounds. `rng` draws the
-    order of robots; no program is begun after the deadline, s, of `time.monotonic()`; `watch` is
-    called after every program.
+    The initial ones begin at the starts, and may miss goals and break bounds; `watch` is called
+    after every program.
     """
     state = _Refiner(problem, initial, options or RefinementOptions())
     out_of_time = False
@@ -309,16 +301,13 @@ def refine(
 
 
 def with_velocity(
-    problem: PlanningProblem, motions: Trajectories, robot: int, velocity: FloatArray
-) -> Trajectories:
-    """The motions with one robot flying at other velocities, all controls following the forces.
-
-    `velocity` (T + 1, D), m/s, is along the axes of motion.
-    """
+    problem: PlanningProblem, motions: ways.Trajectories, robot: int, velocity: FloatArray
+) -> ways.Trajectories:
+    """The motions with one robot flying at other velocities (T + 1, D)."""
     states = motions.states.copy()
     new = np.zeros((len(velocity), 3))
     new[:, list(problem.axes)] = velocity
     new[0] = states[0, robot, 3:]
     states[:, robot, 3:] = new
-    states[1:, robot, :3] = integrate_velocity(states[0, robot, :3], new, motions.dt)[1:]
-    return trajectories_through(problem, states)
+    states[1:, robot, :3] = ways.integrate_velocity(states[0, robot, :3], new, motions.dt)[1:]
+    return ways.trajectories_through(problem, states)

@@ -83,10 +83,9 @@ def predict_forces(model: InteractionModel, team: Team, states: FloatArray) -> F
 
 
 def trajectories_through(problem: PlanningProblem, states: FloatArray) -> Trajectories:
-    """The trajectories that pass through states (T + 1, N, 6), whatever the forces are.
+    """The trajectories through states (T + 1, N, 6), whose positions fit the velocities.
 
-    Each control is the one that gives the step's change of velocity against the force that the
-    model predicts with all robots flying; positions must fit the velocities.
+    Each control is the one that gives the step's change of velocity against the model's force.
     """
     forces = predict_forces(problem.model, problem.team, states)
     acceleration = np.diff(states[..., 3:], axis=0) / problem.dt
@@ -102,10 +101,7 @@ def integrate_velocity(start: FloatArray, velocity: FloatArray, dt: float) -> Fl
 
 @typed
 def straight_lines(problem: PlanningProblem, bend: npt.ArrayLike | None = None) -> Trajectories:
-    """Motions straight from starts to goals, all at once: an initial guess for stage 2.
-
-    `bend` (N, 3) is by how much each robot swerves half way, m; None for not at all.
-    """
+    """Motions straight from starts to goals, all at once; `bend` (N, 3): swerving half way, m."""
     count = problem.steps
     aside = np.zeros((len(problem.team), 3)) if bend is None else bend
     swerve = 4.0 * check_array("bend", aside, problem.starts.shape, "(N, 3), m")
@@ -150,10 +146,7 @@ def step_weights(fraction: FloatArray, dt: float) -> tuple[FloatArray, FloatArra
 
 
 def position_within(states: FloatArray, fraction: FloatArray, dt: float) -> FloatArray:
-    """Positions (..., T, ..., 3), m, at fractions of steps between states (T + 1, ..., 6).
-
-    Fractions broadcast against (T, ...).
-    """
+    """Positions, m, at fractions (T, ...) of the steps between states (T + 1, ..., 6)."""
     first, second = step_weights(fraction[..., None], dt)
     start, end = states[:-1], states[1:]
     return np.asarray(start[..., :3] + first * start[..., 3:] + second * end[..., 3:])

@@ -6,15 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.trajectories import (
-    CHECKED_FRACTIONS,
-    Trajectories,
-    pairwise_approach,
-    predict_forces,
-    states_within,
-    vertical_forces,
-)
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -55,35 +48,32 @@ class PlanCheck:
         return tuple(words for words, good in kept.items() if not good)
 
 
-def roll_out(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
-    """States (T + 1, N, 6) that the controls lead to from the starts, forces as they then are.
-
-    The next state is A x + B a, the whole acceleration a = u + f_a / m held over a step.
-    """
+def roll_out(problem: PlanningProblem, motions: ways.Trajectories) -> FloatArray:
+    """States (T + 1, N, 6) that controls lead to from the starts, by A x + B (u + f_a / m)."""
     dt, identity = motions.dt, np.eye(3)
     a = np.block([[identity, dt * identity], [np.zeros((3, 3)), identity]])
     b = np.vstack([0.5 * dt * dt * identity, dt * identity])
     states = np.empty_like(motions.states)
     states[0] = motions.states[0]
     for k, control in enumerate(motions.controls):
-        force = predict_forces(problem.model, problem.team, states[k : k + 1])[0]
+        force = ways.predict_forces(problem.model, problem.team, states[k : k + 1])[0]
         acceleration = control + force / problem.masses[:, None]
         states[k + 1] = states[k] @ a.T + acceleration @ b.T
     return states
 
 
-def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
+def check_plan(problem: PlanningProblem, motions: ways.Trajectories) -> PlanCheck:
     """Fly a plan's controls forward on the nonlinear model, and measure everything it must keep."""
     flown = roll_out(problem, motions)
-    within = states_within(motions, CHECKED_FRACTIONS)
-    force = np.abs(vertical_forces(problem, within)).max(axis=(0, 1))
+    within = ways.states_within(motions, ways.CHECKED_FRACTIONS)
+    force = np.abs(ways.vertical_forces(problem, within)).max(axis=(0, 1))
     ratio = force / problem.bounds.force_bounds(problem.team)
     tokens = [vehicle.token for vehicle in problem.team]
     worst = {
         token: max(float(f) for f, t in zip(force, tokens) if t == token) / GRAM_FORCE
         for token in dict.fromkeys(tokens)
     }
-    bounds, distance = problem.bounds, pairwise_approach(motions).distance.min(axis=0)
+    bounds, distance = problem.bounds, ways.pairwise_approach(motions).distance.min(axis=0)
     keep, pairs = bounds.clearances(problem.team), ~np.eye(len(problem.team), dtype=np.bool_)
     clearance = float((distance[pairs] / keep[pairs]).min(initial=np.inf))  # infinite if alone
     excesses = (
