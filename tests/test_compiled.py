@@ -124,9 +124,7 @@ def test_a_kernel_that_is_compiled_after_one_that_was_kept_is_told(package: Path
         ("shape.py", "STEP = 1", "STEP = 10", 26),
     ],
 )
-def test_an_edit_to_a_file_that_a_kernel_comes_from_recompiles(
-    package: Path, edited: str, old: str, new: str, expected: int
-) -> None:
+def test_an_edit_to_a_file_that_a_kernel_comes_from_recompiles(package, edited, old, new, expected):
     run(package)
     before = kernels(package)
     source = package / edited
@@ -148,9 +146,7 @@ def test_edits_elsewhere_and_touched_files_recompile_nothing(package: Path) -> N
     assert run(package) == ("8 8 1", "")
 
 
-def test_a_task_outside_the_package_is_known_by_its_own_file_and_its_imports(
-    package: Path, tmp_path: Path
-) -> None:
+def test_a_task_outside_the_package_is_known_by_its_own_file_and_its_imports(package, tmp_path):
     task = tmp_path / "task.py"
     task.write_text(
         f"{IMPORT}from swarm_envs.motors import inner\n"
@@ -164,9 +160,7 @@ def test_a_task_outside_the_package_is_known_by_its_own_file_and_its_imports(
     assert run(package, script)[0] == "55 0"
 
 
-def test_the_settings_and_the_caches_of_others_are_left_alone(
-    package: Path, tmp_path: Path
-) -> None:
+def test_the_settings_and_the_caches_of_others_are_left_alone(package, tmp_path):
     other = tmp_path / "other.py"
     other.write_text(
         "import numba\n@numba.njit(cache=True)\ndef half(x):\n    return x / 2\n", encoding="utf-8"
@@ -201,9 +195,7 @@ def test_a_read_only_installation_caches_with_the_user(package: Path, tmp_path: 
     assert run(package, **user) == ("8 8 1", "")
 
 
-def test_without_any_folder_for_a_cache_the_message_says_what_to_set(
-    package: Path, tmp_path: Path
-) -> None:
+def test_without_any_folder_for_a_cache_the_message_says_what_to_set(package, tmp_path):
     nowhere = tmp_path / "file"
     obstruct(package / "__pycache__", nowhere)
     user = {"HOME": str(nowhere), "XDG_CACHE_HOME": str(nowhere)}
@@ -306,9 +298,7 @@ def test_division_by_zero_follows_ieee() -> None:
 
 
 @compiled_only
-def test_an_equation_becomes_part_of_the_loop_that_calls_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_equation_becomes_part_of_the_loop_that_calls_it(monkeypatch, tmp_path):
     # What a cache holds cannot be inspected, so this kernel is always compiled.
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 

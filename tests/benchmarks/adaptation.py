@@ -23,8 +23,7 @@ from swarm_envs.training.reproduce.imperfect_flights import (
     fly_imperfectly,
 )
 
-WRONG = 0.05 * np.sqrt(3.0)
-"""Half width of an even distribution with a standard deviation of 5 %."""
+WRONG = 0.05 * np.sqrt(3.0)  # half width of an even distribution with a standard deviation of 5 %
 WORLDS = {
     "`learned`": ("learned", None, NOTHING),
     "`wake`": ("wake", None, NOTHING),

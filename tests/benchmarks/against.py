@@ -32,27 +32,20 @@ from tests.benchmarks.peers import RATES, batch_peer_row
 from tests.benchmarks.rows import Row, run, spread
 
 ROOT = Path(__file__).parent.parent.parent
-BUILD = ROOT / "build" / "against"
-"""Where other commits' trees and everyone's cached kernels lie."""
+BUILD = ROOT / "build" / "against"  # where other commits' trees and everyone's cached kernels lie
 WORKER = Path(__file__).parent / "against_worker.py"
-LEAST_SECONDS = 0.2
-"""Each repetition calls as often as fills this time in the other tree."""
+LEAST_SECONDS = 0.2  # each repetition calls as often as fills this time in the other tree
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-BATCH, LARGE = (1024, 4), (1024, 16)
-"""Environments and drones of the batches."""
+BATCH, LARGE = (1024, 4), (1024, 16)  # environments and drones of the batches
 
 
 class Measured(NamedTuple):
     """What is measured in both trees."""
 
-    row: Row
-    """As the table shows it."""
-    maker: str
-    """Of `MAKERS` in the worker."""
-    options: dict[str, Any]
-    """What the maker takes."""
-    work: int
-    """Agent-steps of a call; 0 where the row tells its time, in ms."""
+    row: Row  # as the table shows it
+    maker: str  # of `MAKERS` in the worker
+    options: dict[str, Any]  # what the maker takes
+    work: int  # agent-steps of a call; 0 where the row tells its time, in ms
 
 
 def measured() -> Iterator[Measured]:

@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-HOVER_DECISIONS = 96
-"""Flown before the clock starts: 2 s."""
+HOVER_DECISIONS = 96  # flown before the clock starts: 2 s
 
 Call = Callable[[], object]
 

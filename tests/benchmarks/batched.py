@@ -28,14 +28,11 @@ from tests.benchmarks.peers import RATES, batch_peer_row
 from tests.benchmarks.rows import Row, cpu_seconds, number, run, spread
 from tests.benchmarks.throughput import HOVER_DECISIONS, packed
 
-BATCH = (1024, 4)
-"""Environments and drones of the headline."""
-ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)
-"""With 4 drones each: how cost grows with E."""
+BATCH = (1024, 4)  # environments and drones of the headline
+ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)  # with 4 drones each: how cost grows with E
 DRONES = (16, 32, 64, 128, 256)
 """In one environment, whose arena grows with them: how cost grows with N."""
-MEMORY = (1024, 16)
-"""Environments and drones whose memory is measured."""
+MEMORY = (1024, 16)  # environments and drones whose memory is measured
 
 
 def make_core(envs: int, drones: int, start: str = "random", **options: object) -> SwarmCore:

@@ -29,10 +29,8 @@ from tests.benchmarks.rows import Row, cpu_seconds, run, spread
 
 Array = npt.NDArray[Any]
 
-SIZES = ((1, 4), (1, 16), (1024, 4))
-"""Environments, and drones in each."""
-LEAST_SECONDS = 0.05
-"""Each repetition calls as often as fills this time."""
+SIZES = ((1, 4), (1, 16), (1024, 4))  # environments, and drones in each
+LEAST_SECONDS = 0.05  # each repetition calls as often as fills this time
 
 
 def states(num_envs: int, num_drones: int) -> tuple[Array, Array]:

@@ -29,8 +29,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-Row = dict[str, Any]
-"""As in `tests.benchmarks.rows`."""
+Row = dict[str, Any]  # as in `tests.benchmarks.rows`
 
 DRONES_PEER, BATCH_PEER = "gym-pybullet-drones", "crazyflow"
 MODULES = {DRONES_PEER: "gym_pybullet_drones", BATCH_PEER: "crazyflow"}

@@ -25,10 +25,8 @@ from tests.benchmarks.peers import EFFECTS, peer_row
 from tests.benchmarks.rows import Row, cpu_seconds, run, spread
 
 SIZES = {"bullet": (4, 16), "batch": (4, 16, 64)}
-HOVER_DECISIONS = 96
-"""Flown before the clock starts: 2 s."""
-SPACING = 0.14
-"""Between neighbours of a packed layer, m: 2 cm more than where small drones touch."""
+HOVER_DECISIONS = 96  # flown before the clock starts: 2 s
+SPACING = 0.14  # between neighbours of a packed layer, m: 2 cm more than where small drones touch
 LAYERS = {4: (1, 0.0), 16: (2, 0.3), 64: (8, 0.15)}
 """Layers of a packed swarm and the height between them, m, by number of drones."""
 

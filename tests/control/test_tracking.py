@@ -36,9 +36,7 @@ def memory(controller: TrackingController) -> dict[str, FloatArray]:
 
 @pytest.mark.parametrize("lag_compensation", [True, False])
 @pytest.mark.parametrize(("wildness", "stiffness"), [(0.03, MID), (1.0, STIFF)])
-def test_compiled_agrees_with_plain(
-    lag_compensation: bool, wildness: float, stiffness: PositionGains
-) -> None:
+def test_compiled_agrees_with_plain(lag_compensation, wildness, stiffness):
     config = ControllerConfig(gains=stiffness, lag_compensation=lag_compensation)
     compiled = TrackingController(TEAM, num_envs=2, config=config)
     plain = [[NumpyTrackingController(v, config) for v in TEAM] for _ in range(2)]

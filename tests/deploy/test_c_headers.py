@@ -37,8 +37,7 @@ COMPILER = next(filter(None, map(shutil.which, ("gcc", "cc", "clang"))), None)
 STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wdouble-promotion"]
 STRICT += ["-Wconversion", "-Wshadow", "-ffp-contract=off"]
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-MOST = 9
-"""Drones in a row of the program's input."""
+MOST = 9  # drones in a row of the program's input
 
 # Reads states of up to nine drones and a set-point, writes what the drone does and what becomes of
 # the set-point in a decision of so many seconds.
@@ -243,9 +242,7 @@ def equally_near(row: np.ndarray) -> bool:
     ("name", "task", "options"),
     [("swap-ppo", "swap_v0", {"num_drones": 4}), ("ring-ppo", "ring_v0", {"horizon_s": 3.0})],
 )
-def test_it_decides_and_steers_as_in_flight(
-    name: str, task: str, options: dict[str, Any], tmp_path: Path
-) -> None:
+def test_it_decides_and_steers_as_in_flight(name, task, options, tmp_path):
     """Against the environment itself: its observations, its set-points."""
     agent = shipped(name)
     rows, actions, after = flown(agent, task, 3, **options)

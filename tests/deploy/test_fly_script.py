@@ -98,9 +98,7 @@ def trajectories(script: Any, folder: Path) -> Any:
     return script.load(folder, URIS)
 
 
-def test_what_is_uploaded_are_the_file_s_bytes(
-    script: Any, folder: Path, trajectories: Any
-) -> None:
+def test_what_is_uploaded_are_the_file_s_bytes(script, folder, trajectories):
     swarm = Swarm(trajectories, {})
     swarm.parallel_safe(script.upload, {uri: [p] for uri, p in trajectories.items()})
     for name, uri in URIS.items():
@@ -154,9 +152,7 @@ def test_every_drone_needs_its_own_radio(script: Any, folder: Path) -> None:
             script.load(folder, uris)
 
 
-def test_without_cflib_it_says_how_to_get_it(
-    script: Any, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_cflib_it_says_how_to_get_it(script, folder, tmp_path, monkeypatch):
     (tmp_path / "uris.json").write_text(json.dumps(URIS))
     monkeypatch.setitem(sys.modules, "cflib", None)
     with pytest.raises(SystemExit, match="pip install cflib"):

@@ -13,8 +13,7 @@ import pytest
 
 OVERFLOW = "document.documentElement.scrollWidth - window.innerWidth"
 """By how much a page is wider than its window."""
-PATIENCE_MS = 120_000
-"""A browser that takes longer for anything hangs."""
+PATIENCE_MS = 120_000  # A browser that takes longer for anything hangs
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _OPTIONS = [
     "--no-sandbox",
@@ -27,8 +26,7 @@ _OPTIONS = [
 ]
 
 
-VOID = {"meta", "link", "input", "br", "img"}
-"""Elements that are not closed."""
+VOID = {"meta", "link", "input", "br", "img"}  # elements that are not closed
 
 
 class PageReader(HTMLParser):

@@ -18,16 +18,13 @@ class Face(NamedTuple):
     """An interface to a task, flown by three drones unless it is told otherwise."""
 
     name: str
-    make: Callable[..., Any]
-    """From a task's name and options; two environments if it makes many."""
+    make: Callable[..., Any]  # from a task's name and options; two environments if it makes many
     step: Callable[[Any, list[Any]], Any]
     """Fly with a team's actions, a row for each drone, in every environment; all that it gives."""
     reset: Callable[..., object] = lambda env, **given: env.reset(**given)
     """Begin an episode, with a seed or options."""
-    default: str | None = None
-    """The engine that flies by default, where it is not Bullet."""
-    place: str = ""
-    """What it says after a drone's name to tell in which environment."""
+    default: str | None = None  # the engine that flies by default, where it is not Bullet
+    place: str = ""  # what it says after a drone's name to tell in which environment
 
     def begin(self, seed: int = 4, task: str = "swap_v0", **options: Any) -> Any:
         """An environment in which an episode has begun."""

@@ -52,14 +52,11 @@ Array = npt.NDArray[np.float64]
 class Flown(NamedTuple):
     """What a flight gave."""
 
-    arrays: dict[str, Array]
-    """By part, with one row per decision."""
+    arrays: dict[str, Array]  # by part, with one row per decision
     metrics: list[str]
     """Metrics of the episodes in the order in which they ended, then of those that go on; JSON."""
-    numbers: list[float]
-    """Where the first environment's drones ended, and the sum of its rewards."""
-    touched: bool
-    """Whether a drone touched anything: from there on rounding errors grow fast."""
+    numbers: list[float]  # where the first environment's drones ended, and the sum of its rewards
+    touched: bool  # whether a drone touched anything: from there on rounding errors grow fast
 
 
 class Log:
@@ -162,22 +159,14 @@ EVERYTHING = Randomization(
 class Flight:
     """A flight of environments: what flies, what it is told, and which seeds it is flown with."""
 
-    task: str = "swap_v0"
-    """Which task."""
-    engine: str = "batch"
-    """`batch` or `bullet`."""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    """Options of the task's `parallel_env`."""
-    draw: Draw = _gentle
-    """What draws the actions."""
-    envs: int | None = None
-    """Environments of a batch; None for one behind PettingZoo's interface."""
-    seeds: tuple[int, ...] = (1, 2)
-    """Each is a flight of its own."""
-    decisions: int = 30
-    """How many are flown."""
-    placed: tuple[Mapping[str, Any], ...] = ({},)
-    """Options of the resets, in turn."""
+    task: str = "swap_v0"  # which task
+    engine: str = "batch"  # `batch` or `bullet`
+    options: Mapping[str, Any] = field(default_factory=dict)  # options of the task's `parallel_env`
+    draw: Draw = _gentle  # what draws the actions
+    envs: int | None = None  # environments of a batch; None for one behind PettingZoo's interface
+    seeds: tuple[int, ...] = (1, 2)  # each is a flight of its own
+    decisions: int = 30  # how many are flown
+    placed: tuple[Mapping[str, Any], ...] = ({},)  # options of the resets, in turn
     resets_every: int = 1
     """Environments whose episode has ended begin another after every so many decisions."""
     returns_at: int | None = None
@@ -475,8 +464,7 @@ def _flights() -> dict[str, Any]:
     }
 
 
-FLIGHTS: dict[str, Any] = _flights()
-"""Every flight by its name."""
+FLIGHTS: dict[str, Any] = _flights()  # every flight by its name
 JOBS = [(name, seed) for name, flight in FLIGHTS.items() for seed in flight.seeds]
 """Every flight with each of its seeds."""
 TWINS = {

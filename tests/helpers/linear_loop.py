@@ -18,8 +18,7 @@ from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
 from swarm_envs.tables import Records
 from swarm_envs.vehicles import GRAVITY, SMALL, Vehicle
 
-STEP = 1.0 / 240.0
-"""Length of a step, s."""
+STEP = 1.0 / 240.0  # length of a step, s
 BODY = ("position", "quaternion", "velocity", "angular_velocity", "rotor_thrust")
 """State of the body and its rotors; all but the last is known to the controller, late."""
 MEMORY = (
@@ -29,8 +28,7 @@ MEMORY = (
 """What the controller remembers."""
 RESIDUAL = ("commands", "nominal_thrust", "last_thrust_axis", "last_velocity")
 """What it remembers beside, if it adapts."""
-FILTER = ("filtered_residual", "filtered_residual_rate")
-"""The second-order low-pass."""
+FILTER = ("filtered_residual", "filtered_residual_rate")  # the second-order low-pass
 ESTIMATE = {
     type(None): (),
     MomentumObserver: (*RESIDUAL, "filtered_residual"),
@@ -38,22 +36,17 @@ ESTIMATE = {
     NeuralFly: (*RESIDUAL, *FILTER, "adaptive_coefficients"),
 }
 """What an adaptation remembers, beside the covariance, which is at rest."""
-SETTLING = 480
-"""Steps in hover after which filters and covariances are taken to rest."""
+SETTLING = 480  # steps in hover after which filters and covariances are taken to rest
 
 
 @dataclass(frozen=True)
 class Loop:
     """A drone in hover whose rotors give another thrust than the controller thinks."""
 
-    config: ControllerConfig
-    """The controller."""
-    gain: float = 1.0
-    """True thrust and torque over those that the controller reckons with."""
-    delay_s: float = 0.0
-    """How late the state is known, s."""
-    vehicle: Vehicle = SMALL
-    """The drone."""
+    config: ControllerConfig  # the controller
+    gain: float = 1.0  # true thrust and torque over those that the controller reckons with
+    delay_s: float = 0.0  # how late the state is known, s
+    vehicle: Vehicle = SMALL  # the drone
 
     def transition(self) -> FloatArray:
         """(n, n) Jacobian of one step at rest."""
@@ -203,8 +196,7 @@ ROWS = (
     *((f"Neural-Fly, {q} m/s^2", NeuralFly(force_drift=q)) for q in (1.0, 2.0, 4.0)),
 )
 """Adaptations of the table, with their names."""
-DELAYS_S = (0.0, 0.01, 0.02)
-"""Its delays, s."""
+DELAYS_S = (0.0, 0.01, 0.02)  # its delays, s
 
 
 def main() -> None:

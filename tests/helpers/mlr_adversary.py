@@ -19,10 +19,8 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
 from swarm_envs.state import BoolArray, FloatArray
 from tests.helpers.mlr_rounds import scattered
 
-TOLERANCE = 1e-6
-"""By how much rounding to float32 may take from a distance, m."""
-_FINE = 5
-"""Parts of the time between two samples at whose ends distances are looked at."""
+TOLERANCE = 1e-6  # by how much rounding to float32 may take from a distance, m
+_FINE = 5  # parts of the time between two samples at whose ends distances are looked at
 _BEGINS, _ENDS = 0.08, 0.15
 """Chance by round that the radio begins a trick, and that it ends it: else nobody would plan."""
 TRICKS = ("none", "plans", "states", "views", "closest", "split", "deaf")

@@ -26,16 +26,11 @@ UP = np.array([0.0, 0.0, 1.0])
 class TrackingTarget(NamedTuple):
     """The set-point of one drone at one instant. World frame, SI units."""
 
-    position: FloatArray
-    """(3,) desired position p_d, m."""
-    velocity: FloatArray = np.zeros(3)
-    """(3,) its derivative, m/s."""
-    acceleration: FloatArray = np.zeros(3)
-    """(3,) its second derivative, m/s^2."""
-    yaw: float = 0.0
-    """Desired turn about the thrust axis, rad."""
-    yaw_rate: float = 0.0
-    """Its derivative, rad/s."""
+    position: FloatArray  # (3,) desired position p_d, m
+    velocity: FloatArray = np.zeros(3)  # (3,) its derivative, m/s
+    acceleration: FloatArray = np.zeros(3)  # (3,) its second derivative, m/s^2
+    yaw: float = 0.0  # desired turn about the thrust axis, rad
+    yaw_rate: float = 0.0  # its derivative, rad/s
 
 
 class LowPassDerivative:

@@ -10,8 +10,7 @@ from pathlib import Path
 from tests.helpers.imports import ROOT
 
 DOCS = ROOT / "docs"
-GENERATED = DOCS / "generated"
-"""What commands wrote, and pages include."""
+GENERATED = DOCS / "generated"  # what commands wrote, and pages include
 PAGES = sorted(
     f for f in DOCS.rglob("*.*") if f.suffix in (".md", ".rst") and f.parent != GENERATED
 )

@@ -40,8 +40,7 @@ class TinyOptions(StudyOptions):
 
     paper: ClassVar[str] = "paper"
 
-    figure: Literal["a", "b", "c"] | None = None
-    """letter of the figure"""
+    figure: Literal["a", "b", "c"] | None = None  # letter of the figure
 
 
 OPTIONS = TinyOptions

@@ -14,10 +14,8 @@ import pytest
 
 from tests.helpers.imports import ROOT, SOURCES, files_below, imported_modules, imports, parsed
 
-BUDGET_S = 60.0
-"""After this time no further test begins."""
-DOCS_TESTS = ("tests/test_docs.py",)
-"""What sees a page of the documentation."""
+BUDGET_S = 60.0  # after this time no further test begins
+DOCS_TESTS = ("tests/test_docs.py",)  # what sees a page of the documentation
 
 
 def changed_files() -> list[str]:

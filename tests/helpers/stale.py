@@ -28,12 +28,9 @@ _PAPER = "swarm-envs reproduce neural-swarm2"
 class Product(NamedTuple):
     """Something in the repository that is computed from models."""
 
-    files: tuple[str, ...]
-    """Paths of what is computed, from the root."""
-    sources: tuple[str, ...]
-    """Paths of the models that it is computed from."""
-    command: str
-    """What makes it."""
+    files: tuple[str, ...]  # paths of what is computed, from the root
+    sources: tuple[str, ...]  # paths of the models that it is computed from
+    command: str  # what makes it
 
 
 PRODUCTS = {

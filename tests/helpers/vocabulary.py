@@ -53,8 +53,7 @@ PAGES_ONLY = {
     r"\bstrangers?\b": "users, unknown types",
 }
 """Phrases that are refused in pages as well."""
-_PROOF = ROOT / "docs" / "mlr-dmpc" / "proof.md"
-"""Its words are those of mathematics."""
+_PROOF = ROOT / "docs" / "mlr-dmpc" / "proof.md"  # its words are those of mathematics
 _FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 

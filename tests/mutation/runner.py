@@ -29,20 +29,16 @@ _OPTIONS = (
     *("-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # plugins are imported before the fork
 )
-_MEMORY = 16 << 30
-"""Address space of a fork, bytes: a mutant may ask for arrays of any size."""
+_MEMORY = 16 << 30  # address space of a fork, bytes: a mutant may ask for arrays of any size
 
 
 @dataclass(frozen=True)
 class Verdict:
     """How the tests ended."""
 
-    status: str
-    """`passed`, `failed`, or `timeout`."""
-    cpu_s: float
-    """CPU time of the run, s."""
-    output: str
-    """What pytest printed."""
+    status: str  # `passed`, `failed`, or `timeout`
+    cpu_s: float  # CPU time of the run, s
+    output: str  # what pytest printed
 
 
 def run_tests(

@@ -21,8 +21,7 @@ class Group(NamedTuple):
     """Files that belong together."""
 
     name: str
-    modules: dict[str, tuple[str, ...]]
-    """By path of a file: arguments of pytest that run its tests."""
+    modules: dict[str, tuple[str, ...]]  # by path of a file: arguments of pytest that run its tests
 
 
 _PHYSICS = {

@@ -14,8 +14,7 @@ from tests.packaging.lower_bounds import lowest
 from tests.packaging.rows import Row
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 1800.0
-"""A command that takes longer has failed."""
+PATIENCE_S = 1800.0  # A command that takes longer has failed
 _FOREIGN = ("PYTHON", "NUMBA", "XDG", "VIRTUAL_ENV", "DISPLAY", "WAYLAND", "MPL")
 """Variables whose names begin so are ours; a stranger's machine has none."""
 

@@ -31,15 +31,12 @@ class Row:
     """An installation, and what is tried in it."""
 
     name: str
-    python: str = "3.11"
-    """version of the interpreter"""
+    python: str = "3.11"  # version of the interpreter
     extras: tuple[str, ...] = ()
     oldest: bool = False
     """install the oldest dependencies that pyproject.toml admits, not the newest"""
-    locked: bool = False
-    """nothing in the installation can be written, and there is no network"""
-    steps: tuple[str, ...] = BASE
-    """what is tried, in this order"""
+    locked: bool = False  # nothing in the installation can be written, and there is no network
+    steps: tuple[str, ...] = BASE  # what is tried, in this order
 
     def absent(self) -> list[str]:
         """Optional packages that this row does not ask for."""

@@ -27,9 +27,7 @@ STACK = [[0.0, 0.0, 1.4], [0.02, 0.0, 1.0]]
         (np.full((1, 2, 4), np.nan), "nan at index"),
     ],
 )
-def test_bad_commands_change_nothing(
-    engine: type[Physics], commands: np.ndarray, complaint: str
-) -> None:
+def test_bad_commands_change_nothing(engine, commands, complaint):
     physics = engine(TEAM)
     physics.reset(hover_state(TEAM, STACK))
     physics.step(physics.state.rotor_thrust)
