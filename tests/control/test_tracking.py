@@ -9,7 +9,6 @@ from swarm_envs.control.config import (
     MID,
     STIFF,
     ControllerConfig,
-    PositionGains,
     low_pass_blend,
 )
 from swarm_envs.control.tracking import TrackingController
