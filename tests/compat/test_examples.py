@@ -58,6 +58,6 @@ def test_every_example_is_run():
     names = {file.stem for file in EXAMPLES.glob("*.py")}
     elsewhere = {"fly_crazyflie"}  # tests/deploy/test_fly_script.py
     elsewhere |= {"ppo", "dagger"}  # tests/training/test_dagger.py
-    elsewhere |= {"rllib_ppo"}  # tests/compat/test_rllib.py
+    elsewhere |= {"rllib_ppo", "benchmarl_grid"}  # tests/compat/test_rllib.py, test_benchmarl.py
     elsewhere |= {"tune_agents"}  # tests/test_avoiding.py
     assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"} | elsewhere
