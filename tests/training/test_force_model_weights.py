@@ -121,7 +121,7 @@ def test_model_card_is_what_the_reports_say(tmp_path):
         shutil.copy(WEIGHTS / f"{name}.json", tmp_path)
     written = write_card(CardConfig(weights=tmp_path)).read_text()
     assert written == (WEIGHTS / "MODEL_CARD.md").read_text()
-    assert "states no licence" in written
+    assert "have no license" in written
 
 
 @pytest.mark.slow
