@@ -236,14 +236,7 @@ EXAMPLES: Mapping[str, str] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line and return its exit code.
-
-    Args:
-        arguments: after the program's name; None for those of the process.
-
-    Returns:
-        0 only if the command did its job; 2 for a command or option that cannot be.
-    """
+    """Run a command line and return its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not given or given[0] in ("-h", "--help"):
         print(_overview())

@@ -33,11 +33,7 @@ class AssignmentOptions:
 
 
 def run_assignment(options: AssignmentOptions) -> None:
-    """Print the assignments, or write one's files.
-
-    Raises:
-        Misuse: there is no such assignment, or the folder exists already.
-    """
+    """Print the assignments, or write one's files."""
     if options.what == "list":
         width = max(map(len, ASSIGNMENTS))
         for name, assignment in ASSIGNMENTS.items():

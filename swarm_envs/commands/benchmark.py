@@ -74,14 +74,7 @@ class BenchmarkOptions(CrewOptions, CellOptions):
 
 
 def run_benchmark(options: BenchmarkOptions) -> int:
-    """Fly, write and print; return how many cells failed, or have no replay that should.
-
-    Raises:
-        BlockingIOError: another process writes into the folder.
-        ImportError: what the tables, the pages or a cluster need is not installed.
-        Misuse: there is no such agent or task, no place to write, or nothing to write again;
-            nothing was flown.
-    """
+    """Fly, write and print; return how many cells failed, or have no replay that should."""
     if options.json is not None:
         check_file("--json", options.json, (".json",))
     if options.verify is not None:

@@ -22,20 +22,12 @@ class Misuse(ValueError):
 
 
 def check_folder(option: str, folder: Path) -> None:
-    """Refuse a folder that cannot be made or written, before hours are spent on its content.
-
-    Raises:
-        Misuse: naming the option, the folder and what is wrong with it.
-    """
+    """Refuse a folder that cannot be made or written, before hours are spent on its content."""
     _check_writable(f"{option} is {str(folder)!r}", folder)
 
 
 def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse a file that cannot be written, or whose name ends otherwise than it may.
-
-    Raises:
-        Misuse: naming the option, the file and what is wrong with it.
-    """
+    """Refuse a file that cannot be written, or whose name ends otherwise than it may."""
     given = f"{option} is {str(file)!r}"
     if suffixes and file.suffix not in suffixes:
         raise Misuse(f"{given}, but must end in {' or '.join(suffixes)}")
@@ -68,22 +60,14 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
 
 
 def check_outputs(out: Path, json: Path | None) -> None:
-    """Refuse an `--out` that is no folder to write into, or a `--json` that is no such file.
-
-    Raises:
-        Misuse: naming the option and what is wrong with it.
-    """
+    """Refuse an `--out` that is no folder to write into, or a `--json` that is no such file."""
     check_folder("--out", out)
     if json is not None:
         check_file("--json", json)
 
 
 def need_file(option: str, file: Path, what: str) -> None:
-    """Refuse a file that is to be read, but is not there.
-
-    Raises:
-        Misuse: naming the option, the file and what it is for.
-    """
+    """Refuse a file that is to be read, but is not there."""
     given = f"{option} is {str(file)!r}"
     if not _exists(given, file):
         raise Misuse(f"{given}, {what}, but there is no such file")
@@ -116,11 +100,7 @@ def _check_writable(given: str, folder: Path) -> None:
 
 
 def check_inputs(options: Any) -> None:
-    """Refuse options that name data, a force model or an agent that is not there.
-
-    Raises:
-        Misuse: naming what is missing.
-    """
+    """Refuse options that name data, a force model or an agent that is not there."""
     from swarm_envs.agents import load as load_agent
     from swarm_envs.interactions import load
 
@@ -138,11 +118,7 @@ def check_inputs(options: Any) -> None:
 
 
 def need_torch(extra: str = "train") -> None:
-    """Refuse to train where torch is not installed.
-
-    Raises:
-        ImportError: it is not; the message says how to get it, by the package's extra.
-    """
+    """Refuse to train where torch is not installed."""
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
             f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "

@@ -61,13 +61,7 @@ class EvaluateOptions(EpisodeOptions):
 
 
 def run_evaluate(options: EvaluateOptions) -> int:
-    """Fly, print and write; return how many agents failed.
-
-    Raises:
-        BlockingIOError: another process writes into the folder of the episodes.
-        Misuse: there is no such task, agent, option or place to write, or an agent cannot fly
-            this; nothing was flown.
-    """
+    """Fly, print and write; return how many agents failed."""
     from swarm_envs import make
     from swarm_envs.files import claimed
 
@@ -90,11 +84,7 @@ def run_evaluate(options: EvaluateOptions) -> int:
 
 
 def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[str, Made]:
-    """Every agent with its environment, or what its own file raises.
-
-    Raises:
-        Misuse: there is no such agent, or it cannot fly this.
-    """
+    """Every agent with its environment, or what its own file raises."""
     from swarm_envs.agents.evaluation import frozen_seeds
 
     found: dict[str, Made] = {}
@@ -215,11 +205,7 @@ def _tell_before(name: str, before: int, wanted: int) -> None:
 def _open_episodes(
     name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
-    """Where an agent's episodes are kept; None if they are not.
-
-    Raises:
-        ValueError: the file is damaged.
-    """
+    """Where an agent's episodes are kept; None if they are not."""
     from swarm_envs import __version__
     from swarm_envs.agents.evaluation import EpisodeFile, source_digest
 
@@ -234,13 +220,7 @@ def _open_episodes(
 def _reports_apart(
     options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
 ) -> list[dict[str, Any]]:
-    """The same with other processes or a Ray cluster.
-
-    Raises:
-        ConnectionError: there is no such cluster.
-        ImportError: a cluster is asked for, and Ray is not installed.
-        OSError: an episode cannot be kept.
-    """
+    """The same with other processes or a Ray cluster."""
     found: dict[str, dict[str, Any]] = {}
     agents: dict[str, AgentEpisodes] = {}
     for name, each in made.items():

@@ -84,12 +84,7 @@ def _check_outputs(options: HeaderOptions) -> str:
 
 
 def export_force(options: ForceOptions) -> None:
-    """Write the header.
-
-    Raises:
-        Misuse: there is no such place to write.
-        ValueError: there is no such model, or the name is none in C.
-    """
+    """Write the header."""
     name = _check_outputs(options)
     from swarm_envs.interactions import load
     from swarm_envs.interactions.c_header import c_header
@@ -105,13 +100,7 @@ def export_force(options: ForceOptions) -> None:
 
 
 def export_policy(options: PolicyOptions) -> None:
-    """Write the header, and print what it costs.
-
-    Raises:
-        Misuse: there is no such place to write, or the agent is no trained policy.
-        FileNotFoundError: there is no such policy.
-        ValueError: the policy is damaged, or the name is none in C.
-    """
+    """Write the header, and print what it costs."""
     name = _check_outputs(options)
     from swarm_envs.agents import load
     from swarm_envs.agents.c_header import costs, policy_header
@@ -184,13 +173,7 @@ class TrajectoryOptions:
 
 
 def export_trajectory(options: TrajectoryOptions) -> None:
-    """Read, fit, check and write.
-
-    Raises:
-        Misuse: there is no such file, or no such place to write.
-        ImportError: Parquet without pyarrow.
-        ValueError: the file holds no flight, or one that cannot be fitted or must not be flown.
-    """
+    """Read, fit, check and write."""
     check_outputs(options.out, options.json)
     if not options.file.is_file():
         fix = "`swarm-envs fly --trajectory FILE` records a flight"

@@ -107,13 +107,7 @@ class FlyOptions(EpisodeOptions):
 
 
 def run_fly(options: FlyOptions) -> None:
-    """Fly, print and write.
-
-    Raises:
-        Misuse: there is no such task, agent, option or place to write; nothing was flown.
-        ImportError: what draws is not installed; nothing was flown.
-        ValueError: the agent failed in flight.
-    """
+    """Fly, print and write."""
     files = output_files(options, _FILES)
     for option in [name for name in files if getattr(options, name) is None]:  # of --out
         try:
@@ -155,12 +149,7 @@ def _check_writers(files: Mapping[str, Path]) -> None:
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
-    """The agent of a name, and the environment as it requires it.
-
-    Raises:
-        Exception: whatever an agent's own file raises.
-        ValueError: it cannot be made, or requires another environment than was asked for.
-    """
+    """The agent of a name, and the environment as it requires it."""
     from swarm_envs import make
     from swarm_envs.agents import load
     from swarm_envs.agents.protocol import check_options_agree
@@ -176,9 +165,6 @@ def check_flies(
     """Refuse an agent that ships, or a policy, for which this task or team is none of its own.
 
     What a user's own file refuses is said of its flight.
-
-    Raises:
-        Misuse: it refuses the episode of a seed; the message names another agent, if there is one.
     """
     if ":" in name:
         return
@@ -190,11 +176,7 @@ def check_flies(
 
 
 def find_task(name: str) -> str:
-    """The versioned name of a task; of the newest version if the name has none.
-
-    Raises:
-        ValueError: there is no such task; the message names the nearest.
-    """
+    """The versioned name of a task; of the newest version if the name has none."""
     from swarm_envs import TASKS, task_family
     from swarm_envs.errors import check_name
 
@@ -203,11 +185,7 @@ def find_task(name: str) -> str:
 
 
 def best_agent(options: EpisodeOptions, task: str) -> str:
-    """The best agent for a task, as it was asked for.
-
-    Raises:
-        ValueError: the benchmark has no agent for it; the message names a near task that has one.
-    """
+    """The best agent for a task, as it was asked for."""
     from swarm_envs import make
     from swarm_envs.agents import recommended
 
@@ -356,13 +334,7 @@ class ReplayOptions:
 
 
 def run_replay(options: ReplayOptions) -> None:
-    """Read, draw and write.
-
-    Raises:
-        Misuse: there is no such file, or no such place to write.
-        ImportError: what reads or draws is not installed.
-        ValueError: the file holds no episode.
-    """
+    """Read, draw and write."""
     from swarm_envs.viewing.trajectory import check_trajectory_path, read_trajectory
 
     check_file("--out", options.out, (".html",))

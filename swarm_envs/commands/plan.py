@@ -85,13 +85,7 @@ _FILES = {
 
 
 def run_plan(options: PlanOptions) -> None:
-    """Draw the instance, plan, print and write.
-
-    Raises:
-        BlockingIOError: another process writes into `--out`.
-        Misuse: there is no such family, method, shape or place to write; nothing was planned.
-        ValueError: no plan was found, or not in time.
-    """
+    """Draw the instance, plan, print and write."""
     from swarm_envs.files import claimed
 
     files = output_files(options, _FILES)

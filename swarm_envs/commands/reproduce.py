@@ -14,20 +14,7 @@ PROGRAM = "swarm-envs reproduce"
 def reproduce_paper(
     arguments: Sequence[str], read: Callable[[str, type[Any], Sequence[str]], Any]
 ) -> int:
-    """Remake a figure or a table of a paper, or all of all papers.
-
-    Args:
-        arguments: after `reproduce`.
-        read: reads a command's options into their dataclass.
-
-    Returns:
-        The exit code.
-
-    Raises:
-        BlockingIOError: another process writes into the folder.
-        Misuse: there is no such paper.
-        ValueError: a model, a table or an older run is not what it should be.
-    """
+    """Remake a figure or a table of a paper, or all of all papers."""
     from swarm_envs.errors import unknown_name
     from swarm_envs.training.reproduce import papers
 

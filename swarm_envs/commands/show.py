@@ -88,13 +88,7 @@ _FILES = {
 
 
 def run_show(options: ShowOptions) -> None:
-    """Plan, fly, print and write.
-
-    Raises:
-        BlockingIOError: another process writes into `--out`.
-        Misuse: there is no such shape, colour, file or place to write; nothing was flown.
-        ValueError: no labelled ways were found.
-    """
+    """Plan, fly, print and write."""
     from swarm_envs.files import claimed, write_json
     from swarm_envs.shows.skybrush import write_skyc
     from swarm_envs.viewing.trajectory import write_trajectory

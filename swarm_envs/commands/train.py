@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 def check_training(config: RlConfig) -> str:
-    """The versioned name of the task, if the options make a run.
-
-    Raises:
-        Misuse: there is no such task or layout, no recipe for it, or no place to write.
-    """
+    """The versioned name of the task, if the options make a run."""
     check_folder("--out", config.out)
     if config.json is not None:
         check_file("--json", config.json, (".json",))
@@ -33,13 +29,7 @@ def check_training(config: RlConfig) -> str:
 
 
 def run_train(config: RlConfig) -> None:
-    """Train, or say that it was done before; print what came out.
-
-    Raises:
-        ImportError: Stable-Baselines3 is not installed.
-        Misuse: the options make no run.
-        ValueError: the folder holds another run, or a damaged one.
-    """
+    """Train, or say that it was done before; print what came out."""
     if importlib.util.find_spec("stable_baselines3") is None:
         raise ImportError(
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"

@@ -72,11 +72,7 @@ class SweepOptions:
 
 
 def train_arguments(settings: Sequence[str]) -> list[str]:
-    """Arguments of `swarm-envs train` for NAME=VALUE settings.
-
-    Raises:
-        Misuse: a setting is none, or of an option that is the sweep's own.
-    """
+    """Arguments of `swarm-envs train` for NAME=VALUE settings."""
     found: list[str] = []
     for setting in settings:
         name, equals, value = setting.partition("=")
@@ -95,12 +91,7 @@ def train_arguments(settings: Sequence[str]) -> list[str]:
 
 
 def parse(arguments: Sequence[str]) -> RlConfig:
-    """Read the arguments of one run as `swarm-envs train` does.
-
-    Raises:
-        Misuse: `train` has no such option, or it cannot have such a value.
-        SystemExit: the options do not fit each other; the reason is printed.
-    """
+    """Read the arguments of one run as `swarm-envs train` does."""
     import tyro
 
     mistake = find_mistake(RlConfig, arguments, prefixes=True)
@@ -116,22 +107,6 @@ def train_one(
     """Train a run, or find it finished, and judge its policy on seeds that nothing was chosen on.
 
     A job of the sweep, done wherever that is; killed, it resumes.
-
-    Args:
-        arguments: of `swarm-envs train`.
-        marker: the file of `write_marker`.
-        digest: of its content.
-        episodes: on each layout, at the force rate of flights.
-        seed: the episodes' seeds are drawn from it, as by `swarm-envs evaluate --seed`.
-
-    Returns:
-        `measured`, such as `random_success`; `steps`, `cpu_s` and `wall_s` of the training.
-
-    Raises:
-        ImportError: Stable-Baselines3 is not installed.
-        Misuse: the options make no run.
-        OSError: this machine does not see the sweep's folder, or another process writes into it.
-        ValueError: the run's folder holds another run, or a damaged one.
     """
     from swarm_envs.training.rl.run import finished_report, train_policy
 
@@ -163,21 +138,13 @@ def _judged(config: RlConfig, task: str, episodes: int, seed: int) -> dict[str, 
 
 
 def write_marker(path: Path, content: object) -> str:
-    """Write the file by which workers know that they see the same folder; give its digest.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write the file by which workers know that they see the same folder; give its digest."""
     write_json(path, content)
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def check_marker(path: Path, digest: str) -> None:
-    """Refuse a machine that does not see what `write_marker` wrote.
-
-    Raises:
-        OSError: it does not; the message names the machine.
-    """
+    """Refuse a machine that does not see what `write_marker` wrote."""
     if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
         raise OSError(
             f"machine {platform.node()!r} does not see {str(path)!r} as the one that began the "
@@ -186,12 +153,7 @@ def check_marker(path: Path, digest: str) -> None:
 
 
 def run_sweep(options: SweepOptions) -> int:
-    """Train all, print and write; return how many runs failed.
-
-    Raises:
-        BlockingIOError: another process has this sweep's folder.
-        Misuse: the options make no sweep; nothing was trained.
-    """
+    """Train all, print and write; return how many runs failed."""
     check_folder("--out", options.out)
     if options.json is not None:
         check_file("--json", options.json, (".json",))
@@ -265,11 +227,7 @@ def _report(options: SweepOptions, found: dict[tuple[str, int], dict[str, Any]])
 
 
 def over_seeds(runs: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Interquartile mean over training seeds of each measure, with its bootstrap interval.
-
-    Args:
-        runs: as `train_one` gives them, one a seed; at least one.
-    """
+    """Interquartile mean over training seeds of each measure, with its bootstrap interval."""
     found = {}
     for name in runs[0]["measured"]:
         values = np.array([run["measured"][name] for run in runs])
