@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from tests.packaging.rows import EVERY_OPTIONAL
 from tests.packaging.steps import INSIDE
 
 SOURCES = ("swarm_envs", "agents", "baselines", "training")
-FILES = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE")
+FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
 STRAYS = ("tests/test_stray.py", "demo/summary.json", "swarm_envs/notes.txt", "agents/log.csv")
 
 MAKE_BY_NAME = """
@@ -109,6 +110,29 @@ def test_the_source_archive_holds_the_package_alone_and_files_in_place_of_links(
     made = {"PKG-INFO", "setup.cfg", *(n for n in names if n.startswith("swarm_envs.egg-info/"))}
     folders = {m.name.partition("/")[2] for m in members if m.isdir()}
     assert names - folders - made == checkout_files() | set(FILES)
+
+
+PRINT_DESCRIPTION = """
+import setuptools
+setuptools.setup = lambda **given: print(given["long_description"])
+exec(compile(open("setup.py").read(), "setup.py", "exec"), {"__file__": "setup.py"})
+"""
+
+
+def test_the_description_on_pypi_has_no_relative_links(wheel, tmp_path):
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        shown = archive.read(name).decode()
+    assert "# swarm-envs" in shown and "Description-Content-Type: text/markdown" in shown
+    assert not re.search(r"\]\((?!https?://)", shown)
+    for file in FILES[:4]:
+        shutil.copy(ROOT / file, tmp_path)
+    settings = (ROOT / "pyproject.toml").read_text()
+    repository = '[project.urls]\nRepository = "https://example.org/r"\n#'
+    (tmp_path / "pyproject.toml").write_text(settings.replace("[project.urls]", repository))
+    shown = run("-c", PRINT_DESCRIPTION, cwd=tmp_path)
+    assert "(https://example.org/r/raw/main/docs/demo.png)" in shown
+    assert "(https://example.org/r/blob/main/docs/install.md)" in shown
 
 
 def test_every_module_imports_from_an_installed_wheel(wheel, tmp_path):
