@@ -208,7 +208,7 @@ def test_two_types_learn_apart():
     values = torch.from_numpy(learner.env.observe(rows_of(learner)))
     large = values[:, learner.sizes.own_column("L")] == 1.0
     small_before = policy.get_distribution(values[~large]).mode().detach()
-    optimiser = torch.optim.SGD(policy.mlp_extractor.parameters(), lr=0.1)
+    optimiser = torch.optim.SGD(policy.pi_features_extractor.parameters(), lr=0.1)
     policy.get_distribution(values[large]).mode().square().sum().backward()
     optimiser.step()
     assert torch.equal(policy.get_distribution(values[~large]).mode(), small_before)

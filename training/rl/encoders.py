@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import torch
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -128,6 +130,20 @@ class Trunks(nn.Module):
             own = values[:, self.spec.sizes.own_column(token), None]
             parts += [own * trunk(values), own]
         return torch.cat(parts, dim=1)
+
+
+class TrunkExtractor(BaseFeaturesExtractor):  # type: ignore[misc]  # SB3's base has no types here
+    """Trunks where Stable-Baselines3 has features extracted, of the first numbers observed."""
+
+    def __init__(self, observation_space: Any, spec: EncoderSpec) -> None:
+        trunks = Trunks(spec)
+        super().__init__(observation_space, trunks.width)
+        self.trunks = trunks
+
+    def forward(self, values: Tensor) -> Tensor:
+        """What comes out of the trunks."""
+        latent: Tensor = self.trunks(values[:, : self.trunks.spec.sizes.width])
+        return latent
 
 
 class Actor(nn.Module):

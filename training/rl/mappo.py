@@ -19,8 +19,8 @@ from torch import Tensor, nn
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import Blueprint
-from swarm_envs.training.rl.encoders import EncoderSpec, hidden_layers
-from swarm_envs.training.rl.ppo import ActorCritic, PpoLearner, TeamPolicy
+from swarm_envs.training.rl.encoders import hidden_layers
+from swarm_envs.training.rl.ppo import PpoLearner, TeamPolicy
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 
@@ -66,12 +66,11 @@ class TeamStateVecEnv(SharedPolicyVecEnv):
 class TeamStatePolicy(TeamPolicy):
     """An actor of the features, and a critic of all that `TeamStateVecEnv` shows."""
 
-    def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = StateActorCritic(self._spec, self.observation_space.shape[0])
-
     value_net: Any
 
     def _build(self, lr_schedule: Any) -> None:
+        widths = self.observation_space.shape[0], *self.pi_features_extractor.trunks.spec.hidden[:-1]
+        self.vf_features_extractor = hidden_layers((*widths, self.features_dim), "tanh")
         super()._build(lr_schedule)
         self.value_net = SpreadLinear(self.value_net)
 
@@ -84,19 +83,6 @@ class TeamStatePolicy(TeamPolicy):
         """Let the critic's units follow the returns."""
         (whole,) = rollout.get()
         self.value_net.note_returns(whole.returns)
-
-
-class StateActorCritic(ActorCritic):
-    """The actor of a spec, which takes the first numbers; and a perceptron that takes all."""
-
-    def __init__(self, spec: EncoderSpec, observed: int) -> None:
-        super().__init__(spec)
-        self.value_net = hidden_layers((observed, *spec.hidden), "tanh")
-        self.latent_dim_vf = spec.hidden[-1]
-
-    def forward_actor(self, values: Tensor) -> Tensor:
-        """What comes out of the actor."""
-        return super().forward_actor(values[:, : self.policy_net.spec.sizes.width])
 
 
 class SpreadLinear(nn.Module):

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from swarm_envs.agents.networks import Network
 from swarm_envs.envs.observation import Float32Array
-from swarm_envs.training.rl.encoders import Actor, EncoderSpec, Trunks, plain_networks
+from swarm_envs.training.rl.encoders import Actor, TrunkExtractor, plain_networks
 from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
 
@@ -54,14 +54,17 @@ class PpoLearner(Sb3Learner):
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "spec": self.spec,
+                "features_extractor_class": TrunkExtractor,
+                "features_extractor_kwargs": {"spec": self.spec},
+                "share_features_extractor": False,
+                "net_arch": [],
                 "log_std_init": config.log_std_init,
                 "optimizer_kwargs": {"eps": 1e-5, "fused": True},
             },
         )
         policy = self.model.policy
         self.model.start_kl = config.start_kl
-        self.model.start = self.start_from(policy.mlp_extractor.policy_net, policy.action_net)
+        self.model.start = self.start_from(policy.pi_features_extractor.trunks, policy.action_net)
 
     def policy_class(self) -> type[TeamPolicy]:
         """Actor and critic."""
@@ -92,7 +95,7 @@ class PpoLearner(Sb3Learner):
     def actor(self) -> dict[str, Network]:
         """The networks whose output is the mean action."""
         policy = self.model.policy
-        return plain_networks(policy.mlp_extractor.policy_net, policy.action_net)
+        return plain_networks(policy.pi_features_extractor.trunks, policy.action_net)
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """Adam."""
@@ -131,43 +134,12 @@ class FlownRollouts(RolloutBuffer):  # type: ignore[misc]  # SB3's base has no t
             yield RolloutBufferSamples(seen, done, *rest.unbind(1))
 
 
-class ActorCritic(nn.Module):
-    """Actor and critic, which share nothing, as Stable-Baselines3 calls them."""
-
-    def __init__(self, spec: EncoderSpec) -> None:
-        super().__init__()
-        self.policy_net = Trunks(spec)
-        self.value_net: nn.Module = Trunks(spec)
-        self.latent_dim_pi = self.latent_dim_vf = self.policy_net.width
-
-    def forward(self, values: Tensor) -> tuple[Tensor, Tensor]:
-        """What comes out of the actor and of the critic."""
-        return self.forward_actor(values), self.forward_critic(values)
-
-    def forward_actor(self, values: Tensor) -> Tensor:
-        """What comes out of the actor."""
-        latent: Tensor = self.policy_net(values)
-        return latent
-
-    def forward_critic(self, values: Tensor) -> Tensor:
-        """What comes out of the critic."""
-        latent: Tensor = self.value_net(values)
-        return latent
-
-
 class TeamPolicy(ActorCriticPolicy):  # type: ignore[misc]  # SB3's base has no types here
-    """Stable-Baselines3's policy with the networks of a spec, which is given by `spec`."""
-
-    def __init__(self, *arguments: Any, spec: EncoderSpec, **options: Any) -> None:
-        self._spec = spec
-        super().__init__(*arguments, **options)
-
-    def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = ActorCritic(self._spec)
+    """Stable-Baselines3's policy, which computes only what an update needs."""
 
     def means(self, seen: Tensor) -> Tensor:
         """Mean actions (B, width)."""
-        means: Tensor = self.action_net(self.mlp_extractor.forward_actor(seen))
+        means: Tensor = self.action_net(self.pi_features_extractor(seen))
         return means
 
     def value_gradient(self, values: Tensor, returns: Tensor) -> Tensor:

@@ -23,7 +23,6 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn
@@ -31,7 +30,7 @@ from torch.nn import functional
 
 from swarm_envs.agents.networks import Network
 from swarm_envs.envs.observation import Float32Array
-from swarm_envs.training.rl.encoders import EncoderSpec, Trunks, plain_networks
+from swarm_envs.training.rl.encoders import TrunkExtractor, plain_networks
 from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
 
@@ -173,20 +172,6 @@ class TwinCritic(nn.Module):
     def set_training_mode(self, mode: bool) -> None:
         """As Stable-Baselines3 calls `train`."""
         self.train(mode)
-
-
-class TrunkExtractor(BaseFeaturesExtractor):  # type: ignore[misc]  # SB3's base has no types here
-    """The actor's hidden layers, where Stable-Baselines3 has features extracted."""
-
-    def __init__(self, observation_space: Any, spec: EncoderSpec) -> None:
-        trunks = Trunks(spec)
-        super().__init__(observation_space, trunks.width)
-        self.trunks = trunks
-
-    def forward(self, values: Tensor) -> Tensor:
-        """What comes out of the trunks."""
-        latent: Tensor = self.trunks(values)
-        return latent
 
 
 class TwinPolicy(SACPolicy):  # type: ignore[misc]  # SB3's base has no types here
