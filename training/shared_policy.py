@@ -296,35 +296,29 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 f"options has {len(self._options)} entries, but must have {self.num_envs}: one for "
                 "each drone of each environment, or be one dictionary for all"
             )
-        if not any(self._options):
-            for core, seeds in zip(self.cores, self._next_seeds, strict=True):
-                core.reset(seeds)
-            return
-        options = self._options_of_environments()
-        before = [core.get_state() for core in self.cores]
+        before = [core.get_state() for core in self.cores] if any(self._options) else []
         try:
-            for core, seeds in zip(self.cores, self._next_seeds, strict=True):
-                for e in range(core.num_envs):
-                    core.reset(seeds, np.arange(core.num_envs) == e, options.pop(0))
+            for core, begin, seeds in zip(self.cores, self._begins, self._next_seeds, strict=False):
+                if not before:
+                    core.reset(seeds)
+                for e in range(core.num_envs if before else 0):
+                    options = self._options_of(core.num_drones, begin + e * core.num_drones)
+                    core.reset(seeds, np.arange(core.num_envs) == e, options)
         except Exception:  # one is refused: none has begun
-            for core, state in zip(self.cores, before, strict=True):
+            for core, state in zip(self.cores, before, strict=False):
                 core.set_state(state)
             raise
 
-    def _options_of_environments(self) -> Infos:
-        """The reset options of every environment, which all of its drones must have."""
-        found: Infos = []
-        for core, begin in zip(self.cores, self._begins, strict=False):
-            drones = core.num_drones
-            for k in range(begin, begin + core.num_envs * drones, drones):
-                first, *others = self._options[k : k + drones]
-                if not all(other is first or _equal(first, other) for other in others):
-                    raise ValueError(
-                        f"options of environment {len(found)} differ between its drones; give all "
-                        f"{drones} of them the same"
-                    )
-                found.append(first)
-        return found
+    def _options_of(self, drones: int, begin: int) -> dict[str, Any]:
+        """The reset options of an environment, which all of its drones must have."""
+        first, *others = self._options[begin : begin + drones]
+        if not all(other is first or _equal(first, other) for other in others):
+            number = self.first_drones.index(begin)
+            raise ValueError(
+                f"options of environment {number} differ between its drones; give all {drones} of "
+                "them the same"
+            )
+        return dict(first)
 
 
 def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:

@@ -69,7 +69,10 @@ class TeamStatePolicy(TeamPolicy):
     value_net: Any
 
     def _build(self, lr_schedule: Any) -> None:
-        widths = self.observation_space.shape[0], *self.pi_features_extractor.trunks.spec.hidden[:-1]
+        widths = (
+            self.observation_space.shape[0],
+            *self.pi_features_extractor.trunks.spec.hidden[:-1],
+        )
         self.vf_features_extractor = hidden_layers((*widths, self.features_dim), "tanh")
         super()._build(lr_schedule)
         self.value_net = SpreadLinear(self.value_net)

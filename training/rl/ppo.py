@@ -84,12 +84,10 @@ class PpoLearner(Sb3Learner):
         }
 
     def _begin_second_stage(self) -> None:
-        policy = self.model.policy
-        with torch.no_grad():
-            policy.log_std.clamp_(min=float(np.log(max(self.config.second_deviation, 1e-6))))
-        options: dict[str, Any] = dict(policy.optimizer_kwargs)
+        policy, least = self.model.policy, max(self.config.second_deviation, 1e-6)
+        policy.log_std.data.clamp_(min=math.log(least))
         policy.optimizer = policy.optimizer_class(
-            policy.parameters(), lr=self.config.second_rate, **options
+            policy.parameters(), lr=self.config.second_rate, **policy.optimizer_kwargs
         )
 
     def actor(self) -> dict[str, Network]:
@@ -105,10 +103,7 @@ class PpoLearner(Sb3Learner):
 class FlownRollouts(RolloutBuffer):  # type: ignore[misc]  # SB3's base has no types here
     """Stable-Baselines3's rollouts, of which only decisions of drones that flew are learned from.
 
-    Args:
-        *arguments: as `RolloutBuffer` takes them.
-        waiting: what a drone observes first in a decision after its end, before its team's.
-        **options: as `RolloutBuffer` takes them.
+    `waiting` is how observations begin of a drone that has ended before its team.
     """
 
     def __init__(self, *arguments: Any, waiting: Float32Array, **options: Any) -> None:
@@ -136,6 +131,10 @@ class FlownRollouts(RolloutBuffer):  # type: ignore[misc]  # SB3's base has no t
 
 class TeamPolicy(ActorCriticPolicy):  # type: ignore[misc]  # SB3's base has no types here
     """Stable-Baselines3's policy, which computes only what an update needs."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.features_extractor = None  # another name of the actor's
 
     def means(self, seen: Tensor) -> Tensor:
         """Mean actions (B, width)."""

@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import SAC
-from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
+from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn
 from torch.nn import functional
@@ -38,6 +39,8 @@ ACTOR_EVERY = 2
 """Gradient steps of the critics for each of the actor and of the temperature."""
 _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 _MEMORY, _TEMPERATURE, _PLACE = "memory.", "log_temperature", "memory_place"
+_SAME = ("buffer_size", "learning_starts", "batch_size", "tau", "train_freq", "gradient_steps")
+"""Options that Stable-Baselines3 calls the same."""
 _BUFFER_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -54,12 +57,7 @@ class SacLearner(Sb3Learner):
             lookahead=options.lookahead,
             gamma=config.gamma,
             learning_rate=lambda _: config.learning_rate_after(self.rollouts),
-            buffer_size=options.buffer_size,
-            learning_starts=options.learning_starts,
-            batch_size=options.batch_size,
-            tau=options.tau,
-            train_freq=options.train_freq,
-            gradient_steps=options.gradient_steps,
+            **{name: getattr(options, name) for name in _SAME},
             ent_coef=f"auto_{options.ent_coef}",
             seed=config.seed,
             device="cpu",
@@ -73,7 +71,7 @@ class SacLearner(Sb3Learner):
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment."""
-        _cut(self.model.replay_buffer)
+        self.model.replay_buffer.cut()
         entry, said = super().fly(segment, watch), self.model.logger.name_to_value
         return {
             **entry,
@@ -97,7 +95,7 @@ class SacLearner(Sb3Learner):
         """Weights, Adam's averages, the temperature; and while it learns, the replay buffer."""
         tensors = {**super().tensors(), _TEMPERATURE: self.model.log_ent_coef.detach()}
         if self.rollouts < self.config.rollouts:
-            tensors |= _buffer_tensors(self.model.replay_buffer)
+            tensors |= self.model.replay_buffer.tensors()
         return tensors
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
@@ -106,7 +104,7 @@ class SacLearner(Sb3Learner):
         with torch.no_grad():
             self.model.log_ent_coef.copy_(tensors[_TEMPERATURE])
         if _PLACE in tensors:
-            _fill_buffer(self.model.replay_buffer, tensors)
+            self.model.replay_buffer.fill(tensors)
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """Of the actor, the critics and the temperature."""
@@ -116,28 +114,6 @@ class SacLearner(Sb3Learner):
             "critic_optimiser.": model.critic.optimizer,
             "temperature_optimiser.": model.ent_coef_optimizer,
         }
-
-
-def _cut(buffer: ReplayBuffer) -> None:
-    """Let no return reach from the last decision into the episode that begins after it."""
-    last = buffer.pos - 1  # where nothing is stored yet, a place that will be written over
-    buffer.timeouts[last] = np.maximum(buffer.timeouts[last], 1.0 - buffer.dones[last])
-
-
-def _buffer_tensors(buffer: ReplayBuffer) -> dict[str, Tensor]:
-    filled = buffer.buffer_size if buffer.full else buffer.pos
-    tensors = {
-        _MEMORY + name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _BUFFER_FIELDS
-    }
-    return {**tensors, _PLACE: torch.tensor(buffer.pos)}
-
-
-def _fill_buffer(buffer: ReplayBuffer, tensors: Mapping[str, Tensor]) -> None:
-    for name in _BUFFER_FIELDS:
-        held = tensors[_MEMORY + name].numpy()
-        getattr(buffer, name)[: len(held)] = held
-    buffer.pos = int(tensors[_PLACE])
-    buffer.full = len(held) == buffer.buffer_size
 
 
 class TwinCritic(nn.Module):
@@ -186,10 +162,7 @@ class TwinPolicy(SACPolicy):  # type: ignore[misc]  # SB3's base has no types he
 class FlownReplay(NStepReplayBuffer):  # type: ignore[misc]  # SB3's base has no types here
     """Stable-Baselines3's replay buffer, of which only decisions of drones that flew are drawn.
 
-    Args:
-        *arguments: as `NStepReplayBuffer` takes them.
-        waiting: (width,) what a drone observes that has ended before its team.
-        **options: as `NStepReplayBuffer` takes them.
+    `waiting` (width,) is what a drone observes that has ended before its team.
     """
 
     def __init__(self, *arguments: Any, waiting: Float32Array, **options: Any) -> None:
@@ -203,6 +176,24 @@ class FlownReplay(NStepReplayBuffer):  # type: ignore[misc]  # SB3's base has no
             flew = (batch.observations != self._waiting).any(-1)
             if flew.any():
                 return ReplayBufferSamples(*(part[flew] for part in batch))
+
+    def cut(self) -> None:
+        """Let no return reach from the last decision into the episode that begins after it."""
+        last = self.pos - 1  # where nothing is stored yet, a place that will be written over
+        self.timeouts[last] = np.maximum(self.timeouts[last], 1.0 - self.dones[last])
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All that is remembered, by names of its own."""
+        filled = self.buffer_size if self.full else self.pos
+        held = {_MEMORY + n: torch.from_numpy(getattr(self, n)[:filled]) for n in _BUFFER_FIELDS}
+        return {**held, _PLACE: torch.tensor(self.pos)}
+
+    def fill(self, tensors: Mapping[str, Tensor]) -> None:
+        """Remember what `tensors` gave."""
+        for name in _BUFFER_FIELDS:
+            held = tensors[_MEMORY + name].numpy()
+            getattr(self, name)[: len(held)] = held
+        self.pos, self.full = int(tensors[_PLACE]), len(held) == self.buffer_size
 
 
 class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types here
@@ -259,10 +250,7 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
         expected = self.critic(observations, actions)
         loss = functional.mse_loss(expected, targets.expand_as(expected))
         _descend(self.critic.optimizer, loss, self.critic)
-        with torch.no_grad():
-            pairs = zip(self.critic_target.parameters(), self.critic.parameters(), strict=True)
-            for target, parameter in pairs:
-                target.lerp_(parameter, self.tau)
+        polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
         return loss.detach()
 
     def _update_actor(self, observations: Tensor) -> Tensor:
@@ -286,9 +274,8 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
         return torch.tanh(before), (density - stretch).sum(1)  # stretch: log of tanh's slope
 
     @property
-    def _temperature(self) -> Tensor:
-        temperature: Tensor = self.log_ent_coef.detach().exp()
-        return temperature
+    def _temperature(self) -> Any:
+        return self.log_ent_coef.detach().exp()
 
 
 def _descend(optimiser: torch.optim.Optimizer, loss: Tensor, network: nn.Module) -> None:
