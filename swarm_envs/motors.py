@@ -38,16 +38,10 @@ _LITHIUM_POLYMER_V = (3.27, 3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3.95, 4.02, 4.11
 def rotor_force_g(
     vehicle: Vehicle, pwm: npt.ArrayLike, voltage: npt.ArrayLike
 ) -> np.float64 | FloatArray:
-    """Force of one rotor, psi1 of Table I.
+    """Force of one rotor, g, by motor signal PWM / 65536 and voltage over 4.2 V: psi1 of Table I.
 
-    Args:
-        vehicle: whose rotor.
-        pwm: motor signal PWM / 65536, any shape.
-        voltage: battery voltage under that signal over 4.2 V, broadcast against `pwm`.
-
-    Returns:
-        Force in grams. The fit has its minimum near p = 0.2 and is meant for the signals of flight,
-        above 0.3; at p = 0 it gives some grams where a rotor at rest gives none.
+    The fit has its minimum near p = 0.2 and is meant for the signals of flight, above 0.3; at p = 0
+    it gives some grams where a rotor at rest gives none. Signal and voltage (under it) broadcast.
     """
     a, b, c, d, e = vehicle.pwm_to_force
     p, v = np.asarray(pwm, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
@@ -57,19 +51,11 @@ def rotor_force_g(
 def pwm_for_force(
     vehicle: Vehicle, force_g: npt.ArrayLike, voltage: npt.ArrayLike
 ) -> np.float64 | FloatArray:
-    """Motor signal that makes a rotor give a force, psi2 of Table I.
+    """Motor signal PWM / 65536 for one rotor's force, g, at a voltage over 4.2 V: psi2 of Table I.
 
-    A fit of its own, not the exact inverse of psi1: between half and one and a half times the
-    force of hover, at 3.4 to 4.0 V, psi1 of the signal misses the force that was asked for by at
-    most 1.0 g (small) and 3.7 g (large), in the mean square by 0.5 g and 1.6 g.
-
-    Args:
-        vehicle: whose rotor.
-        force_g: force wanted of one rotor, grams, any shape.
-        voltage: battery voltage over 4.2 V, broadcast against `force_g`.
-
-    Returns:
-        PWM / 65536; the polynomial is not limited to [0, 1].
+    A fit of its own, not the exact inverse of psi1: between half and one and a half times the force
+    of hover, at 3.4 to 4.0 V, psi1 of the signal misses the force that was asked for by at most 1.0
+    g (small) and 3.7 g (large), in the mean square by 0.5 g and 1.6 g. It is not limited to [0, 1].
     """
     a, b, c, d, e = vehicle.force_to_pwm
     f, v = np.asarray(force_g, dtype=np.float64), np.asarray(voltage, dtype=np.float64)

@@ -6,6 +6,7 @@ times gives (T, 3), and (N, 3) starts with one time give (N, 3).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -36,15 +37,6 @@ def rest(position: FloatArray) -> Reference:
     return Reference(position, still, still, still)
 
 
-class _Profile(NamedTuple):
-    """A scalar function of time with its first three derivatives, each of the same shape."""
-
-    value: FloatArray
-    first: FloatArray
-    second: FloatArray
-    third: FloatArray
-
-
 @typed
 def rest_to_rest(
     start: npt.ArrayLike, goal: npt.ArrayLike, duration: npt.ArrayLike, t: npt.ArrayLike
@@ -70,7 +62,7 @@ def rest_to_rest(
     first = 140.0 * u**3 * (1.0 - u) ** 3
     second = 420.0 * u**2 * (1.0 - u) ** 2 * (1.0 - 2.0 * u)
     third = 840.0 * u * (1.0 - u) * (1.0 - 5.0 * u + 5.0 * u**2)
-    return _along_line(start, goal, _scale_time(_Profile(value, first, second, third), time))
+    return _along_line(start, goal, time, (value, first, second, third))
 
 
 @typed
@@ -98,55 +90,43 @@ def ramped_line(
     """
     time = _positive("duration", duration)
     u = np.clip(_times(t) / time, 0.0, 1.0)
-    up = _ramped_time(u, ramp)
-    down = _ramped_time(1.0 - u, ramp)
-    late = u > 0.5
     full = 1.0 - ramp  # what the two halves of the warped time sum to
-    profile = _Profile(
-        np.where(late, full - down.value, up.value) / full,
-        np.where(late, down.first, up.first) / full,
-        np.where(late, -down.second, up.second) / full,
-        np.where(late, down.third, up.third) / full,
-    )
-    return _along_line(start, goal, _scale_time(profile, time))
+    value, first, second, third = _ramped_time(1.0 - u, ramp)
+    down, up = (full - value, first, -second, third), _ramped_time(u, ramp)
+    profile = [np.where(u > 0.5, after, before) / full for after, before in zip(down, up)]
+    return _along_line(start, goal, time, profile)
 
 
-def _ramped_time(t: FloatArray, ramp_time: float) -> _Profile:
-    """Time that stands still before zero and runs at full rate after ramp_time."""
+def _ramped_time(t: FloatArray, ramp_time: float) -> tuple[FloatArray, ...]:
+    """Time that stands still before zero and runs at full rate after ramp_time; three slopes."""
     x = np.clip(t / ramp_time, 0.0, 1.0)
     begun = np.where(t < ramp_time, x**4 * (2.5 - 3.0 * x + x**2), x - 0.5) * ramp_time
     value = begun + np.maximum(t - ramp_time, 0.0)
     first = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     second = 30.0 * x**2 * (1.0 - x) ** 2 / ramp_time
     third = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / ramp_time**2
-    return _Profile(value, first, second, third)
+    return value, first, second, third
 
 
-def _scale_time(profile: _Profile, duration: FloatArray) -> _Profile:
-    """The derivatives by time of a profile given over the share of a duration."""
-    with np.errstate(over="ignore"):  # what takes for ever has no derivatives
-        return _Profile(
-            profile.value,
-            profile.first / duration,
-            profile.second / duration**2,
-            profile.third / duration**3,
-        )
-
-
-def _along_line(start: npt.ArrayLike, goal: npt.ArrayLike, profile: _Profile) -> Reference:
+def _along_line(
+    start: npt.ArrayLike, goal: npt.ArrayLike, duration: FloatArray, profile: Sequence[FloatArray]
+) -> Reference:
+    """The motion of which a share, and its slopes by the share of the duration, are given."""
     origin, end = _points("start", start), _points("goal", goal)
     try:
-        np.broadcast_shapes(origin.shape[:-1], end.shape[:-1], profile.value.shape)
+        np.broadcast_shapes(origin.shape[:-1], end.shape[:-1], profile[0].shape)
     except ValueError:
         raise ValueError(
-            f"start {origin.shape}, goal {end.shape}, duration and t {profile.value.shape} do not "
+            f"start {origin.shape}, goal {end.shape}, duration and t {profile[0].shape} do not "
             "fit together: each leads with as many, or with one"
         ) from None
     way = end - origin
-    value = profile.value[..., None]
+    with np.errstate(over="ignore"):  # what takes for ever has no derivatives
+        slopes = [part / duration**k for k, part in enumerate(profile[1:], start=1)]
+    value = profile[0][..., None]
     # Weighted so that the end is met to the last bit.
     position = origin * (1.0 - value) + end * value
-    parts = np.broadcast_arrays(position, *(part[..., None] * way for part in profile[1:]))
+    parts = np.broadcast_arrays(position, *(slope[..., None] * way for slope in slopes))
     return Reference(*map(np.array, parts))  # each with its own memory
 
 

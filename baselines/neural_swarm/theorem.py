@@ -50,15 +50,9 @@ class ErrorBall(NamedTuple):
 
 @typed
 def error_ball(gains: PositionGains, mass: _Mass, error_rate: _Rate) -> ErrorBall:
-    """The ball of eq. (23), for gains that are the same in x, y and z.
+    """The ball of eq. (23) for a mass, kg, and the largest rate of its model error, d_f, N/s.
 
-    Args:
-        gains: Lambda, K_v / m and Gamma, 1/s.
-        mass: m, kg.
-        error_rate: d_f, largest rate of change of the model error, N/s.
-
-    Raises:
-        ValueError: the mass is not positive, or the rate negative.
+    Gains are the same in x, y and z. Raises ValueError for numbers that are none.
     """
     force_gain = gains.position * gains.integral * mass * gains.velocity
     return ErrorBall(error_rate / force_gain, min(gains.position, gains.velocity, gains.integral))
@@ -74,25 +68,11 @@ def error_envelope(
     velocity_error: npt.ArrayLike = (0.0, 0.0, 0.0),
     force_error: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> FloatArray:
-    """Bound on the norm of the position error at every time, from the start into the ball.
+    """(T,) bound on the norm of the position error at times (T,), s, from start into the ball, m.
 
     It solves the three lines of the theorem with norms in place of vectors, which bounds them: the
-    transient is a sum of exponentials with the rates Lambda, K_v / m and Gamma.
-
-    Args:
-        gains: Lambda, K_v / m and Gamma, 1/s.
-        mass: m, kg.
-        error_rate: d_f, largest rate of change of the model error, N/s.
-        time: (T,) s since the start, where the integral of the velocity error is zero.
-        position_error: (3,) p - p_d at the start, m.
-        velocity_error: (3,) v - dp_d/dt at the start, m/s.
-        force_error: (3,) the model error eps_f at the start, N.
-
-    Returns:
-        (T,) m; it tends to the radius of `error_ball`.
-
-    Raises:
-        ValueError: the mass is not positive, or the rate negative.
+    transient is a sum of exponentials with the rates Lambda, K_v / m and Gamma. At the start the
+    integral is zero, and p - p_d, its derivative and eps_f (3,) are as given, m, m/s and N.
     """
     from scipy.linalg import expm
 
@@ -121,16 +101,9 @@ def clamped_radius(
     """Largest position error of one axis in the limit where the integral is clamped, m.
 
     The controller's integral holds at most K_v Gamma `velocity_integral_limit` against a model
-    error. A larger one is left to the proportional part, and eq. (23) is void; what the clamp and a
-    bound on the error itself leave is (|eps_f| + that) / (Lambda (K_v + m Gamma)) for each axis.
-
-    Args:
-        config: gains and clamp.
-        mass: m, kg.
-        error: largest model error along the axis, N.
-
-    Raises:
-        ValueError: the mass is not positive, or the error negative.
+    error, N. A larger one is left to the proportional part, and eq. (23) is void; what the clamp
+    and a bound on the error itself leave is (|eps_f| + that) / (Lambda (K_v + m Gamma)) for each
+    axis.
     """
     gains = config.gains
     stiffness = gains.position * mass * (gains.velocity + gains.integral)
@@ -159,22 +132,11 @@ def fly_point_mass(
     position_error: npt.ArrayLike = (0.0, 0.0, 0.0),
     velocity_error: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> FloatArray:
-    """Let a point mass hold a place against a planted model error.
+    """(T + 1, 3) position errors, m, of a point mass at rest against model errors (T, 3), N.
 
     The mass feels the desired force f_d of eqs. (18) and (19) at once, and the air pushes with
-    eps_f, of which the controller does not know. The law's errors do not depend on the reference:
-    what is found at rest holds on any.
-
-    Args:
-        vehicle: its mass is what flies.
-        config: gains and clamps; see `without_clamp`.
-        force_error: (T, 3) eps_f = f_a - f_hat in each step, N.
-        dt: length of a step, s; the force is held over it and the motion exact.
-        position_error: (3,) p - p_d at the start, m.
-        velocity_error: (3,) its derivative at the start, m/s.
-
-    Returns:
-        (T + 1, 3) position errors, m, from the start on.
+    eps_f for steps of dt, s, of which the controller does not know. The law's errors do not depend
+    on the reference: what is found at rest holds on any. See `without_clamp`.
     """
     gains, mass, limit = config.gains, vehicle.mass, config.integral_limit
     gravity, integral = np.array([0.0, 0.0, -GRAVITY]), np.zeros(3)

@@ -250,35 +250,14 @@ def fly(  # noqa: C901  # one step, on one screen
     scratch: Scratch,
     feedforward_scratch: Scratch,
 ) -> None:
-    """Fly the environments first to last - 1 that are in the mask, a tile of them at a time.
+    """Fly the environments first to last - 1 that are `flown` (E,), a tile of them at a time.
 
-    A drone that tumbles stops at that step: alone, or with its team where `ends_team` is set. What
-    is None is left out when this is compiled, which saves about a fifth of the time.
-
-    Args:
-        first: the first environment.
-        last: one past the last.
-        phases: which phases each step has. Without MOVE, TOUCH comes first: Bullet has moved the
-            bodies since the last call.
-        steps: number of steps.
-        flown: (E,) environments to fly; the others are not touched.
-        drones: (E, N) their records.
-        columns: (E, N, columns) the same memory as plain numbers.
-        environments: (E,) records.
-        settings: (1,) record.
-        obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
-        open_circuit: (K,) of the batteries; None if they never empty.
-        order: (E, N) drones of each environment, as last sorted along x; None if they are few.
-        gusty: True if there are gusts.
-        adaptive: True if the controller adapts.
-        hall: True in the world "hall".
-        bounces: True if drones bounce off what they touch.
-        twisting: True if the air has a torque on bodies.
-        air: the force model of the environment.
-        feedforward: the model whose forces the controller compensates.
-        work: working memory of this thread.
-        scratch: working memory of the first force model.
-        feedforward_scratch: of the second.
+    Each step has the phases given; without MOVE, TOUCH comes first: Bullet has moved the bodies
+    since the last call. A drone that tumbles stops at that step: alone, or with its team where
+    `ends_team` is set. `columns` (E, N, columns) is the memory of the records `drones` (E, N) as
+    plain numbers, `order` (E, N) the drones as last sorted along x, None if they are few;
+    `open_circuit` is None for batteries that never empty. Flags are True or None: what is None is
+    left out when this is compiled, which saves about a fifth of the time.
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
