@@ -32,7 +32,6 @@ from swarm_envs.state import FloatArray
 
 Stop = Literal["iterations", "no improvement", "time limit"]
 """Why a search ended."""
-Postprocess = Literal["repeat", "track"]
 """How a robot that arrived flies on to the common end of the plan."""
 
 _SHARE = Range(0.0, 1.0)
@@ -54,9 +53,6 @@ class SearchConfig:
     """The most wall-clock time, s; looked at after each tree. Only this stop is not repeatable."""
     edge: Count = 2
     """Steps of the problem over which an action is held: the paper's constant delta t."""
-    postprocess: Postprocess = "track"
-    """After arrival within epsilon: `"repeat"` brakes in one step and stays there, `"track"` is
-    drawn to the goal itself by virtual tracking. Either way to the common end of the plan."""
     fresh: Annotated[float, _SHARE] = 0.5
     """How often an outer loop replans everyone, below the cost bound, instead of replanning one
     after another among the motions there are: the way out of a poor homeomorphism class."""
@@ -70,36 +66,24 @@ class SearchConfig:
             check_value(f"chances.{name}", chance, Annotated[float, _SHARE])
 
 
-@dataclass(frozen=True)
-class LoopRecord:
-    """What one outer loop did."""
-
-    cost: float
-    """Cost of the best plan after it, m/s; infinite as long as there is none."""
-    iterations: int
-    """Iterations in all trees so far."""
-
-
 @dataclass(frozen=True, eq=False)
 class SearchResult:
     """What stage 1 found."""
 
     trajectories: Trajectories | None
     """The cheapest plan; None if none was found."""
-    loops: tuple[LoopRecord, ...]
-    """The outer loops in order."""
+    costs: tuple[float, ...]
+    """Cost of the best plan after each outer loop, the integral of ||u|| of all robots (eq. 6),
+    m/s; infinite as long as there is none."""
+    iterations: int
+    """Iterations in all trees."""
     stop: Stop
     """Why it ended."""
 
     @property
     def cost(self) -> float:
-        """Cost of the plan, the integral of ||u|| of all robots (eq. 6), m/s."""
-        return self.loops[-1].cost
-
-    @property
-    def iterations(self) -> int:
-        """Iterations in all trees."""
-        return self.loops[-1].iterations
+        """Cost of the plan, m/s."""
+        return self.costs[-1]
 
     @property
     def converged(self) -> bool:
@@ -112,7 +96,7 @@ def search(
     problem: PlanningProblem,
     config: SearchConfig | None = None,
     seed: int | np.random.Generator = 0,
-    watch: Callable[[LoopRecord], None] | None = None,
+    watch: Callable[[float, int], object] = lambda cost, iterations: None,
 ) -> SearchResult:
     """Find trajectories of a whole team that are valid, and ever cheaper.
 
@@ -123,7 +107,7 @@ def search(
         problem: what to plan.
         config: options; by default `SearchConfig()`.
         seed: of everything drawn, or a generator.
-        watch: called after each outer loop.
+        watch: called after each outer loop, with cost and iterations so far.
 
     Raises:
         ValueError: an edge is longer than the longest plan.
@@ -153,9 +137,9 @@ class _Search:
         self.iterations = 0
         self.deadline = time.monotonic() + (options.time_limit or np.inf)
 
-    def run(self, watch: Callable[[LoopRecord], None] | None) -> SearchResult:
+    def run(self, watch: Callable[[float, int], object]) -> SearchResult:
         """Outer loops until something ends them."""
-        loops: list[LoopRecord] = []
+        costs: list[float] = []
         stop, idle = None, 0
         while stop is None:
             before = self.cost  # one outer loop (lines 3 to 15): every robot once, in random order
@@ -163,13 +147,12 @@ class _Search:
                 self.plan_afresh()
             else:
                 self.replan_each()
-            loops.append(LoopRecord(float(self.cost), self.iterations))
-            if watch is not None:
-                watch(loops[-1])
+            costs.append(float(self.cost))
+            watch(costs[-1], self.iterations)
             idle = 0 if self.cost < before else idle + 1
             stop = self.stop(idle)
         found = None if self.best is None else trajectories_through(self.problem, self.best)
-        return SearchResult(found, tuple(loops), stop)
+        return SearchResult(found, tuple(costs), self.iterations, stop)
 
     def stop(self, idle: int = 0) -> Stop | None:
         """Why to end now, after so many loops in a row without improvement."""
@@ -207,8 +190,7 @@ class _Search:
         options, path = self.options, np.zeros((self.knots, 6))
         if self.stop() is not None:
             return INVALID, path
-        tracked = options.postprocess == "track"
-        scene = make_scene(self.problem, robot, states, planned, options.edge, tracked)
+        scene = make_scene(self.problem, robot, states, planned, options.edge)
         cost, used, _ = grow_tree(
             scene,
             self.tree,

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from swarm_envs.arguments import POSITIVE_S, Count, Seed, typed
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import LoopRecord, SearchConfig
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search as search_team
 from swarm_envs.baselines.neural_swarm.planner.convex_program import PenaltyWeights
 from swarm_envs.baselines.neural_swarm.planner.plan import STATUSES, SwarmPlan
@@ -205,14 +205,14 @@ def _first_motions(
 ) -> tuple[Trajectories, dict[str, Any]]:
     """Motions of stage 1, or bent lines if it finds none; and what the search did."""
 
-    def show(loop: LoopRecord) -> None:
-        bar.set_postfix_str(f"search: cost {loop.cost:.3g} after {loop.iterations} iterations")
+    def show(cost: float, iterations: int) -> None:
+        bar.set_postfix_str(f"search: cost {cost:.3g} after {iterations} iterations")
 
     found = search_team(problem, config, rng, show)
     about = {
         "found": found.trajectories is not None,
         "stop": found.stop,
-        "loops": len(found.loops),
+        "loops": len(found.costs),
         "iterations": found.iterations,
     }
     return found.trajectories or _bent_lines(problem, rng), about

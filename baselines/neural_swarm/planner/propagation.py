@@ -199,8 +199,6 @@ class Scene(NamedTuple):
     """Length of a step, s."""
     edge: int
     """Steps in an edge."""
-    tracked: bool
-    """Whether the robot is steered to rest at its goal after it arrived, or stays as it is."""
 
 
 class WorkingState(NamedTuple):
@@ -231,7 +229,6 @@ def make_scene(
     states: FloatArray,
     planned: list[int],
     edge: int,
-    tracked: bool,
 ) -> Scene:
     """The scene for planning one robot among those that have motions: the `planned` ones.
 
@@ -285,7 +282,6 @@ def make_scene(
         table=responses(drag, problem.dt, knots - 1),
         dt=problem.dt,
         edge=edge,
-        tracked=tracked,
     )
 
 

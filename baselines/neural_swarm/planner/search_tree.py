@@ -278,10 +278,10 @@ def at_goal(scene: Scene, tree: SearchTree, node: int) -> bool:
 
 @part
 def rest_control(scene: Scene, work: WorkingState, control: FloatArray) -> None:
-    """The control after arrival: towards the goal by virtual tracking, or to rest at once."""
+    """The control after arrival: towards the goal by virtual tracking."""
     for k in range(3):
         error, speed = work.position[0, k] - scene.goal[k], work.velocity[0, k]
-        wanted = -_PULL * error - _DAMP * speed if scene.tracked else -speed / scene.dt
+        wanted = -_PULL * error - _DAMP * speed
         control[k] = scene.free[k] * (wanted - work.force[0, k] / scene.mass[0])
 
 

@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import (
-    LoopRecord,
-    Postprocess,
-    SearchConfig,
-    search,
-)
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
 from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, working_state
 from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, empty_tree, grow_tree
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
@@ -47,7 +42,7 @@ def plan(problem: PlanningProblem, config: SearchConfig, seed: int = 0) -> Traje
 
 def replan(problem, states, planned, seed, iterations, bound=np.inf):
     """Plan robot 0 into `states` with one tree; the cost, infinite if none is below the bound."""
-    scene, tree = make_scene(problem, 0, states, planned, 2, True), empty_tree(40_000, 2)
+    scene, tree = make_scene(problem, 0, states, planned, 2), empty_tree(40_000, 2)
     rng, path = np.random.default_rng(seed), np.zeros((len(states), 6))
     work = working_state(scene)
     cost, used, _ = grow_tree(scene, tree, work, bound, iterations, Chances(), rng, path)
@@ -91,8 +86,7 @@ def check_valid(problem, trajectories):
 
 
 @pytest.mark.parametrize("model", ["learned", "wake", "none"])
-@pytest.mark.parametrize("postprocess", ["track", "repeat"])
-def test_plans_keep_every_bound(model: str, postprocess: Postprocess) -> None:
+def test_plans_keep_every_bound(model):
     aside = np.add(ROW, [0.1, 0.0, 0.0])
     problem = swap(model=load(model), starts=aside, goals=aside[[2, 0, 1]])
     angle = np.arange(5) * 2 * np.pi / 5
@@ -100,7 +94,7 @@ def test_plans_keep_every_bound(model: str, postprocess: Postprocess) -> None:
     larger = PlanningProblem(starts, starts * (-1, -1, 1), parse_team("SLS*SL"), load(model))
     check_valid(larger, plan(larger, QUICK, seed=1))
     for seed in range(4):
-        result = search(problem, dataclasses.replace(QUICK, postprocess=postprocess), seed)
+        result = search(problem, QUICK, seed)
         assert result.converged
         assert result.trajectories is not None
         check_valid(problem, result.trajectories)
@@ -108,14 +102,14 @@ def test_plans_keep_every_bound(model: str, postprocess: Postprocess) -> None:
 
 
 def test_costs_never_rise_and_every_loop_is_told():
-    told: list[LoopRecord] = []
-    result = search(swap(), dataclasses.replace(QUICK, iterations=10_000), 3, told.append)
-    costs = [loop.cost for loop in result.loops]
-    assert costs == sorted(costs, reverse=True)
+    told: list[tuple[float, int]] = []
+    config = dataclasses.replace(QUICK, iterations=10_000)
+    result = search(swap(), config, 3, lambda *of: told.append(of))
+    costs = list(result.costs)
+    assert costs == sorted(costs, reverse=True) == [cost for cost, _ in told]
     assert costs[-1] < 0.9 * next(cost for cost in costs if cost < np.inf)
-    assert tuple(told) == result.loops
     assert result.stop == "iterations"
-    assert result.iterations == result.loops[-1].iterations == 10_000
+    assert result.iterations == told[-1][1] == 10_000
 
 
 def test_without_a_force_model_plans_lead_into_wakes():
@@ -167,7 +161,6 @@ def test_the_clock_ends_a_search_with_the_best_so_far():
 def test_bad_options_are_refused():
     for changes, message in (
         ({"edge": 1.5}, "edge is 1.5"),
-        ({"postprocess": "none"}, "unknown postprocess"),
         ({"chances": Chances(goal=1.5)}, "goal is 1.5"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -184,7 +177,7 @@ EXACT = PlanningBounds(goal_distance=0.01, goal_speed=0.02)  # next to no gain b
 
 
 def alone(air: str, bounds: PlanningBounds) -> PlanningProblem:
-    given: dict[str, Any] = {"model": load(air), "bounds": bounds, "max_duration": TIME}
+    given = {"model": load(air), "bounds": bounds, "max_duration": TIME}
     return crossing(starts=[START], goals=[GOAL], team="S", **given)
 
 
