@@ -18,59 +18,16 @@ from swarm_envs.control.config import (
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import load
-from swarm_envs.physics import BatchPhysics, bullet_available
+from swarm_envs.physics import BatchPhysics
 from swarm_envs.state import Setpoint, hover_state
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 from tests.helpers.linear_loop import Loop, height_margin
-from tests.helpers.numpy_controller import (
-    NumpyTrackingController,
-    TrackingTarget,
-)
-from tests.helpers.plain_adaptation import PlainAdaptation
-from tests.helpers.random_flights import RandomFlight
 
-TEAM = parse_team("SLS*L")
 KINDS = (MomentumObserver(), Indi(), NeuralFly())
-QUICK = (MomentumObserver(20.0), Indi(20.0), NeuralFly(force_drift=10.0, cutoff_hz=20.0))
-"""They reach the limit of one weight in wild flights."""
 NAMES = ("momentum observer", "INDI", "Neural-Fly")
 SHORT = StackedLayout(radius_m=(0.5, 0.5), duration_s=(2.0, 2.0))
 each = pytest.mark.parametrize("adaptation", KINDS, ids=NAMES)
-
-
-@pytest.mark.parametrize(
-    ("adaptation", "wildness"),
-    [*((kind, 0.03) for kind in KINDS), *((kind, 3.0) for kind in QUICK)],
-)
-def test_compiled_agrees_with_plain(adaptation, wildness):
-    config = ControllerConfig(adaptation=adaptation)
-    compiled = TrackingController(TEAM, num_envs=2, config=config)
-    places = [(e, i) for e in range(2) for i in range(len(TEAM))]
-    plain = {at: NumpyTrackingController(TEAM[at[1]], config) for at in places}
-    adaptive = {at: PlainAdaptation(TEAM[at[1]], config) for at in places}
-    drones = compiled._loop.world.drones
-    flight, commands = RandomFlight(TEAM, 5, wildness), drones["commands"].copy()
-    limited = 0
-    for _ in range(300):
-        state, setpoint, force = flight.advance()
-        last, commands = commands, compiled.commands(state, setpoint, force)
-        for at in places:
-            p, v, q, w = (array[at] for array in state[:1] + state[1:2] + state[2:4])
-            target = TrackingTarget(
-                setpoint.position[at].copy(),
-                setpoint.velocity[at].copy(),
-                setpoint.acceleration[at].copy(),
-                float(setpoint.yaw[at]),
-                float(setpoint.yaw_rate[at]),
-            )
-            aims = (target.position, target.velocity)
-            more = adaptive[at].force(p, v, q, last[at], force[at], aims)
-            np.testing.assert_allclose(drones["adaptive_force"][at], more, rtol=0, atol=1e-9)
-            expected = plain[at].commands(p, v, q, w, target, force[at] + more)
-            np.testing.assert_allclose(commands[at], expected, rtol=0, atol=1e-9)
-            limited += int((abs(more) >= 0.999 * TEAM[at[1]].mass * 9.80665).any())
-    assert (limited > 0) == (wildness == 3.0)
 
 
 def observed(adaptation, push_g: float, seconds: float) -> float:
@@ -124,25 +81,6 @@ def test_belief_and_adaptation_together_beat_either(adaptation):
         belief = load("learned")
         alone = worst_cm(test, belief, None), worst_cm(test, None, adaptation)
         assert worst_cm(test, belief, adaptation) < share * min(alone)
-
-
-@pytest.mark.skipif(not bullet_available(), reason="needs pybullet")
-@each
-def test_both_engines_fly_the_same(adaptation):
-    config = ControllerConfig(feedforward=load("wake"), adaptation=adaptation)
-    flights = [fly(swap_test("SL2S", SHORT, engine=e), config, [0]) for e in ("batch", "bullet")]
-    np.testing.assert_allclose(flights[0].position, flights[1].position, rtol=0, atol=1e-9)
-
-
-def test_a_reset_forgets_what_was_learned():
-    controller = TrackingController(TEAM, 2, ControllerConfig(adaptation=NeuralFly()))
-    flight, drones = RandomFlight(TEAM, 1, 1.0), controller._loop.world.drones
-    for _ in range(20):
-        controller.commands(*flight.advance())
-    names = ("adaptive_force", "adaptive_coefficients", "adaptive_covariance", "last_velocity")
-    assert all(drones[name].any(axis=(1, 2)).all() for name in names)
-    controller.reset(np.array([False, True]))
-    assert all(drones[name][0].any() and not drones[name][1].any() for name in names)
 
 
 @pytest.mark.parametrize(

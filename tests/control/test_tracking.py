@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from swarm_envs.control.config import (
-    MID,
     STIFF,
     ControllerConfig,
+    Indi,
+    MomentumObserver,
+    NeuralFly,
     low_pass_blend,
 )
 from swarm_envs.control.tracking import TrackingController
@@ -18,12 +20,17 @@ from tests.helpers.numpy_controller import (
     NumpyTrackingController,
     TrackingTarget,
 )
+from tests.helpers.plain_adaptation import PlainAdaptation
 from tests.helpers.random_flights import RandomFlight
 
 TEAM = parse_team("SLS*L")
+ADAPTATIONS = (MomentumObserver(), Indi(), NeuralFly())
+QUICK = (MomentumObserver(20.0), Indi(20.0), NeuralFly(force_drift=10.0, cutoff_hz=20.0))
+"""They reach the limit of one weight in wild flights."""
 MEMORY = (
     *("velocity_integral", "rate_integral", "desired_thrust", "thrust_rate", "rate_error"),
     *("rate_error_rate", "desired_attitude", "desired_rate", "started"),
+    *("adaptive_force", "adaptive_coefficients", "adaptive_covariance", "last_velocity"),
 )
 """What the loop remembers from step to step."""
 
@@ -33,45 +40,50 @@ def memory(controller: TrackingController) -> dict[str, FloatArray]:
     return {name: drones[name].copy() for name in MEMORY}
 
 
-@pytest.mark.parametrize("lag_compensation", [True, False])
-@pytest.mark.parametrize(("wildness", "stiffness"), [(0.03, MID), (1.0, STIFF)])
-def test_compiled_agrees_with_plain(lag_compensation, wildness, stiffness):
-    config = ControllerConfig(gains=stiffness, lag_compensation=lag_compensation)
-    compiled = TrackingController(TEAM, num_envs=2, config=config)
-    plain = [[NumpyTrackingController(v, config) for v in TEAM] for _ in range(2)]
-    flight = RandomFlight(TEAM, 7, wildness)
+CONFIGS = {
+    **{f"{lag}, calm": (0.03, ControllerConfig(lag_compensation=lag)) for lag in (True, False)},
+    **{f"{lag}, wild": (1.0, ControllerConfig(STIFF, None, lag)) for lag in (True, False)},
+    **{
+        f"adaptive, {wildness}, {type(law).__name__}": (wildness, ControllerConfig(adaptation=law))
+        for wildness, laws in ((0.03, ADAPTATIONS), (3.0, QUICK))
+        for law in laws
+    },
+}
+
+
+@pytest.mark.parametrize(("wildness", "config"), CONFIGS.values(), ids=CONFIGS)
+def test_compiled_agrees_with_plain(wildness, config):
+    compiled, places = TrackingController(TEAM, 2, config), list(np.ndindex(2, len(TEAM)))
+    plain = {at: NumpyTrackingController(TEAM[at[1]], config) for at in places}
+    adaptive = {at: PlainAdaptation(TEAM[at[1]], config) for at in places if config.adaptation}
+    drones = compiled._loop.world.drones
+    flight, commands = RandomFlight(TEAM, 7, wildness), drones["commands"].copy()
     limits = np.array([v.max_rotor_thrust for v in TEAM])[:, None]
-    saturated = unsaturated = 0
+    saturated = limited = 0
     for _ in range(300):
         state, setpoint, force = flight.advance()
-        commands = compiled.commands(state, setpoint, force)
-        expected = np.empty_like(commands)
-        for e in range(2):
-            for i in range(len(TEAM)):
-                target = TrackingTarget(
-                    setpoint.position[e, i],
-                    setpoint.velocity[e, i],
-                    setpoint.acceleration[e, i],
-                    float(setpoint.yaw[e, i]),
-                    float(setpoint.yaw_rate[e, i]),
-                )
-                expected[e, i] = plain[e][i].commands(
-                    state.position[e, i],
-                    state.velocity[e, i],
-                    state.quaternion[e, i],
-                    state.angular_velocity[e, i],
-                    target,
-                    force[e, i],
-                )
-        np.testing.assert_allclose(commands, expected, rtol=0, atol=1e-9)
-        at_limit = ((commands <= 0) | (commands >= limits)).any(axis=-1)
-        saturated += int(at_limit.sum())
-        unsaturated += int((~at_limit).sum())
-    assert saturated > 500 if wildness == 1.0 else unsaturated > 500
+        last, commands = commands, compiled.commands(state, setpoint, force)
+        for at in places:
+            p, v, q, w = (array[at] for array in state[:4])
+            aims = setpoint.position[at].copy(), setpoint.velocity[at].copy()
+            turn = float(setpoint.yaw[at]), float(setpoint.yaw_rate[at])
+            target = TrackingTarget(*aims, setpoint.acceleration[at], *turn)
+            more = np.zeros(3)
+            if adaptive:
+                more = adaptive[at].force(p, v, q, last[at], force[at], aims)
+                np.testing.assert_allclose(drones["adaptive_force"][at], more, rtol=0, atol=1e-9)
+                limited += int((abs(more) >= 0.999 * TEAM[at[1]].mass * GRAVITY).any())
+            expected = plain[at].commands(p, v, q, w, target, force[at] + more)
+            np.testing.assert_allclose(commands[at], expected, rtol=0, atol=1e-9)
+        saturated += int(((commands <= 0) | (commands >= limits)).any(axis=-1).sum())
+    assert (limited > 0) == (wildness == 3.0)
+    if not adaptive:
+        assert saturated > 500 if wildness == 1.0 else saturated < 300 * len(places) - 500
 
 
 def test_reset_forgets_only_the_masked_environments() -> None:
-    one, fresh = (TrackingController(TEAM, num_envs=2) for _ in range(2))
+    config = ControllerConfig(adaptation=NeuralFly())
+    one, fresh = (TrackingController(TEAM, 2, config) for _ in range(2))
     flight = RandomFlight(TEAM, 3, 1.0)
     for _ in range(20):
         one.commands(*flight.advance())

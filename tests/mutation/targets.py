@@ -10,7 +10,9 @@ _CONTACT = (
     *("-k", "not bullet and (test_contact or name_the or nearest_points or many_points)"),
 )
 _MOTORS = ("tests/test_motors.py",)
-_TRACKING = ("tests/control/test_tracking.py", "tests/control/test_mixer.py")
+_TRACKING = (
+    *("tests/control/test_tracking.py", "tests/control/test_mixer.py", "-k", "not adaptive"),
+)
 _TRACKER = ("tests/baselines/mlr_dmpc/test_tracker.py",)
 _PATHS = ("tests/baselines/rth3d/test_validation.py", "-k", "ring or broken or follow or obstacles")
 _CHECKS = ("tests/baselines/mlr_dmpc/test_checks.py",)

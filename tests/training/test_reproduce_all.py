@@ -6,7 +6,6 @@ import json
 import math
 import shlex
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import tyro
@@ -17,7 +16,6 @@ from swarm_envs.training.reproduce import dmpc_figures
 from swarm_envs.training.reproduce.claims import (
     Between,
     Claim,
-    Extent,
     Reason,
     about,
     format_quantity,
@@ -206,46 +204,3 @@ def test_items_are_listed_and_unknown_ones_refused(capsys):
     assert all(key in listed for key in ITEMS)
     with pytest.raises(ValueError, match="did you mean 'rth3d/figure-5'"):
         choose_studies(("rth3d/figure5",))
-
-
-def claims_of(key: str, numbers: Any, quick: bool = False) -> dict[str, Claim]:
-    claims = ITEMS[key].claims
-    assert claims is not None
-    return {claim.quantity: claim for claim in claims(numbers, Extent(quick))}
-
-
-def point(grid: str, method: str, before: float, robots: int = 100) -> dict[str, Any]:
-    ends = {f"ratio_before_compaction{end}": before for end in ("", "_least", "_most")}
-    ends |= {f"ratio{end}": before - 0.2 for end in ("", "_least", "_most")}
-    own = {"series": "uniform", "grid": grid, "method": method, "robots": robots, "runs": 2}
-    return own | ends
-
-
-@pytest.mark.parametrize(
-    ("preset", "largest", "verdict"),
-    [
-        ("full", 1.68, "agrees"),
-        ("full", 1.55, "explained"),  # shorter than the paper's
-        ("full", 1.9, "unexplained"),
-        ("quick", 1.9, "explained"),  # a small grid
-        ("quick", 1.58, "explained"),
-    ],
-)
-def test_ratios_of_makespans(preset, largest, verdict):
-    points = [
-        point(grid, method, value)
-        for method in ("rth3d", "rth3d-lba", "rth3d-lba-paper", "auto")
-        for grid, value in (("12x6x3", 2.5), ("48x24x12", largest))
-    ]
-    rows = claims_of("rth3d/figure-5", {"points": points}, preset == "quick")
-    assert rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"].agreement == verdict
-    ratio = rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"]
-    if ratio.reason is not None:  # small grids have larger ratios, never smaller ones
-        assert ("--quick" in ratio.reason.text) == (largest > 1.7)
-    fallen = rows["uniform, `rth3d`: ratio on the largest grid over the smallest"]
-    assert (fallen.ours, fallen.agreement) == (largest / 2.5, "agrees")
-
-
-def test_a_curve_that_is_not_there_is_named():
-    with pytest.raises(ValueError, match="no curve of 'rth3d' on 'uniform'"):
-        claims_of("rth3d/figure-6", {"points": []})

@@ -119,15 +119,12 @@ REFUSED = {
         ("", "give one of --figure 1, --figure 5"),
         ("--figure 5 --table 3", "give one of --figure 1, --figure 5"),
         ("--figure 2", "2"),
-        ("--figure 5 --seed -1", "--seed is -1"),
         ("--figure 5 --belief x", "but for --figure 1 or --figure 8 or --figure 9"),
         ("--figure 6 --scenarios SS", "--scenarios has no meaning for --figure 6"),
         ("--figure 7 --scenarios S", "a swap takes two"),
         ("--figure 7 --truth none", "no belief ships"),
         ("--figure 8 --cases S2M", "case 'S2M'"),
-        ("--figure 8 --episodes 0", "--episodes is 0"),
         ("--figure 8 --episodes 5000", "at most 1000"),
-        ("--figure 8 --radius-m -1", "radius_m"),
         ("--figure 8 --belief x.safetensors", "name its force model by --truth"),
         ("--figure 8 --truth wake --belief no.safetensors", "no.safetensors"),
         ("--figure 8 --truth none", "no belief ships"),
@@ -136,12 +133,10 @@ REFUSED = {
     ],
     "dmpc-swarm": [
         ("--figure 4 --study loss", "give one of"),
-        ("--figure 4 --seeds 0", "--seeds is 0"),
     ],
     "rth3d": [
         ("--figure 5 --methods rth4d", "rth3d-lba"),
         ("--figure 5 --methods auto auto", "each method once"),
-        ("--figure 5 --budget 0", "--budget is 0"),
         ("--figure 8 --largest 43199", "below every grid"),
     ],
 }
