@@ -100,7 +100,7 @@ class Physics:
         force_bounds_g: bound on the vertical interaction force by vehicle token, gram-force, that
             metrics count; types that are left out have none.
         on_contact: one of `ON_CONTACT`; with `bounce` drones bounce off each other, floor, walls
-            and obstacles as `swarm_envs.physics.bounce` says. Else the compiled engine lets them
+            and obstacles as `swarm_envs.physics.contact` says. Else the compiled engine lets them
             pass through; so does Bullet with `end_pair`, and pushes them apart with `end_team`.
 
     Raises:

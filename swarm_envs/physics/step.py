@@ -23,8 +23,15 @@ from swarm_envs.interactions.forces import felt_forces, swarm_forces
 from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
 from swarm_envs.motors import drain
 from swarm_envs.neighbors import FEW
-from swarm_envs.physics.bounce import bounce
-from swarm_envs.physics.contact import PLACES, SPOT_TYPE, meet, meet_many, touch, touch_obstacles
+from swarm_envs.physics.contact import (
+    PLACES,
+    SPOT_TYPE,
+    bounce,
+    meet,
+    meet_many,
+    touch,
+    touch_obstacles,
+)
 from swarm_envs.physics.hall_lanes import (
     disturb,
     estimate,

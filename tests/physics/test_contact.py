@@ -1,49 +1,54 @@
-"""Collision flags: who touches what, on both engines."""
+"""Who touches what, on both engines, and drones that bounce: momentum and restitution."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
+from swarm_envs.physics.contact import RESTITUTION, bounce
 from swarm_envs.state import hover_state
+from swarm_envs.swap_v1 import blueprint
+from swarm_envs.tables import BLOCK_TYPE, SETTINGS_TYPE, aligned
 from swarm_envs.tasks.obstacles import Box, obstacle_rows
 from swarm_envs.vehicles import LARGE, SMALL, parse_team
 
 ARENA = [[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]
 
 
-def touched(engine: type[Physics], team: str, positions: Sequence[Sequence[float]]) -> Physics:
-    physics = engine(team, interactions="none", arena=ARENA)
+def flown(engine, team, positions, velocity=0.0, steps=1, **options):
+    """The engine after some steps at the thrust of hover."""
+    physics = engine(team, interactions="none", arena=ARENA, **options)
     state = hover_state(parse_team(team), positions)
+    state.velocity[0] = velocity
     physics.reset(state)
-    physics.step(state.rotor_thrust)
+    for _ in range(steps):
+        physics.step(state.rotor_thrust)
     physics.close()
     return physics
 
 
-def test_drones_touch_below_the_sum_of_radii(engine: type[Physics]) -> None:
+def test_drones_touch_below_the_sum_of_radii(engine):
     reach = SMALL.radius + LARGE.radius
-    near = touched(engine, "SLS", [[0, 0, 1], [reach - 1e-3, 0, 1], [0, 1, 1]])
+    near = flown(engine, "SLS", [[0, 0, 1], [reach - 1e-3, 0, 1], [0, 1, 1]])
     assert near.contacts.drone.tolist() == [[1, 0, -1]]
     assert near.contact.tolist() == [[True, True, False]]
-    far = touched(engine, "SLS", [[0, 0, 1], [reach + 1e-3, 0, 1], [0, 1, 1]])
+    far = flown(engine, "SLS", [[0, 0, 1], [reach + 1e-3, 0, 1], [0, 1, 1]])
     assert not far.contact.any()
     assert far.contacts.separation[0, 0] == pytest.approx(reach + 1e-3)
     assert far.contacts.clearance[0, 0] == pytest.approx((reach + 1e-3) / reach)
 
 
-def test_floor_wall_and_ceiling(engine: type[Physics]) -> None:
+def test_floor_wall_and_ceiling(engine):
     positions = [[0.0, 0, 0.05], [1.95, 0, 1], [0.0, -1.95, 1], [0.0, 0, 2.46], [1.0, 1, 0.07]]
-    physics = touched(engine, "SSSSS", positions)
+    physics = flown(engine, "SSSSS", positions)
     assert physics.contacts.floor.tolist() == [[True, False, False, False, False]]
     assert physics.contacts.wall.tolist() == [[False, True, True, True, False]]
     assert (physics.contacts.drone == -1).all()
 
 
-def test_flags_are_those_of_the_last_step(engine: type[Physics]) -> None:
+def test_flags_are_those_of_the_last_step(engine):
     physics = engine("SS", interactions="none")
     apart = hover_state(parse_team("SS"), [[0, 0, 1], [1, 0, 1]])
     close = hover_state(parse_team("SS"), [[0.0, 0, 1], [0.1, 0, 1]])
@@ -110,3 +115,76 @@ def test_what_just_touches_is_no_collision() -> None:
     assert physics.contacts.obstacle_clearance[0, 0] == 1.0
     assert physics.contacts.clearance[0, 1] == pytest.approx(1.0, abs=1e-15)
     assert not physics.contact[0, 0]
+
+
+def test_two_drones_keep_their_momentum(engine):
+    position = np.array([[-0.3, 0.02, 1.0], [0.3, -0.02, 1.03]])
+    velocity = np.array([[1.0, 0.0, 0.0], [-0.5, 0.1, 0.0]])
+    after = flown(engine, "SL", position, velocity, 120, on_contact="bounce").state
+    mass = np.array([[SMALL.mass], [LARGE.mass]])
+    kept = (mass * after.velocity[0]).sum(0)
+    np.testing.assert_allclose(kept, (mass * velocity).sum(0), atol=1e-9)
+    change = after.velocity[0, 0] - velocity[0]
+    n = change / np.linalg.norm(change)  # without friction: the normal of the contact
+    before, parting = ((v[0] - v[1]) @ n for v in (velocity, after.velocity[0]))
+    assert before < -1.0
+    assert parting == pytest.approx(-RESTITUTION * before, abs=1e-9)
+    assert not after.angular_velocity.any()
+
+
+def test_walls_floor_and_ceiling_give_back_a_part(engine):
+    position = np.array([[1.5, 0, 1.0], [0, -1.5, 1.0], [0, 0, 0.5], [0, 0.5, 2.2]])
+    velocity = np.array([[1.0, 0.2, 0], [0, -1.0, 0.2], [0.2, 0, -1.0], [0, 0.2, 1.0]])
+    after = flown(engine, "SSSS", position, velocity, 144, on_contact="bounce").state
+    expected = np.where(abs(velocity) == 1.0, -RESTITUTION * velocity, velocity)
+    np.testing.assert_allclose(after.velocity[0], expected, atol=1e-9)
+
+
+def test_what_lies_on_the_floor_stays_there(engine):
+    physics = engine("S", interactions="none", arena=ARENA, on_contact="bounce")
+    physics.reset(hover_state(parse_team("S"), [[0.0, 0.0, 0.3]]))
+    for _ in range(600):
+        physics.step(np.zeros((1, 1, 4)))
+    assert physics.state.position[0, 0, 2] == pytest.approx(SMALL.radius, abs=1e-3)
+    assert physics.contacts.floor.all()
+    physics.close()
+
+
+def test_an_obstacle_gives_back_a_part() -> None:
+    """A sphere meets the edge of a box at 45 degrees: plain Python runs what is compiled."""
+    rows = obstacle_rows((Box(low=(0.0, -1.0, 0.0), high=(1.0, 1.0, 1.0)),))
+    blocks, settings = aligned(1, BLOCK_TYPE), np.zeros(1, SETTINGS_TYPE)
+    settings["arena"] = [[-9, -9, -9], [9, 9, 9]]
+    b = blocks[0]
+    b["touched_drone"], b["mass"], b["radius"] = -1.0, 1.0, 0.1
+    b["position"][:, 0], b["velocity"][:, 0] = (-0.06, 0.0, 1.06), (1.0, 0.5, 0.0)
+    bounce(blocks, 0, 1, settings.view(np.recarray), rows)
+    n = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    expected = np.array([1.0, 0.5, 0.0]) + (1 + RESTITUTION) * np.sqrt(0.5) * n
+    np.testing.assert_allclose(b["velocity"][:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(b["position"][:, 0], 0.1 * n + [0.0, 0.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+def test_both_engines_bounce_alike() -> None:
+    """A crowd that is told to fly into each other: bounce after bounce, to 1e-9."""
+    cores = []
+    for physics in ("batch", "bullet"):
+        task, config, _ = blueprint(
+            num_drones=6, physics=physics, on_contact="bounce", action="velocity", horizon_s=2.0
+        )
+        cores.append(SwarmCore(task, config))
+        cores[-1].reset([4])
+    bounces, worst = 0, 0.0
+    while cores[0].running[0]:
+        away = cores[0].world.drones["position"] - [0.0, 0.0, 0.8]
+        actions = np.clip(-2.0 * away, -1.0, 1.0)
+        results = [core.step(actions) for core in cores]
+        bounces += int(results[0].reward_terms[5].sum())
+        for one, other in zip(*(core.physics.state for core in cores), strict=True):
+            worst = max(worst, float(abs(one - other).max()))
+        np.testing.assert_allclose(results[0].rewards, results[1].rewards, atol=1e-9)
+    assert bounces > 4
+    assert worst < 1e-9
+    for core in cores:
+        core.close()
