@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 import swarm_envs
 from swarm_envs.agents import features
-from swarm_envs.agents.features import REFERENCE
+from swarm_envs.agents.features import FORCE_WIDTH, FULL, LOAD_WIDTH, OWN_WIDTH, REFERENCE, TYPES
 from swarm_envs.agents.networks import ANY, Layers
 from swarm_envs.agents.policy import Policy
 from swarm_envs.c_text import (
@@ -52,6 +52,15 @@ _REFERENCE_OWN = """\
     float reference_position[3];     /* where it should be now, m */
     float reference_velocity[3];     /* m/s */
     float reference_acceleration[3]; /* m/s^2 */"""
+_LOADS = ("thrust_margin", "mass_ratio", "battery")
+_DRONE_LOAD = """
+    float thrust_margin; /* largest thrust at this charge over the weight, less 1 */
+    float mass_ratio;    /* mass over 34 g */
+    float battery;       /* charge, from 0 to 1 */"""
+_OWN_FORCE = "\n    float force[3]; /* predicted force of the air over the weight, world frame */"
+_OWN_OBSTACLES = """
+    int obstacles;               /* how many of these there are, nearest first */
+    float obstacle[%d][3];        /* from it to the nearest point of each, m */"""
 _POOLED = {
     "mean": "count > 0 ? sum[k] / (float)count : 0.0f",
     "sum": "sum[k]",
@@ -98,7 +107,9 @@ def costs(policy: Policy) -> Costs:
     tanhs = hidden + note.num_neighbors * max(c[1] for c in codes)
     if note.activation == "relu":
         tanhs = note.num_neighbors * (note.encoder == "attention")
-    lengths = 1 + note.num_neighbors * (2 if note.features == REFERENCE else 5)
+    per_neighbor = {REFERENCE: 2, FULL: 8}.get(note.features, 5)
+    lengths = 1 + note.num_neighbors * per_neighbor
+    lengths += (3 + 2 * note.num_obstacles) * (note.features == FULL)
     rows = 2 if note.encoder == "mlp" else 4
     kept = note.num_neighbors * _code(policy) if note.encoder == "attention" else 0
     stack = 4 * (rows * _widest(policy) + sizes.neighbor + kept) + 8 * note.num_neighbors + 200
@@ -140,9 +151,10 @@ def policy_header(policy: Policy, name: str = "policy", seed: int = 0) -> str:
     """
     check_prefix(name)
     note, sizes = policy.note, policy.note.sizes
-    kind = "reference" if note.features == REFERENCE else "goal"
+    kind = {REFERENCE: "reference", FULL: "full"}.get(note.features, "goal")
     steering = ["setpoint", note.action] if note.action in _STEERING else []
-    parts = ["head", f"{kind}_features", note.encoder, "act", *steering, "self_test"]
+    helpers = ["cut"] * (kind == "full") + ["obstacles"] * bool(note.num_obstacles)
+    parts = ["head", *helpers, f"{kind}_features", note.encoder, "act", *steering, "self_test"]
     words = {
         "name": name,
         "NAME": name.upper(),
@@ -157,6 +169,7 @@ def policy_header(policy: Policy, name: str = "policy", seed: int = 0) -> str:
         "widest": str(_widest(policy)),
         "own_width": str(sizes.own),
         "neighbour_width": str(sizes.neighbor),
+        "reference": str(OWN_WIDTH + len(TYPES)),
         "samples": str(SAMPLES),
         **_network_words(policy, name),
         **_feature_words(policy, name),
@@ -246,11 +259,7 @@ def _feature_words(policy: Policy, name: str) -> dict[str, str]:
     """What differs between sets of features, and between encoders of neighbours."""
     note, sizes = policy.note, policy.note.sizes
     tracks = note.features == REFERENCE
-    finite = f"{name}_sound(self->goal) && own->time_left - own->time_left == 0.0f"
-    others_finite = f" && {name}_sound(other[j].goal)"
-    if tracks:
-        checks = [f"{name}_sound(own->reference_{what})" for what in _MOTIONS]
-        finite, others_finite = " &&\n                ".join(checks), ""
+    finite, others_finite = _finite(policy, name)
     width, code = sizes.own, _code(policy)
     pooled = [
         f"values[0][{width + j * code} + k] = {_POOLED[way]};"
@@ -258,7 +267,8 @@ def _feature_words(policy: Policy, name: str) -> dict[str, str]:
     ]
     known = [f"type == {k}" for k, token in enumerate(VEHICLES) if token in note.types]
     return {
-        "own": _REFERENCE_OWN if tracks else _GOAL_OWN,
+        "own": _own_fields(policy),
+        **_full_words(policy, name),
         "own_types": _one_hot(name, sizes.own_type, "self"),
         "neighbour_types": _one_hot(name, sizes.neighbor_type, "other"),
         "unused_goal": "; not used by this policy" if tracks else "",
@@ -269,6 +279,57 @@ def _feature_words(policy: Policy, name: str) -> dict[str, str]:
         "pooling": note.pooling,
         "pooled": "\n        ".join(pooled),
         "code": str(code),
+    }
+
+
+def _finite(policy: Policy, name: str) -> tuple[str, str]:
+    """Conditions of C that what is known of the drone itself, and of another, is finite."""
+    note = policy.note
+    goal = [f"{name}_sound(self->goal)", "own->time_left - own->time_left == 0.0f"]
+    motions = [f"{name}_sound(own->reference_{what})" for what in _MOTIONS]
+    checks = {REFERENCE: motions, FULL: goal + motions}.get(note.features, goal)
+    others = [] if note.features == REFERENCE else [f"{name}_sound(other[j].goal)"]
+    if note.observe_load:
+        checks += [f"self->{load} - self->{load} == 0.0f" for load in _LOADS]
+        others += [f"other[j].{load} - other[j].{load} == 0.0f" for load in _LOADS]
+    if note.observe_force:
+        checks.append(f"{name}_sound(own->force)")
+    if note.num_obstacles:
+        checks.append(f"own->obstacles >= 0 && own->obstacles <= {note.num_obstacles}")
+    gap = " &&\n                "
+    return gap.join(checks), "".join(gap + check for check in others)
+
+
+def _own_fields(policy: Policy) -> str:
+    """What the header's structure of the drone itself holds for the policy's features."""
+    note = policy.note
+    fields = {REFERENCE: _REFERENCE_OWN, FULL: f"{_GOAL_OWN}\n{_REFERENCE_OWN}"}
+    more = _OWN_FORCE * note.observe_force
+    if note.num_obstacles:
+        more += _OWN_OBSTACLES % note.num_obstacles
+    return fields.get(note.features, _GOAL_OWN) + more
+
+
+def _full_words(policy: Policy, name: str) -> dict[str, str]:
+    """What C does with loads, a predicted force and obstacles; nothing where there are none."""
+    note, load = policy.note, policy.note.observe_load
+    own, mine = len(TYPES) + OWN_WIDTH + 10, []
+    if load:
+        mine = [f"    *more++ = self->{name};" for name in _LOADS]
+    force = "\n    for (k = 0; k < 3; k++) *more++ = own->force[k];" * note.observe_force
+    beside = policy.note.sizes.neighbor - LOAD_WIDTH * load - 5
+    seen = [f"    x[{beside + 5 + k}] = other->{name};" for k, name in enumerate(_LOADS)]
+    test = [f"            drones[j].{name} = *s++;\n" for name in _LOADS]
+    return {
+        "full_own": str(own),
+        "beside_at": str(beside),
+        "drone_load": _DRONE_LOAD * load,
+        "own_load": "".join(f"\n{line}" for line in mine),
+        "own_force": force,
+        "own_obstacles": f"\n    {name}_obstacles(own, x + 11, more);" * bool(note.num_obstacles),
+        "obstacles": str(note.num_obstacles),
+        "neighbour_load": "".join(f"\n{line}" for line in seen) * load,
+        "test_load": "".join(test) * load,
     }
 
 
@@ -319,7 +380,12 @@ class KnownState(NamedTuple):
     """(3,) m."""
     task: Float32Array
     """(1,) share of the clock that is left; or (9,) the reference's position, velocity and
-    acceleration."""
+    acceleration; or both."""
+    load: Float32Array
+    """(M, 3) thrust margin, mass ratio and charge; (M, 0) if they are not observed."""
+    near: Float32Array
+    """(...) predicted force over the weight (3), if it is observed; number of obstacles and (3) m
+    to each that can be observed, if any."""
 
 
 def draw_state(policy: Policy, others: int, rng: np.random.Generator) -> KnownState:
@@ -330,9 +396,15 @@ def draw_state(policy: Policy, others: int, rng: np.random.Generator) -> KnownSt
     velocity = rng.normal(0.0, 0.5, (count, 3))
     up = rng.normal([0.0, 0.0, 1.0], 0.2)
     task = np.array([rng.uniform()])
-    if note.features == REFERENCE:
-        near = position[0] + rng.normal(0.0, 0.1, 3)
-        task = np.concatenate([near, rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.8, 3)])
+    if note.features in (REFERENCE, FULL):
+        place = position[0] + rng.normal(0.0, 0.1, 3)
+        moving = [place, rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.8, 3)]
+        task = np.concatenate([task] * (note.features == FULL) + moving)
+    load = rng.uniform(0.2, 1.5, (count, 3 * note.observe_load))
+    near = [rng.normal(0.0, 0.3, FORCE_WIDTH * note.observe_force)]
+    if note.num_obstacles:
+        ways = rng.normal(0.0, 0.8, (note.num_obstacles, 3))
+        near += [[rng.integers(note.num_obstacles + 1)], ways.ravel()]
     goal = rng.uniform([-1.5, -1.5, 0.5], [1.5, 1.5, 2.0], (count, 3))
     return KnownState(
         position.astype(np.float32),
@@ -343,14 +415,16 @@ def draw_state(policy: Policy, others: int, rng: np.random.Generator) -> KnownSt
         np.float32(rng.uniform(0.3, 0.8)),
         (position[0] + rng.normal(0.0, 0.05, 3)).astype(np.float32),
         task.astype(np.float32),
+        load.astype(np.float32),
+        np.concatenate(near).astype(np.float32),
     )
 
 
 def _observation_row(policy: Policy, state: KnownState) -> Float32Array:
     """(width,) what a drone would observe in a state, as far as policies look at it."""
     note = policy.note
-    layout = {f.name: f.where for f in observation_layout(note.num_neighbors)}
-    row = np.zeros(observation_width(note.num_neighbors))
+    layout = {f.name: f.where for f in observation_layout(*note.form)}
+    row = np.zeros(observation_width(*note.form))
     position, velocity, goal = (np.asarray(part, np.float64) for part in state[:3])
     codes = np.eye(len(VEHICLES))[state.types]
     entries = {
@@ -369,19 +443,31 @@ def _observation_row(policy: Policy, state: KnownState) -> Float32Array:
             f"neighbor_{k}.type": codes[j],
             f"neighbor_{k}.mask": np.ones(1),
         }
-    if note.features == REFERENCE:
-        place, speed, acceleration = np.asarray(state.task, np.float64).reshape(3, 3)
+        entries |= _loads(f"neighbor_{k}", state.load[j])
+    if note.features in (REFERENCE, FULL):
+        place, speed, acceleration = np.asarray(state.task[-9:], np.float64).reshape(3, 3)
         entries |= {
             "task.reference_position": place - position[0],
             "task.reference_velocity": speed / SPEED_LIMIT,
             "task.reference_acceleration": acceleration / ACCELERATION_LIMIT,
         }
-    else:
-        entries |= {"task.goal": goal[0] - position[0], "task.time_left": state.task}
+    if note.features != REFERENCE:
+        entries |= {"task.goal": goal[0] - position[0], "task.time_left": state.task[:1]}
+    entries |= _loads("self", state.load[0])
+    if note.observe_force:
+        entries["self.force"] = state.near[:FORCE_WIDTH]
+    if note.num_obstacles:
+        count, *ways = state.near[FORCE_WIDTH * note.observe_force :]
+        for k, way in enumerate(np.reshape(ways, (-1, 3))[: int(count)]):
+            entries |= {f"obstacle_{k}.offset": way, f"obstacle_{k}.mask": np.ones(1)}
     for name, values in entries.items():
         row[layout[name]] = values
     row[layout["self.attitude"]][2::3] = state.up
     return row.astype(np.float32)
+
+
+def _loads(whose: str, load: Float32Array) -> dict[str, Float32Array]:
+    return {f"{whose}.{name}": load[k : k + 1] for k, name in enumerate(_LOADS[: len(load)])}
 
 
 def decide(policy: Policy, states: list[KnownState]) -> Float32Array:
@@ -397,16 +483,22 @@ def _self_test_words(policy: Policy, rng: np.random.Generator) -> dict[str, str]
         others = n % drones
         state = draw_state(policy, others, rng)
         states.append(state)
-        moving = np.concatenate([state.position, state.velocity, state.goal], axis=1)
-        whole = np.zeros((drones, 9), np.float32)
+        moving = np.concatenate([state.position, state.velocity, state.goal, state.load], axis=1)
+        whole = np.zeros((drones, moving.shape[1]), np.float32)
         whole[: len(moving)] = moving
-        own = [state.up, [state.thrust], state.setpoint, state.task]
+        own = [state.up, [state.thrust], state.setpoint, state.task, state.near]
         numbers.append(np.concatenate([whole.ravel(), *own]).astype(np.float32))
         kinds.append([others, *state.types, *[state.types[0]] * (drones - 1 - others)])
-    own_lines = ["        own.time_left = *s++;"]
-    if note.features == REFERENCE:
-        line = "        for (k = 0; k < 3; k++) own.reference_{0}[k] = *s++;"
-        own_lines = [line.format(what) for what in _MOTIONS]
+    vector, own_lines = "        for (k = 0; k < 3; k++) own.{0}[k] = *s++;", []
+    if note.features != REFERENCE:
+        own_lines.append("        own.time_left = *s++;")
+    if note.features in (REFERENCE, FULL):
+        own_lines += [vector.format(f"reference_{what}") for what in _MOTIONS]
+    if note.observe_force:
+        own_lines.append(vector.format("force"))
+    if note.num_obstacles:
+        own_lines.append("        own.obstacles = (int)*s++;")
+        own_lines += [vector.format(f"obstacle[{k}]") for k in range(note.num_obstacles)]
     return {
         "drones": str(drones),
         "kinds": str(1 + drones),

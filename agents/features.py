@@ -2,8 +2,9 @@
 
 A row of `swarm_envs.envs.observation` holds everything that a drone senses. A small network learns
 faster when it need not find out by itself how near is near, or where two straight ways meet.
-There are sets for tasks with goals to be reached (`goal_features`) and for tasks with a reference
-to be tracked (`reference_features`). A policy's file says by name which of them it uses.
+There are sets for tasks with goals to be reached (`goal_features`), for tasks with a reference to
+be tracked (`reference_features`), and for all that a row can hold (`full_features`). A policy's
+file says by name which of them it uses.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from swarm_envs.vehicles import VEHICLES
 
 __all__ = [
     "FEATURE_SETS",
+    "FULL",
     "GOAL",
     "REFERENCE",
     "TYPED",
@@ -37,6 +39,8 @@ TYPED = "goal-and-closest-approach-typed-1"
 """The same with the types of vehicles: its own after its own numbers, a neighbour's after its."""
 REFERENCE = "reference-and-downwash-1"
 """Name of `reference_features` in files of policies."""
+FULL = "full-1"
+"""Name of `full_features` in files of policies."""
 TYPES = tuple(VEHICLES)
 """Types of vehicles in the order of their one-hot code."""
 
@@ -61,6 +65,10 @@ ABOVE = 0.5
 """Height at which a neighbour counts as fully above or below, m."""
 REFERENCE_OWN_WIDTH, REFERENCE_NEIGHBOR_WIDTH = 23, 12
 """Reference features of a drone, its type last, and of each neighbour, its type and mask last."""
+FULL_OWN_WIDTH, FULL_NEIGHBOR_WIDTH = 31, 25
+"""Full features of a drone and of each neighbour, without load, force and obstacles."""
+LOAD_WIDTH, FORCE_WIDTH, OBSTACLE_WIDTH = 3, 3, 5
+"""Full features of a load, of a predicted force, and of each obstacle."""
 
 _ZERO, _LITTLE, _TWO, _CUT = (np.float32(value) for value in (0.0, 1e-6, 2.0, GOAL_REACH))
 _SPEED, _HORIZON = np.float32(SPEED_LIMIT), np.float32(AHEAD)
@@ -129,11 +137,17 @@ def goal_features(rows: Float32Array, num_neighbors: int, typed: bool = False) -
         ValueError: rows have another width.
     """
     check_width(rows, num_neighbors)
+    return _goal_features(rows, _columns(num_neighbors), typed)
+
+
+def _goal_features(rows: Float32Array, at: ObservationColumns, typed: bool) -> Float32Array:
+    """`goal_features` of rows of any form."""
+    num_neighbors = at.num_neighbors
     flat = np.ascontiguousarray(rows, np.float32).reshape(-1, rows.shape[-1])
     own, neighbor = (width + typed * len(TYPES) for width in (OWN_WIDTH, NEIGHBOR_WIDTH))
     made: Float32Array = np.empty((len(flat), own + num_neighbors * neighbor), np.float32)
     nearness: Float32Array = np.empty((2, len(flat), num_neighbors), np.float32)
-    _write(flat, _columns(num_neighbors), typed, made, nearness)
+    _write(flat, at, typed, made, nearness)
     if num_neighbors:
         around = made[:, own:].reshape(len(flat), num_neighbors, neighbor)
         np.exp(nearness, out=nearness)
@@ -142,13 +156,16 @@ def goal_features(rows: Float32Array, num_neighbors: int, typed: bool = False) -
     return made.reshape(*rows.shape[:-1], made.shape[-1])
 
 
-def check_width(rows: Float32Array, num_neighbors: int) -> None:
-    """Refuse rows that are not those of K neighbours and no obstacle."""
-    wanted = observation_width(num_neighbors)
+def check_width(rows: Float32Array, *form: int) -> None:
+    """Refuse rows that are not of a form: K, M, and whether load and force are observed."""
+    wanted = observation_width(*form)
     if rows.shape[-1] != wanted:
+        num_neighbors, num_obstacles, load, force = (*form, 0, False, False)[:4]
         raise ValueError(
             f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
-            f"{num_neighbors} and num_obstacles=0 have {wanted}"
+            f"{num_neighbors} and num_obstacles={num_obstacles} have {wanted}"
+            + f" (observe_load={bool(load)}, observe_force={bool(force)})"
+            * (load or force)
         )
 
 
@@ -169,7 +186,7 @@ def _write(
     The exponential is left to numpy, whose digits trained policies have seen.
     """
     types = len(TYPES) if typed else 0
-    own, width, seen = OWN_WIDTH + types, NEIGHBOR_WIDTH + types, 10 + len(TYPES)
+    own, width, seen = OWN_WIDTH + types, NEIGHBOR_WIDTH + types, at.neighbor_width
     for r in range(len(rows)):
         _write_own(rows[r], at, types, made[r])
         for j in range(nearness.shape[2]):
@@ -228,10 +245,13 @@ def _write_neighbor(
 
 
 @cache
-def _columns(num_neighbors: int) -> ObservationColumns:
-    return observation_columns(
-        {field.name: field.where for field in observation_layout(num_neighbors)}
-    )
+def _fields(*form: int) -> Mapping[str, slice]:
+    return {field.name: field.where for field in observation_layout(*form)}
+
+
+@cache
+def _columns(*form: int) -> ObservationColumns:
+    return observation_columns(_fields(*form))
 
 
 def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
@@ -256,7 +276,7 @@ def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
         ValueError: rows have another width.
     """
     check_width(rows, num_neighbors)
-    at = {field.name: field.where for field in observation_layout(num_neighbors)}
+    at = _fields(num_neighbors)
     error = rows[..., at["task.reference_position"]]
     distance = np.linalg.norm(error, axis=-1, keepdims=True)
     velocity = rows[..., at["self.velocity"]] * np.float32(SPEED_LIMIT)
@@ -288,6 +308,104 @@ def _neighbor_features(rows: Float32Array, at: Mapping[str, slice], name: str) -
     parts = [position, velocity, beside, beside * above, kind, mask]
     made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32) * mask
     return made
+
+
+def full_features(
+    rows: Float32Array,
+    num_neighbors: int,
+    num_obstacles: int = 0,
+    load: bool = False,
+    force: bool = False,
+) -> Float32Array:
+    """Features of all that a flat observation row can hold.
+
+    Positions are relative to the controller's set-point, which is known exactly, also where the
+    drone's own position is noisy; `setpoint_offset` says how far the drone is away.
+
+    Of the drone (31): those of `goal_features` and its type; the vector to its reference, over
+    0.2 m and cut there; its distance, m; the reference's velocity over 2 m/s, and acceleration over
+    5 m/s^2. With load (3): thrust margin, mass ratio and charge; with force (3): the prediction.
+    Of each obstacle (5): the vector to it, cut at 1 m; exp(-d / 0.4 m); mask.
+    Of each neighbour (25): those of `goal_features` and its type; the vector from the drone's goal
+    to the neighbour's, over 2 m and cut there; nearness to the vertical line through the drone and
+    this times height, as of `reference_features`; with load (3) its own.
+
+    Args:
+        rows: (..., width) as `observation="flat"` gives them.
+        num_neighbors: K.
+        num_obstacles: M.
+        load: whether rows have loads.
+        force: whether rows have predicted forces.
+
+    Returns:
+        (..., 31 + 3 load + 3 force + 5 M + K (25 + 3 load)) float32.
+
+    Raises:
+        ValueError: rows have another width.
+    """
+    form = num_neighbors, num_obstacles, load, force
+    check_width(rows, *form)
+    names, columns = _fields(*form), _columns(*form)
+    rows = _from_setpoint(rows, columns)
+    typed = FEATURE_SETS[TYPED].sizes(num_neighbors)
+    own, around = typed.split(_goal_features(rows, columns, True))
+    more = [rows[..., names[name]] for name in _EXTRA if name in names]
+    error = rows[..., names["task.reference_position"]]
+    parts = [own, *_direction(error, REACH), rows[..., names["task.reference_velocity"]]]
+    parts += [rows[..., names["task.reference_acceleration"]], *more]
+    for k in range(num_obstacles):
+        mask = rows[..., names[f"obstacle_{k}.mask"]]
+        parts += [mask * part for part in _obstacle(rows[..., names[f"obstacle_{k}.offset"]])]
+        parts += [mask]
+    if num_neighbors:
+        shape = (*rows.shape[:-1], num_neighbors, columns.neighbor_width)
+        seen = rows[..., columns.neighbors :][..., : shape[-2] * shape[-1]].reshape(shape)
+        goal = rows[..., None, names["task.goal"]]
+        members = np.concatenate([around, _beside(seen, goal)], axis=-1)
+        parts.append(members.reshape(*rows.shape[:-1], -1))
+    made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32)
+    return made
+
+
+_EXTRA = ("self.thrust_margin", "self.mass_ratio", "self.battery", "self.force")
+
+
+def _from_setpoint(rows: Float32Array, at: ObservationColumns) -> Float32Array:
+    """The same rows with positions relative to the set-point; a copy."""
+    moved: Float32Array = np.array(rows, np.float32)
+    offset = rows[..., at.setpoint_offset : at.setpoint_offset + 3]
+    moved[..., at.position : at.position + 3] += offset
+    moved[..., at.goal : at.goal + 3] -= offset
+    moved[..., at.goal + 3 : at.goal + 6] -= offset
+    places = [at.neighbors + k * at.neighbor_width for k in range(at.num_neighbors)]
+    masks = [start + at.neighbor_width - 1 for start in places]
+    starts = [at.obstacles + 4 * k for k in range(at.num_obstacles)]
+    for start, mask in zip([*places, *starts], [*masks, *(s + 3 for s in starts)], strict=True):
+        moved[..., start : start + 3] -= offset * rows[..., mask, None]
+    return moved
+
+
+def _direction(way: Float32Array, reach: float) -> tuple[Float32Array, Float32Array]:
+    """A vector (..., 3) over a length, cut there, and its own length (..., 1), m."""
+    distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
+    return way / np.maximum(distance, np.float32(reach)), distance
+
+
+def _obstacle(offset: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Of the way (..., 3) to an obstacle, m: that way, cut, and nearness (..., 1)."""
+    cut, distance = _direction(offset, OTHERS_GOAL)
+    return cut, np.exp(-distance / _FOLD)
+
+
+def _beside(seen: Float32Array, goal: Float32Array) -> Float32Array:
+    """(..., K, 5 or with load 8) of neighbours (..., K, width) beside a goal (..., 1, 3)."""
+    position, mask = seen[..., 0:3], seen[..., -1:]
+    apart, _ = _direction(position + seen[..., 6:9] - goal, _TWO)
+    flat = np.sqrt(np.square(position[..., :2]).sum(axis=-1, keepdims=True))
+    beside = np.exp(-flat / np.float32(BESIDE))
+    above = beside * np.clip(position[..., 2:3] / np.float32(ABOVE), -1.0, 1.0)
+    made: Float32Array = np.concatenate([apart, beside, above, seen[..., 9 + len(TYPES) : -1]], -1)
+    return made * mask
 
 
 class FeatureSizes(NamedTuple):
@@ -330,40 +448,52 @@ class FeatureSizes(NamedTuple):
 class FeatureSet(NamedTuple):
     """One choice of features."""
 
-    sizes: Callable[[int], FeatureSizes]
-    """Of features of a row with K neighbours."""
-    make: Callable[[Float32Array, int], Float32Array]
-    """Features (..., width) of flat rows without obstacles, and K."""
+    sizes: Callable[..., FeatureSizes]
+    """Of features of a row, by the form of the row: K, and for some sets M, load and force."""
+    make: Callable[..., Float32Array]
+    """Features (..., width) of flat rows, and their form."""
 
 
+def _full_sizes(
+    num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+) -> FeatureSizes:
+    own = FULL_OWN_WIDTH + LOAD_WIDTH * load + FORCE_WIDTH * force + OBSTACLE_WIDTH * num_obstacles
+    neighbor = FULL_NEIGHBOR_WIDTH + LOAD_WIDTH * load
+    return FeatureSizes(num_neighbors, own, neighbor, NEIGHBOR_WIDTH - 1, OWN_WIDTH, NEIGHBOR_WIDTH)
+
+
+def _plain(make: Callable[..., Float32Array], own: int, neighbor: int, *others: int) -> FeatureSet:
+    """A set of features that knows no obstacles, loads or forces; its sizes after the K."""
+
+    def check(more: tuple[int, ...]) -> None:
+        if any(more):
+            raise ValueError(
+                f"rows have obstacles, loads or forces {more}, but these features know no "
+                f"obstacles, loads or forces; use {FULL!r}"
+            )
+
+    def sizes(num_neighbors: int, *more: int) -> FeatureSizes:
+        check(more)
+        return FeatureSizes(num_neighbors, own, neighbor, *others)
+
+    def made(rows: Float32Array, num_neighbors: int, *more: int) -> Float32Array:
+        check(more)
+        return make(rows, num_neighbors)
+
+    return FeatureSet(sizes, made)
+
+
+_TYPED_WIDTHS = OWN_WIDTH + len(TYPES), NEIGHBOR_WIDTH + len(TYPES), NEIGHBOR_WIDTH - 1
+_REFERENCE_WIDTHS = REFERENCE_OWN_WIDTH, REFERENCE_NEIGHBOR_WIDTH, REFERENCE_NEIGHBOR_WIDTH - 1
+_REFERENCE_TYPES = REFERENCE_OWN_WIDTH - len(TYPES), REFERENCE_NEIGHBOR_WIDTH - 1 - len(TYPES)
 FEATURE_SETS: Mapping[str, FeatureSet] = MappingProxyType(
     {
-        GOAL: FeatureSet(
-            partial(FeatureSizes, own=OWN_WIDTH, neighbor=NEIGHBOR_WIDTH, mask=NEIGHBOR_WIDTH - 1),
-            goal_features,
+        GOAL: _plain(goal_features, OWN_WIDTH, NEIGHBOR_WIDTH, NEIGHBOR_WIDTH - 1),
+        TYPED: _plain(
+            partial(goal_features, typed=True), *_TYPED_WIDTHS, OWN_WIDTH, NEIGHBOR_WIDTH
         ),
-        TYPED: FeatureSet(
-            partial(
-                FeatureSizes,
-                own=OWN_WIDTH + len(TYPES),
-                neighbor=NEIGHBOR_WIDTH + len(TYPES),
-                mask=NEIGHBOR_WIDTH - 1,
-                own_type=OWN_WIDTH,
-                neighbor_type=NEIGHBOR_WIDTH,
-            ),
-            partial(goal_features, typed=True),
-        ),
-        REFERENCE: FeatureSet(
-            partial(
-                FeatureSizes,
-                own=REFERENCE_OWN_WIDTH,
-                neighbor=REFERENCE_NEIGHBOR_WIDTH,
-                mask=REFERENCE_NEIGHBOR_WIDTH - 1,
-                own_type=REFERENCE_OWN_WIDTH - len(TYPES),
-                neighbor_type=REFERENCE_NEIGHBOR_WIDTH - 1 - len(TYPES),
-            ),
-            reference_features,
-        ),
+        REFERENCE: _plain(reference_features, *_REFERENCE_WIDTHS, *_REFERENCE_TYPES),
+        FULL: FeatureSet(_full_sizes, full_features),
     }
 )
 """By name: files of policies say by it which features their network sees."""

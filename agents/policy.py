@@ -36,6 +36,7 @@ from swarm_envs.agents.networks import (
     to_tensors,
 )
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
+from swarm_envs.agents.registry import belief_of, controller_of
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.observation import Float32Array, observation_layout
@@ -59,15 +60,18 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of what a killed run resumes from, beside it."""
-FORMAT = "swarm-envs-policy-5"
+FORMAT = "swarm-envs-policy-6"
 """What a file of a policy says it is."""
+_SENSES = {"num_obstacles", "observe_load", "observe_force", "controller"}
 _BEFORE = {
     "swarm-envs-policy-1": {
-        *("fewest", "encoder", "pooling", "types", "per_type", "activation", "also")
+        *("fewest", "encoder", "pooling", "types", "per_type", "activation", "also"),
+        *_SENSES,
     },
-    "swarm-envs-policy-2": {"fewest", "activation", "also"},
-    "swarm-envs-policy-3": {"activation", "also"},
-    "swarm-envs-policy-4": {"also"},
+    "swarm-envs-policy-2": {"fewest", "activation", "also", *_SENSES},
+    "swarm-envs-policy-3": {"activation", "also", *_SENSES},
+    "swarm-envs-policy-4": {"also", *_SENSES},
+    "swarm-envs-policy-5": _SENSES,
 }
 """Formats that are read, though no longer written: what their notes do not say."""
 MOST_DRONES = 10_000
@@ -107,6 +111,15 @@ class PolicyNote:
     """what follows every hidden layer: one of `ACTIVATIONS`"""
     also: tuple[str, ...] = ()
     """versioned names of other tasks that it was measured to fly, though trained for one"""
+    num_obstacles: int = 0
+    """M, how many obstacles it observes"""
+    observe_load: bool = False
+    """whether it observes thrust margins, masses and charges"""
+    observe_force: bool = False
+    """whether it observes the force that the shipped belief predicts"""
+    controller: str = ""
+    """the shipped agent whose tracking controller it needs, such as `air-aware`; the default
+    controller if empty"""
 
     @property
     def families(self) -> set[str]:
@@ -116,7 +129,23 @@ class PolicyNote:
     @property
     def sizes(self) -> FeatureSizes:
         """How many numbers its features are."""
-        return FEATURE_SETS[self.features].sizes(self.num_neighbors)
+        return FEATURE_SETS[self.features].sizes(*self.form)
+
+    @property
+    def form(self) -> tuple[int, int, bool, bool]:
+        """What its observation rows hold: K, M, and whether loads and forces."""
+        return self.num_neighbors, self.num_obstacles, self.observe_load, self.observe_force
+
+    @property
+    def requires(self) -> dict[str, Any]:
+        """Options of the environment without which it cannot act."""
+        return {
+            "action": self.action,
+            "decision_rate": self.decision_rate,
+            "observation": "flat",
+            "num_neighbors": self.num_neighbors,
+            **senses(self.num_obstacles, self.observe_load, self.observe_force, self.controller),
+        }
 
     @property
     def teams(self) -> str:
@@ -185,8 +214,7 @@ class PolicyNote:
             )
         check_integer("fewest", self.fewest, 1)
         check_integer("drones", self.drones, self.fewest, MOST_DRONES)
-        options = {name: getattr(self, name) for name in ("decision_rate", "num_neighbors")}
-        EnvConfig(**options)
+        EnvConfig(**self.requires)
 
 
 @dataclass(frozen=True)
@@ -211,7 +239,7 @@ class Policy:
         Raises:
             ValueError: the rows have another width.
         """
-        values = FEATURE_SETS[self.note.features].make(rows, self.note.num_neighbors)
+        values = FEATURE_SETS[self.note.features].make(rows, *self.note.form)
         actions: Float32Array = np.clip(act(self.networks, values, self.note.sizes), -1.0, 1.0)
         return actions
 
@@ -228,7 +256,7 @@ def write_policy(path: Path, policy: Policy) -> None:
     note = {
         "format": FORMAT,
         **asdict(policy.note),
-        "observation": layout_digest(policy.note.num_neighbors),
+        "observation": layout_digest(*policy.note.form),
         "weights_sha256": _digest(tensors),
         "provenance": dict(policy.provenance),
     }
@@ -265,7 +293,7 @@ def read_policy(path: Path) -> Policy:
             f"policy {str(path)!r} is damaged or no policy of this version ({error}); train it "
             "again by `swarm-envs train`, or reinstall the package"
         ) from error
-    if note.get("observation") != layout_digest(about.num_neighbors):
+    if note.get("observation") != layout_digest(*about.form):
         raise ValueError(
             f"policy {str(path)!r} was trained on another layout of observations than this "
             "version's; train it again by `swarm-envs train`"
@@ -273,11 +301,21 @@ def read_policy(path: Path) -> Policy:
     return Policy(about, networks, provenance)
 
 
-def layout_digest(num_neighbors: int) -> str:
-    """SHA-256 of the observation layout: names, places, units and scales of its fields."""
+def senses(obstacles: int, load: bool, force: bool, controller: str | None) -> dict[str, Any]:
+    """Options of an environment for what a policy observes beside neighbors, and is steered by."""
+    found: dict[str, Any] = {"num_obstacles": obstacles, "observe_load": load}
+    if force:
+        found["observe_force"] = belief_of()
+    if controller:
+        found["controller"] = controller_of(controller)
+    return found
+
+
+def layout_digest(*form: int) -> str:
+    """SHA-256 of the layout of rows of a form: names, places, units and scales of its fields."""
     layout = [
         [field.name, field.where.start, field.where.stop, field.unit, field.scale]
-        for field in observation_layout(num_neighbors)
+        for field in observation_layout(*form)
     ]
     return hashlib.sha256(json.dumps(layout).encode()).hexdigest()
 
@@ -335,14 +373,12 @@ class PolicyAgent:
         note = policy.note
         self.policy = policy
         self.digest = policy.digest
-        self.requires: Mapping[str, Any] = {
-            "action": note.action,
-            "decision_rate": note.decision_rate,
-            "observation": "flat",
-            "num_neighbors": note.num_neighbors,
-            "num_obstacles": 0,
-            "observe_load": False,
-        }
+        self.requires: Mapping[str, Any] = note.requires
+
+    @property
+    def policies(self) -> tuple[PolicyAgent, ...]:
+        """Itself: an agent may have several."""
+        return (self,)
 
     @classmethod
     def load(cls, path: Path) -> PolicyAgent:
@@ -385,7 +421,7 @@ class PolicyAgent:
                 f"this policy was trained for vehicles {', '.join(note.types)}, but the team has "
                 f"{', '.join(sorted(others))}; train one with them by `swarm-envs train --team`"
             )
-        if task.obstacles:
+        if task.obstacles and not note.num_obstacles:
             raise ValueError("this policy was trained without obstacles, and does not see any")
 
     def act(self, observations: Observations, view: View | None) -> Actions:

@@ -92,8 +92,10 @@ def _agents_for(task: str, layout: str | None, num_drones: int) -> Mapping[str, 
 def _takes(name: str, team: Team) -> bool:
     """Whether an agent flies such a team: trained policies do not fly all."""
     agent = load_agent(name)
-    note = getattr(getattr(getattr(agent, "agent", agent), "policy", None), "note", None)
-    if note is None:
-        return True
+    policies = getattr(getattr(agent, "agent", agent), "policies", ())
     types = {vehicle.token for vehicle in team}
-    return note.fewest <= len(team) <= note.drones and (not note.types or types <= {*note.types})
+    fits = [
+        note.fewest <= len(team) <= note.drones and (not note.types or types <= {*note.types})
+        for note in (policy.policy.note for policy in policies)
+    ]
+    return any(fits) or not fits

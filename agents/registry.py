@@ -15,10 +15,12 @@ from typing import Any
 
 from swarm_envs.agents.protocol import Agent
 from swarm_envs.arguments import typed
+from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import unknown_name
+from swarm_envs.interactions import InteractionModel
 
-__all__ = ["FILTER", "SHIPPED", "load_agent", "load_class"]
+__all__ = ["FILTER", "SHIPPED", "belief_of", "controller_of", "load_agent", "load_class"]
 
 SHIPPED: Mapping[str, str] = MappingProxyType(
     {
@@ -110,6 +112,28 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     return _make(name, _import_file(Path(file)), path)
 
 
+def controller_of(name: str) -> ControllerConfig:
+    """The tracking controller that a shipped agent requires, such as `air-aware`.
+
+    Raises:
+        ValueError: no shipped agent has this name, or it requires no controller.
+    """
+    found = load_agent(name).requires.get("controller") if name in SHIPPED else None
+    if not isinstance(found, ControllerConfig):
+        raise ValueError(
+            f"controller is {name!r}, but must be a shipped agent with a controller of its own, "
+            "such as 'air-aware' or 'tracking-compensated'"
+        )
+    return found
+
+
+def belief_of(truth: Any = "learned") -> InteractionModel:
+    """The force model that ships for agents, fitted in the forces of this name."""
+    shipped = importlib.import_module("swarm_envs.baselines.neural_swarm.agent")
+    found: InteractionModel = shipped.load_belief(truth)
+    return found
+
+
 def _unknown_agent(name: str) -> str:
     """Message for a name that no agent has: the nearest, and where all are listed."""
     if name.endswith(".py"):
@@ -179,9 +203,7 @@ def _make(name: str, module: ModuleType, path: str, environment: str | None = No
     if not callable(made):
         raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
     if environment is not None and "belief" in inspect.signature(made).parameters:
-        truth = batch_of(environment).config.interactions
-        shipped = importlib.import_module("swarm_envs.baselines.neural_swarm.agent")
-        given["belief"] = shipped.load_belief(truth)
+        given["belief"] = belief_of(batch_of(environment).config.interactions)
     try:
         agent = made(**given)
     except TypeError as error:

@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from safetensors.numpy import save_file
 from swarm_envs import formation_v0, formation_v1, make, ring_v0, swap_v0, swap_v1
 from swarm_envs.agents import Agent, fly_episode, load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
-from swarm_envs.agents.features import FEATURE_SETS, REFERENCE, goal_features
+from swarm_envs.agents.features import FEATURE_SETS, FULL, REFERENCE, TYPED, goal_features
 from swarm_envs.agents.networks import ANY, plain
 from swarm_envs.agents.policy import (
     FILE,
@@ -248,6 +249,61 @@ def _by_hand(row: np.ndarray, neighbors: int) -> list[float]:
         one += [beside * min(max(z / 0.5, -1), 1), *said[f"neighbor_{k}.type"], mask]
         told += [mask * value for value in one]
     return told
+
+
+FORM = 3, 2, True, True
+"""Three neighbours, two obstacles, loads and a force."""
+
+
+def _shifted(row: np.ndarray, by: np.ndarray, form: tuple[Any, ...]) -> np.ndarray:
+    """A row as a drone observes it that takes itself for so far away, m."""
+    said, moved = {f.name: f.where for f in observation_layout(*form)}, row.copy()
+    moved[said["self.position"]] += by
+    for name, where in said.items():
+        relative = name in ("self.setpoint_offset", "task.goal", "task.reference_position")
+        if relative or (name.startswith("neighbor") and name.endswith(".position")):
+            moved[where] -= by
+        moved[where] -= by if name.endswith(".offset") else 0.0
+    return moved
+
+
+def test_full_features_do_not_change_with_an_error_of_the_own_position():
+    """But for the set-point's offset; without it they are those of `goal_features`, and more."""
+    (sizes, make), rng = FEATURE_SETS[FULL], np.random.default_rng(0)
+    width = observation_layout(*FORM)[-1].where.stop
+    row = rng.normal(0.0, 0.6, width).astype(np.float32)
+    for field in observation_layout(*FORM):
+        if field.name.endswith("mask"):
+            row[field.where] = 1.0
+    made, moved = make(row, *FORM), make(_shifted(row, np.array([0.1, -0.2, 0.05]), FORM), *FORM)
+    offset = np.s_[11:14]
+    np.testing.assert_allclose(moved[offset], made[offset] - [0.1, -0.2, 0.05], atol=1e-6)
+    moved[offset] = made[offset]
+    np.testing.assert_allclose(moved, made, rtol=2e-5, atol=2e-6)
+
+    said = {f.name: f.where for f in observation_layout(*FORM)}
+    still = _shifted(row, row[said["self.setpoint_offset"]], FORM)
+    plain = [still[said[f.name]] for f in observation_layout(3)]
+    own, around = FEATURE_SETS[TYPED].sizes(3).split(make_typed(np.concatenate(plain)))
+    mine, others = sizes(*FORM).split(make(still, *FORM))
+    assert made.shape == (sizes(*FORM).width,) == (31 + 3 + 3 + 2 * 5 + 3 * 28,)
+    np.testing.assert_allclose(mine[: len(own)], own, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(others[:, : around.shape[1]], around, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(mine[31:34], still[said["self.thrust_margin"].start :][:3])
+    np.testing.assert_array_equal(mine[34:37], still[said["self.force"]])
+
+
+def make_typed(row: np.ndarray) -> np.ndarray:
+    return goal_features(row, 3, typed=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "form"), [(FULL, (3, 0, True)), (TYPED, (3, 1)), (REFERENCE, (3, 0, True))]
+)
+def test_features_refuse_rows_of_another_form(name, form):
+    """Sets of features that know no obstacles, loads or forces take no such rows."""
+    with pytest.raises(ValueError, match=r"observe_load=True|know no obstacles, loads or forces"):
+        FEATURE_SETS[name].make(np.zeros(observation_layout(*FORM)[-1].where.stop), *form)
 
 
 SEEDS = frozen_seeds(11, 64)

@@ -274,16 +274,16 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         self._make_shape()
 
     def _make_shape(self) -> None:
-        form, neighbors = self.core.form, self.core.config.num_neighbors
+        form = self.core.form
         self._shape = shaper(*form)
         if self.features is not None:
             make = FEATURE_SETS[self.features].make
-            self._shape = lambda rows: make(rows, neighbors)
+            self._shape = lambda rows: make(rows, *form[1:])
 
     def _observed_space(self) -> spaces.Space[Any]:
         if self.features is None:
             return observation_space(*self.core.form)
-        sizes = FEATURE_SETS[self.features].sizes(self.core.config.num_neighbors)
+        sizes = FEATURE_SETS[self.features].sizes(*self.core.form[1:])
         return spaces.Box(-np.inf, np.inf, (sizes.width,), np.float32)
 
     def _check_open(self, what: str) -> None:

@@ -104,13 +104,16 @@ def export_policy(options: PolicyOptions) -> None:
     name = _check_outputs(options)
     from swarm_envs.agents import load
     from swarm_envs.agents.c_header import costs, policy_header
-    from swarm_envs.agents.policy import PolicyAgent
 
     check_inputs(options)
-    agent = load(options.agent)
-    if not isinstance(agent, PolicyAgent):
-        raise Misuse(f"agent {options.agent!r} is no trained policy; name one, such as swap-ppo")
-    policy, found = agent.policy, costs(agent.policy)
+    policies = getattr(load(options.agent), "policies", ())
+    if len(policies) != 1:
+        kind = f"{len(policies)} trained policies" if policies else "no trained policy"
+        raise Misuse(
+            f"agent {options.agent!r} is {kind}; name one, such as swap-ppo, or its .safetensors "
+            "file"
+        )
+    policy, found = policies[0].policy, costs(policies[0].policy)
     text = policy_header(policy, name, options.seed)
     facts = {
         "policy": options.agent,

@@ -73,6 +73,8 @@ def _summary(report: dict[str, Any]) -> str:
         f"kept: the policy at {chosen.pop('step'):,.0f} steps, on the seeds for choosing",
     ]
     for name, value in chosen.items():
-        shown = f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.1%}"
+        shown = f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.4g}"
+        if name.endswith(("_success", "_collision")):
+            shown = f"{value:.1%}"
         lines.append(f"  {name}: {shown}")
     return "\n".join(lines)

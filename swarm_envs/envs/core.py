@@ -33,7 +33,7 @@ from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import SENSED_TYPE, World, as_columns
 from swarm_envs.tasks.base import Placement, Task, place
 from swarm_envs.tasks.rewards import check_reward_weights, weigh
@@ -325,13 +325,20 @@ class SwarmCore:
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
+        return self.true_rows(0, 0, False, False)
+
+    def true_rows(
+        self, num_neighbors: int, num_obstacles: int, load: bool, force: bool
+    ) -> Float32Array:
+        """Rows (E, N, width) of any form that the true state would give, without noise."""
+        width = observation_width(num_neighbors, num_obstacles, load, force)
+        rows = np.zeros((*self.world.drones.shape, width), np.float32)
         drones, environments, _ = self.world
-        nobody: IntArray = np.zeros(0, np.int64)
-        state = drones, self.world.columns, drones, environments
-        given = (self._everywhere, rows, 0, False, None, *state)
-        order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
-        write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
+        given = self._everywhere, rows, num_obstacles, load, self._predicted if force else None
+        state = drones, self.world.columns, drones, environments, self.settings
+        order, obstacles = self._observed[0][-4], self.physics.obstacles if num_obstacles else None
+        scratch = np.zeros(num_neighbors, np.int64), np.zeros(num_neighbors)
+        write_observations(0, self.num_envs, *given, *state, order, obstacles, *scratch)
         return rows
 
     def _observe(self, first: int, last: int, where: BoolArray, thread: int) -> None:

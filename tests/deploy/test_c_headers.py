@@ -22,7 +22,7 @@ from safetensors.numpy import save_file
 from swarm_envs import make
 from swarm_envs.agents import load
 from swarm_envs.agents.c_header import KnownState, costs, decide, draw_state, policy_header
-from swarm_envs.agents.features import GOAL, REFERENCE, TYPED
+from swarm_envs.agents.features import FULL, GOAL, REFERENCE, TYPED
 from swarm_envs.agents.networks import POOLINGS, Layers, Network, to_tensors
 from swarm_envs.agents.policy import Policy, PolicyAgent, PolicyNote
 from swarm_envs.cli import main
@@ -69,8 +69,12 @@ DRONE = np.dtype(
 def as_row(state: KnownState) -> np.ndarray:
     """A row of the program's input, its set-point at rest."""
     own = [("up", *VECTOR), ("thrust", np.float32), ("setpoint", *VECTOR)]
-    own += [("task", np.float32, len(state.task)), ("steered", np.float32, 12)]
-    head = [("others", np.int32), ("dt", np.float32), ("drones", DRONE, MOST)]
+    own += [("task", np.float32, len(state.task))]
+    if len(state.near):  # a force, and how many obstacles are where
+        own += [("force", *VECTOR), ("count", np.int32), ("ways", np.float32, len(state.near) - 4)]
+    own += [("steered", np.float32, 12)]
+    drone = np.dtype(DRONE.descr + [("load", *VECTOR)] * bool(state.load.shape[1]))
+    head = [("others", np.int32), ("dt", np.float32), ("drones", drone, MOST)]
     row = np.zeros((), np.dtype([*head, *own]))
     count = len(state.position)
     row["others"], row["dt"], row["drones"]["type"][:count] = count - 1, 0.1, state.types
@@ -78,6 +82,10 @@ def as_row(state: KnownState) -> np.ndarray:
         row["drones"][name][:count] = getattr(state, name)
     for name in ("up", "thrust", "setpoint", "task"):
         row[name] = getattr(state, name)
+    if state.load.shape[1]:
+        row["drones"]["load"][:count] = state.load
+    if len(state.near):
+        row["force"], row["count"], row["ways"] = np.split(state.near, [3, 4])
     row["steered"][:3] = state.setpoint
     return row
 
@@ -133,6 +141,7 @@ def odd_policy(
     per_type: bool,
     action: str = "velocity",
     activation: str = "tanh",
+    **senses: Any,
 ) -> Policy:
     """Random networks of odd widths."""
     rng = np.random.default_rng(3)
@@ -142,6 +151,7 @@ def odd_policy(
         *("swap_v0", 6, action, 12, 3, features, encoder, pooling, types),
         per_type=per_type and typed,
         activation=activation,
+        **senses,
     )
     sizes, width = note.sizes, ACTIONS[action].width
     networks = {}
@@ -182,13 +192,17 @@ POLICIES = [
     (odd_policy, (TYPED, "mlp", "mean", True, "acceleration")),
     (odd_policy, (TYPED, "mlp", "mean", False, "ctbr")),
     (odd_policy, (GOAL, "mlp", "mean", False, "rotors")),
+    (odd_policy, (FULL, "deep-set", "max-sum", False)),
+    (odd_policy, (FULL, "attention", "mean", True), {"observe_load": True}),
+    (odd_policy, (FULL, "mlp", "mean", False), {"observe_force": True, "num_obstacles": 2}),
 ]
 
 
 @needs_compiler
-@pytest.mark.parametrize(("make_policy", "given"), POLICIES)
-def test_policies_in_c(make_policy: Any, given: tuple[Any, ...], tmp_path: Path) -> None:
-    policy, rng = make_policy(*given), np.random.default_rng(0)
+@pytest.mark.parametrize("made", POLICIES)
+def test_policies_in_c(made: tuple[Any, ...], tmp_path: Path) -> None:
+    (make_policy, given, senses), rng = (*made, {})[:3], np.random.default_rng(0)
+    policy = make_policy(*given, **senses)
     policy = policy.policy if make_policy is shipped else policy
     found = [draw_state(policy, int(rng.integers(0, MOST)), rng) for _ in range(2000)]
     found += edge_states(policy, rng)
@@ -219,7 +233,8 @@ def flown(agent: PolicyAgent, task: str, seed: int, **options: Any) -> tuple[np.
             thrust = state.rotor_thrust[i].sum() / view.team[i].max_thrust
             moving = [array[order] for array in (state.position, state.velocity, view.goals)]
             own = [np.take(tokens, order), up, thrust, setpoint.position[i], wanted]
-            row = as_row(KnownState._make([*moving, *own]))
+            unseen = np.zeros((len(tokens), 0), np.float32), np.zeros(0, np.float32)
+            row = as_row(KnownState._make([*moving, *own, *unseen]))
             row["steered"] = np.concatenate([part[i] for part in setpoint[:4]])
             row["dt"] = 1.0 / agent.policy.note.decision_rate
             rows.append(row)

@@ -5,15 +5,14 @@ Learning", 2011: the policy flies, a teacher says at every decision what it woul
 policy is fitted to all that is remembered. At first the teacher flies too, less and less often; a
 third of the environments add noise, from which the policy learns to come back.
 
-A teacher is any agent that acts on arrays and sees what drones observe themselves, each drone by
-its own row. Parts of a curriculum and sizes of teams may have teachers of their own. A checkpoint
-holds what is remembered too; that of a run's end, when nothing is learned any more, holds none.
+A teacher is any agent, and may be privileged: see `labels`. Parts of a curriculum and sizes of
+teams may have teachers of their own. A checkpoint holds what is remembered too; that of a run's
+end, when nothing is learned any more, holds none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,13 +21,11 @@ from torch import Tensor, nn
 
 from swarm_envs.agents.features import FEATURE_SETS
 from swarm_envs.agents.networks import Network
-from swarm_envs.agents.protocol import BatchAgent
-from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.observation import Float32Array, observation_layout
+from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import Blueprint
-from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.training.rl.encoders import Actor
+from swarm_envs.training.rl.labels import Teacher, teacher_of
 from swarm_envs.training.rl.learner import Entry, Learner, Watch
 from swarm_envs.training.rl.recipes import recipe_of
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -38,8 +35,6 @@ _MEMORY, _PLACE = "memory.", "memory_place"
 _LARGEST_GRADIENT = 1.0
 _NOISY = 3
 """Every so many environments, one flies with noise."""
-_CHANGED = 1e-3
-"""Change of an action from which on others count as having caused it."""
 
 
 class DaggerLearner(Learner):
@@ -71,10 +66,6 @@ class DaggerLearner(Learner):
                 teachers.append(teacher_of(self.config.dagger.teacher, part, len(task.team)))
         if min(counts) < 1:
             raise ValueError(f"--environments is {self.config.environments}, too few for all parts")
-        agents = {name: load_agent(name) for name in dict.fromkeys(teachers)}
-        seen = [self.config.num_neighbors]
-        seen += [int(agent.requires.get("num_neighbors", 0)) for agent in agents.values()]
-        parts = [b._replace(config=replace(b.config, num_neighbors=max(seen))) for b in parts]
         self._teachers = [Teacher(n, b) for n, b in zip(teachers, parts, strict=True)]
         return SharedPolicyVecEnv(parts, counts, self.config.seed)
 
@@ -105,7 +96,7 @@ class DaggerLearner(Learner):
             means = self.networks(torch.from_numpy(np.concatenate(seen))).numpy()
         first = 0
         for core, teacher, features in zip(self.env.cores, self._teachers, seen, strict=True):
-            wanted, weight = teacher.labels(core.rows, self.config.dagger.avoiding)
+            wanted, weight = teacher.labels(core, self.config.dagger.avoiding)
             running = means[first : first + len(features)].reshape(wanted.shape)
             first += len(features)
             flies = core.world.drones["active"].reshape(-1) > 0.0
@@ -115,9 +106,7 @@ class DaggerLearner(Learner):
 
     def _features(self, core: SwarmCore) -> Float32Array:
         """(E * N, width) of every drone of a core now."""
-        there, observed = core.config.num_neighbors, self.config.num_neighbors
-        rows = fewer_neighbors(core.rows, there, observed)
-        made = FEATURE_SETS[self.features].make(rows, observed)
+        made = FEATURE_SETS[self.features].make(core.rows, *core.form[1:])
         return made.reshape(-1, made.shape[-1])
 
     def _flown_actions(self, own: Float32Array, wanted: Float32Array, guided: float) -> Any:
@@ -190,78 +179,3 @@ class DaggerLearner(Learner):
                 held = tensors[_MEMORY + name]
                 part[: len(held)] = held
             self._place, self._filled = int(tensors[_PLACE]), len(held)
-
-
-def teacher_of(teachers: tuple[str, ...], part: str, drones: int) -> str:
-    """The teacher's name for a part of the curriculum and a size of teams: the last that fits."""
-    here, found = {part, str(drones)}, None
-    for given in teachers:
-        place, _, name = given.rpartition("=")
-        if {word for word in place.split(",") if word} <= here:
-            found = name
-    if found is None:
-        raise ValueError(
-            f"--dagger.teacher is {teachers}, but none teaches {drones} drones in {part!r}; first "
-            "name one without a place before it"
-        )
-    return found
-
-
-class Teacher:
-    """An agent who says what every drone of a core should do.
-
-    Args:
-        name: as `swarm_envs.agents.load` takes it.
-        blueprint: what the core is made from; it observes as many neighbours as the agent, or more.
-
-    Raises:
-        ValueError: the agent sees the truth, has a memory, or acts otherwise.
-    """
-
-    def __init__(self, name: str, blueprint: Blueprint) -> None:
-        agent, config = load_agent(name), blueprint.config
-        if not isinstance(agent, BatchAgent) or agent.privileged:
-            raise ValueError(
-                f"{name!r} cannot teach: it must act on rows that drones observe, by act_batch"
-            )
-        if agent.requires.get("action", config.action) != config.action:
-            raise ValueError(
-                f"{name!r} cannot teach actions of {config.action!r}: its own are "
-                f"{agent.requires['action']!r}"
-            )
-        self._agent, self._there = agent, config.num_neighbors
-        self._observed = int(agent.requires.get("num_neighbors", self._there))
-        env = SwarmParallelEnv(blueprint.task, replace(config, **agent.requires))
-        env.reset(seed=0)
-        agent.reset(env, 0)
-        env.close()
-
-    def labels(self, rows: Float32Array, avoiding: float) -> tuple[Float32Array, Float32Array]:
-        """Actions (E, N, width) for rows (E, N, row width), and the weight (E, N, 1) of each.
-
-        The weight is `avoiding` where the action would be another without neighbours, else 1.
-        """
-        seen = fewer_neighbors(rows, self._there, self._observed)
-        wanted = np.clip(self._agent.act_batch(seen), -1.0, 1.0).astype(np.float32)
-        if avoiding == 1.0 or not self._observed:
-            return wanted, np.ones((*wanted.shape[:-1], 1), np.float32)
-        alone = seen.copy()
-        alone[..., neighbor_columns(self._observed)] = 0.0
-        change = np.abs(self._agent.act_batch(alone) - wanted).max(axis=-1, keepdims=True)
-        return wanted, np.where(change > _CHANGED, avoiding, 1.0).astype(np.float32)
-
-
-def neighbor_columns(num_neighbors: int) -> slice:
-    """Where a row with so many neighbours, one or more, has them."""
-    fields = [f for f in observation_layout(num_neighbors) if f.name.startswith("neighbor_")]
-    return slice(fields[0].where.start, fields[-1].where.stop)
-
-
-def fewer_neighbors(rows: Float32Array, there: int, wanted: int) -> Float32Array:
-    """Rows with the nearest of their neighbours alone."""
-    if there == wanted:
-        return rows
-    where = neighbor_columns(there)
-    kept = where.start + (where.stop - where.start) // there * wanted
-    fewer: Float32Array = np.delete(rows, np.s_[kept : where.stop], axis=-1)
-    return fewer

@@ -18,14 +18,14 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor, nn
 
-from swarm_envs.agents.features import FEATURE_SETS, TYPES
+from swarm_envs.agents.features import FEATURE_SETS, FULL, TYPES
 from swarm_envs.agents.networks import Network
-from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.policy import PolicyAgent, senses
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.tasks.rewards import write_terms
 from swarm_envs.training.rl.encoders import Actor, Trunks, encoder_spec, fill
-from swarm_envs.training.rl.recipes import recipe_of, with_recipe
+from swarm_envs.training.rl.recipes import ALL, recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
@@ -66,8 +66,10 @@ class Learner(ABC):
                 f"--per-type needs vehicles of several types, but all here are {flown[0]}; name a "
                 "team such as --team SSLL"
             )
+        self.form = (config.num_neighbors, *senses_of(config))
         self.features = recipe.features_of_types if len(flown) > 1 else recipe.features
-        self.sizes = FEATURE_SETS[self.features].sizes(config.num_neighbors)
+        self.features = config.features or (FULL if any(self.form[1:]) else self.features)
+        self.sizes = FEATURE_SETS[self.features].sizes(*self.form)
         self.types = flown if self.sizes.typed else ()
         self.spec = encoder_spec(config, self.sizes, self.types)
         self.env = self.make_env(blueprints, config.environments // len(blueprints))
@@ -76,6 +78,8 @@ class Learner(ABC):
 
     def make_env(self, blueprints: list[Blueprint], share: int) -> SharedPolicyVecEnv:
         """The environments of all teams, so many of each."""
+        if self.config.layout == ALL:
+            raise ValueError(f"--layout {ALL} is learned by --algo dagger; name one layout")
         return SharedPolicyVecEnv(blueprints, share, self.config.seed, features=self.features)
 
     def start_from(self, trunks: Trunks, head: nn.Linear) -> Actor | None:
@@ -246,15 +250,22 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         num_neighbors=config.num_neighbors,
         horizon_s=config.horizon_s,
         threads=config.threads,
+        **senses(*senses_of(config), config.controller),
         **config.air(),
     )
     flown = recipe.curriculum(found.task, config)
     if flown.write_reward_terms is write_terms:  # which counts these by the second
-        assert config.horizon_s is not None  # the recipe has one
+        clock = config.horizon_s or flown.episode_s
         weights = dict(flown.reward_weights)
-        weights |= {name: weights[name] / config.horizon_s for name in ("at_goal", "tracking")}
+        whole = recipe.reward_weights.keys() & {"at_goal", "tracking"}
+        weights |= {name: weights[name] / clock for name in whole}
         flown = replace(flown, reward_weights=weights)  # type: ignore[type-var]  # a dataclass
     return found._replace(task=flown)
+
+
+def senses_of(config: RlConfig) -> tuple[int, bool, bool]:
+    """What a run's policy observes beside neighbors: M, and whether loads and forces."""
+    return config.num_obstacles, bool(config.observe_load), config.observe_force
 
 
 def _without_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

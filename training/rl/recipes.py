@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs import task_family
-from swarm_envs.agents.features import GOAL, REFERENCE, TYPED
+from swarm_envs.agents.features import FULL, GOAL, REFERENCE, TYPED
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.agents.protocol import AT_ONCE, fly_batch
 from swarm_envs.envs.core import SwarmCore
@@ -32,9 +32,12 @@ from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Placement, Task
+from swarm_envs.tasks.columns import COLUMN_LAYOUTS
+from swarm_envs.tasks.crowd import CROWD_LAYOUTS, CrowdTask
 from swarm_envs.tasks.formation import FormationTask, nearest_places
 from swarm_envs.tasks.motion import REST, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement, draw_apart
+from swarm_envs.tasks.pursuit import PURSUIT_LAYOUTS
 from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -127,6 +130,23 @@ def _whole(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
     return {str(config.layout): (1.0, task)}
 
 
+ALL = "all"
+"""Name of all layouts of a task together."""
+
+
+def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
+    """The layout of a run, or each of `ALL`, with its own obstacles and success."""
+    recipe = recipe_of(task.name)
+    if config.layout != ALL:
+        return _whole(task, config)
+    names = recipe.evaluated[ALL]
+    if isinstance(task, CrowdTask):
+        given = {"obstacles": (), "success": task.success}
+    else:
+        given = {"obstacles": task.obstacles, "success": None}
+    return {name: (1 / len(names), replace(task, layout=name, **given)) for name in names}
+
+
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """A permutation (n,), n even, in which each changes places with one other."""
     order, shuffled = np.empty(n, dtype=np.int64), rng.permutation(n)
@@ -203,6 +223,19 @@ def worst_height_error(metrics: Metrics) -> float:
     return LOST_M if error is None or not metrics["success"] else float(error)
 
 
+LATE_S = 10.0
+"""Time with which an episode counts that did not succeed, s."""
+
+
+def late(metrics: Metrics) -> float:
+    """Time in which the team did its task, s; `LATE_S` if it did not."""
+    return float(metrics["time_to_goal_s"]) if metrics["success"] else LATE_S
+
+
+def _metric(name: str) -> Callable[[Metrics], float]:
+    return lambda metrics: float(metrics[name])
+
+
 @dataclass(frozen=True)
 class Recipe:
     """How one task is learned."""
@@ -250,6 +283,46 @@ class Recipe:
         return total / len(names)
 
 
+def _of_air(*layouts: str, **given: Any) -> Recipe:
+    """Of a task in which loads and forces count; the name of the only layout is no option."""
+    names: Mapping[str, Any] = {name: {"layout": name} for name in layouts}
+    return Recipe(
+        layouts=names if len(layouts) > 1 else {layouts[0]: {}},
+        defaults={**_REACH, "layout": layouts[0], "horizon_s": None, "observe_load": True},
+        **{"features": FULL, "features_of_types": FULL, **given},
+    )
+
+
+def _of_scores(layouts: Sequence[str], score: str, full: float) -> Recipe:
+    """Of tasks that give goal after goal."""
+    names = {name: {"layout": name} for name in layouts}
+    return Recipe(
+        layouts={ALL: names[layouts[0]], **names},
+        defaults={**_REACH, "layout": ALL, "horizon_s": None},
+        evaluated={ALL: tuple(layouts)},
+        reward_weights={},
+        parts=layout_parts,
+        features=FULL,
+        features_of_types=FULL,
+        measures={"success": success, "collision": collision, score: _metric(score)},
+        cost={score: -1.0 / full},
+    )
+
+
+_TIMED: Mapping[str, Any] = {
+    "measures": {"success": success, "collision": collision, "late_s": late},
+    "cost": {"late_s": 0.1},
+}
+_GATES: Mapping[str, Any] = {
+    "reward_weights": {},
+    "measures": {
+        "success": success,
+        "collision": collision,
+        "gates_per_min": _metric("gates_per_min"),
+    },
+    "cost": {"gates_per_min": -1 / 80.0},
+}
+
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
         "swap": Recipe(
@@ -283,6 +356,11 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             },
             cost={"worst_height_error_m": 1.0 / LOST_M},
         ),
+        "columns": _of_air(*COLUMN_LAYOUTS, **_TIMED),
+        "delivery": _of_air("docks", **_TIMED),
+        "gates": _of_air("slalom", **_GATES),
+        "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),
+        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0),
     }
 )
 """Every task that can be learned, by its name without the version."""

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
+from swarm_envs.agents.features import FEATURE_SETS
+from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, OneOf, Range, Seed, typed
 from swarm_envs.envs.setting import AirOptions
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
@@ -58,9 +59,9 @@ class DaggerConfig:
     """Of `--algo dagger`: the teachers, and the gradient steps."""
 
     teacher: tuple[str, ...] = ("roundabout",)
-    """the teachers: names or files of agents that act on arrays by what drones observe, each
-    optionally after a layout, a number of drones or both, such as `circle=NAME` or
-    `random,16=NAME`; the last that fits a team teaches it"""
+    """the teachers: names or files of agents, which may be privileged, each optionally after a
+    layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`; the last that
+    fits a team teaches it"""
     train_freq: Count = 10
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: Count = 12
@@ -90,11 +91,11 @@ class RunOptions:
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
     task: str = "swap"
-    """the task: `swap`, `ring` or `formation`, or with its version, `swap_v1`; others are trained
-    by libraries"""
+    """the task, such as `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
-    crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
+    crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`),
+    `stack` for columns (or `sprint`), `all` for pursuit and crowd, by DAgger"""
     algo: Literal["ppo", "mappo", "sac", "dagger"] = "ppo"
     """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often;
@@ -188,6 +189,18 @@ class RlConfig(AirOptions, RunOptions):
     """evaluations of the interaction force per second in training"""
     num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
     """K, the number of observed neighbors"""
+    num_obstacles: Annotated[int, Range(0)] = 0
+    """M, the number of observed obstacles"""
+    observe_load: bool | None = None
+    """observe thrust margins, masses and charges; the recipe's if not given"""
+    observe_force: bool = False
+    """observe the force that the shipped belief predicts for the drone"""
+    features: Annotated[str, OneOf(tuple(FEATURE_SETS))] | None = None
+    """what the network sees of an observation row; the recipe's if not given, and `full-1` with
+    obstacles, loads or forces"""
+    controller: str | None = None
+    """the shipped agent whose tracking controller flies the policy's set-points, such as
+    `air-aware`; the default controller if not given"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     hard_starts: bool = True

@@ -35,7 +35,8 @@ _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 _EARLIER = {
     **{"action": "acceleration", "activation": "tanh", "encoder": "mlp", "pooling": "mean"},
     **{"set_hidden": [32, 32], "per_type": False, "most": None, "start": None, "start_kl": 0.0},
-    "time_cost": 0.0,
+    **{"time_cost": 0.0, "num_obstacles": 0, "observe_load": None, "observe_force": False},
+    **{"features": None, "controller": None},
 }
 """What all runs did before there was an option for it."""
 
@@ -167,6 +168,10 @@ def policy_note(learner: Learner, task: str) -> PolicyNote:
         per_type=config.per_type,
         fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
         activation=config.activation,
+        num_obstacles=config.num_obstacles,
+        observe_load=bool(config.observe_load),
+        observe_force=config.observe_force,
+        controller=config.controller or "",
     )
 
 

@@ -1,11 +1,31 @@
-"""Agents that teach and do not ship: `--dagger.teacher swarm_envs/training/rl/teachers.py:NAME`."""
+"""Agents that teach and do not ship: `--dagger.teacher swarm_envs/training/rl/teachers.py:NAME`.
+
+Some are privileged: they label by the true state, which the student does not observe.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
-from swarm_envs.agents import Safety, SafetyFilter
-from swarm_envs.agents.avoiding import TUNED
+import numpy as np
+
+from swarm_envs.agents import Actions, Observations, Safety, SafetyFilter
+from swarm_envs.agents.avoiding import TUNED, Cruise, RoundaboutAgent
+from swarm_envs.agents.registry import controller_of
+from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
+from swarm_envs.baselines.neural_swarm.air import heavy_on_top
+from swarm_envs.envs.actions import ACCELERATION_LAG
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.physics.contact import BOX
+from swarm_envs.state import FloatArray
+from swarm_envs.tables import Records
+from swarm_envs.tasks.base import SPEED_LIMIT
 
 
 def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
@@ -22,3 +42,176 @@ def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
 def slow_roundabout() -> SafetyFilter:
     """The same at 1.5 m/s, for teams of 32: near misses in 0.4 % of their episodes, not 4.7 %."""
     return wide_roundabout(1.5)
+
+
+def tracking_20() -> TrackingAgent:
+    """The shipped `tracking`, 20 times a second: for goals that move."""
+    return TrackingAgent(decision_rate=20)
+
+
+class CoreAgent:
+    """An agent that labels by `teach`; it also flies alone, in `evaluate`."""
+
+    requires: Mapping[str, Any] = MappingProxyType({})
+    privileged = True
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Note the environment."""
+        self._env = env
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """The labels of the environment's present state."""
+        return dict(zip(observations, self.teach(self._env.core)[0], strict=True))
+
+    def teach(self, core: SwarmCore) -> FloatArray:
+        """Actions (E, N, width) in the present state."""
+        raise NotImplementedError
+
+
+class AirLine(CoreAgent):
+    """Leads set-points along the reference, or straight to goals at rest as fast as they can brake.
+
+    Where any drone may take any place, the heavy go on top, as with `air-aware`.
+    """
+
+    controller = "air-aware"
+    compensates = False
+    """Whether set-points are moved by what the true force would displace the drones."""
+    slope, braking_mps2, speed_mps = 6.0, 3.0, 1.9
+    approach = 5.0
+    """Velocity for each metre to a reference that moves, 1/s."""
+
+    def __init__(self) -> None:
+        flown = controller_of(self.controller)
+        self.requires = {"action": "velocity", "decision_rate": 48, "controller": flown}
+        self._gains = flown.gains
+        self._places: FloatArray | None = None
+
+    def teach(self, core: SwarmCore) -> FloatArray:
+        """Velocities of the set-points."""
+        drones = core.world.drones
+        if not getattr(core.task.success, "named", True):
+            velocity = self._towards(drones, self._chosen(core))
+        elif core.task.motion.rests:
+            velocity = self._towards(drones, drones["goal"] + self._shift(core))
+        else:
+            ahead = ACCELERATION_LAG * drones["reference_acceleration"]
+            place = drones["reference_position"] + self._shift(core)
+            velocity = drones["reference_velocity"] + ahead
+            velocity = velocity + self.approach * (place - drones["setpoint_position"])
+        return np.asarray(velocity / SPEED_LIMIT)
+
+    def _towards(self, drones: Records, places: FloatArray) -> FloatArray:
+        """Velocities: by the slope near the place, then by the square root of the distance."""
+        way = places - drones["setpoint_position"]
+        distance = np.linalg.norm(way, axis=-1, keepdims=True)
+        least = self.braking_mps2 / self.slope
+        root = 2.0 * self.braking_mps2 * distance - least**2
+        near = np.minimum(self.slope * distance, np.sqrt(np.maximum(root, least**2)))
+        return np.asarray(way / np.maximum(distance, 1e-9) * np.minimum(near, self.speed_mps))
+
+    def _chosen(self, core: SwarmCore) -> FloatArray:
+        """(E, N, 3) the places that drones choose when an episode begins."""
+        if self._places is None:
+            self._places = np.array(core.world.drones["goal"])
+        for e in np.flatnonzero(core.world.environments["decisions"] == 0):
+            goals = np.array(core.world.drones["goal"][e])
+            self._places[e] = heavy_on_top(goals, core.tasks[e].team)
+        return self._places + self._shift(core)
+
+    def _shift(self, core: SwarmCore) -> FloatArray | float:
+        """What to add to a place so that the drone, not its set-point, rests there, m."""
+        if not self.compensates:
+            return 0.0
+        drones, g = core.world.drones, self._gains
+        unknown = core.physics.force - drones["adaptive_force"]
+        learned = g.velocity * g.integral * drones["velocity_integral"]
+        pushed = unknown / drones["nominal_mass"][..., None] - learned
+        return np.asarray(-pushed / (g.position * (g.velocity + g.integral)))
+
+
+class Sprinter(AirLine):
+    """The same with less overshoot where the reference asks for more than set-points can."""
+
+    approach = 3.0
+
+
+class AirOracle(AirLine):
+    """The same with a controller that knows no force model; it reads the true force instead."""
+
+    controller, compensates = "air-blind", True
+
+
+class AirAdaptiveOracle(AirOracle):
+    """The same with a controller that estimates the force in flight."""
+
+    controller = "air-blind-adaptive"
+
+
+class _Ahead(RoundaboutAgent):
+    """The roundabout without the evasion of obstacles: another finds the way."""
+
+    def _around(self, rows: Float32Array, wanted: Float32Array) -> Float32Array:
+        return wanted
+
+
+class WayFinder(CoreAgent):
+    """Flies past obstacles on the shorter side and through goals at speed, behind a filter.
+
+    Obstacles are taken for columns that reach the ceiling. It reads where all of them are; the
+    filter, who is near, from rows without noise.
+    """
+
+    past_m, keep_m = 0.5, 0.28
+    """How far beyond a goal it aims, and how far from obstacles, m."""
+
+    def __init__(self) -> None:
+        shipped = TUNED["roundabout"]
+        cruise = Cruise(position_gain=12.0, velocity_gain=6.0, speed_mps=1.9)
+        safety = Safety(margin_m=0.15, horizon_s=0.4, response_s=0.126, rate=8.73, downwash=1.15)
+        self._pilot = SafetyFilter(_Ahead(cruise, shipped.roundabout), safety)
+        self.requires = {**self._pilot.requires, "num_obstacles": 3, "observe_load": False}
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Prepare the pilot, and note where obstacles stand."""
+        super().reset(env, seed)
+        self._pilot.reset(env, seed)
+        self._form = env.core.form[1:]
+        self._goal = {f.name: f.where for f in env.observation_layout}["task.goal"]
+        rows = env.core.physics.obstacles
+        box = rows[:, :1] == BOX
+        self._middle = np.where(box, (rows[:, 1:3] + rows[:, 4:6]) / 2.0, rows[:, 1:3])
+        half = (rows[:, 4] - rows[:, 1]) / 2.0
+        self._radius = np.where(box[:, 0], 1.15 * half, rows[:, 3])
+
+    def teach(self, core: SwarmCore) -> FloatArray:
+        """Accelerations: those of the pilot towards the next point of the way."""
+        rows = core.true_rows(*self._form)
+        position, way = core.world.drones["position"], rows[..., self._goal].astype(np.float64)
+        length = np.linalg.norm(way, axis=-1, keepdims=True)
+        turned = self._turned(position[..., :2], way[..., :2])
+        way = np.concatenate([turned, way[..., 2:]], axis=-1)
+        rows[..., self._goal] = way * (1.0 + self.past_m / np.maximum(length, 0.05))
+        return self._pilot.act_batch(rows)
+
+    def _turned(self, at: FloatArray, way: FloatArray) -> FloatArray:
+        """Level ways (..., 2) turned past the first obstacle in them, m."""
+        if not len(self._radius):
+            return way
+        length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)
+        ahead, side = way / length, np.stack([-way[..., 1], way[..., 0]], axis=-1) / length
+        place = self._middle - at[..., None, :]  # (..., M, 2)
+        along = np.einsum("...mk,...k->...m", place, ahead)
+        beside = np.einsum("...mk,...k->...m", place, side)
+        away = np.linalg.norm(place, axis=-1)
+        to_goal = np.linalg.norm(place - way[..., None, :], axis=-1)
+        keep = np.minimum(self._radius + self.keep_m, np.minimum(0.98 * away, 0.98 * to_goal))
+        hit = (np.abs(beside) < keep) & (along > 0.0) & (along < length)
+        first = np.where(hit, along, np.inf).argmin(axis=-1)[..., None]
+        picked = [np.take_along_axis(a, first, -1)[..., 0] for a in (beside, away, keep, along)]
+        offset, distance, clear, forward = picked
+        angle = np.arctan2(offset, forward)
+        tangent = np.arcsin(np.clip(clear / distance, 0.0, 1.0))
+        turn = np.where(offset > 0.0, angle - tangent, angle + tangent)
+        turn = np.where(hit.any(axis=-1), turn, 0.0)[..., None]
+        return np.asarray(np.cos(turn) * way + np.sin(turn) * side * length)

@@ -11,7 +11,7 @@ static inline void @name@_features(const struct @name@_drone *self, const struct
     for (j = 0; j < count; j++) {
         const float *member;
         for (k = 0; k < @own_width@; k++) inner[0][k] = values[0][k];
-        @name@_neighbour_features(self, &other[found[j]], inner[0] + @own_width@);
+        @name@_neighbour_features(self, own, &other[found[j]], inner[0] + @own_width@);
         member = @name@_apply(&@name@_phis[@who@], 1, inner);
         for (k = 0; k < @code@; k++) codes[j][k] = member[k], mean[k] += member[k] / (float)count;
     }

@@ -20,6 +20,7 @@ static inline void @name@_own_features(const struct @name@_drone *self,
 
 /* What it is told of one neighbour: @neighbour_width@ numbers. */
 static inline void @name@_neighbour_features(const struct @name@_drone *self,
+                                             const struct @name@_own *own,
                                              const struct @name@_drone *other, float *x)
 {
     float p[3], v[3], goal[3], closest[3];
@@ -48,5 +49,6 @@ static inline void @name@_neighbour_features(const struct @name@_drone *self,
     x[11] = expf(-@name@_length(closest) / @near@);
     x[15] = approach / (distance > 1e-6f ? distance : 1e-6f) / @speed@;
     x[16] = 1.0f;@neighbour_types@
+    (void)own;
 }
 

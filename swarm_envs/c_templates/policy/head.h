@@ -27,7 +27,7 @@ struct @name@_drone {
     float position[3]; /* m */
     float velocity[3]; /* m/s */
     float goal[3];     /* m: where it belongs@unused_goal@ */
-    int type;          /* one of the enumeration@unused_type@ */
+    int type;          /* one of the enumeration@unused_type@ */@drone_load@
 };
 
 /* What a drone knows of itself beside that. */

@@ -8,7 +8,7 @@ static inline void @name@_features(const struct @name@_drone *self, const struct
     for (j = 0; j < @NAME@_NEIGHBOURS; j++) {
         float *x = values[0] + @own_width@ + j * @neighbour_width@;
         if (j < count)
-            @name@_neighbour_features(self, &other[found[j]], x);
+            @name@_neighbour_features(self, own, &other[found[j]], x);
         else
             for (k = 0; k < @neighbour_width@; k++) x[k] = 0.0f;
     }

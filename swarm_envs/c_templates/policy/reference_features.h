@@ -20,6 +20,7 @@ static inline void @name@_own_features(const struct @name@_drone *self,
 
 /* What it is told of one neighbour: @neighbour_width@ numbers. */
 static inline void @name@_neighbour_features(const struct @name@_drone *self,
+                                             const struct @name@_own *own,
                                              const struct @name@_drone *other, float *x)
 {
     int k;
@@ -30,5 +31,6 @@ static inline void @name@_neighbour_features(const struct @name@_drone *self,
     x[6] = expf(-sqrtf(x[0] * x[0] + x[1] * x[1]) / @beside@);
     x[7] = x[6] * @name@_clamp(x[2] / @above@, -1.0f, 1.0f);
     x[11] = 1.0f;@neighbour_types@
+    (void)own;
 }
 

@@ -21,7 +21,7 @@ static inline float @name@_self_test(void)
             for (k = 0; k < 3; k++) drones[j].position[k] = *s++;
             for (k = 0; k < 3; k++) drones[j].velocity[k] = *s++;
             for (k = 0; k < 3; k++) drones[j].goal[k] = *s++;
-            drones[j].type = kinds[n][1 + j];
+@test_load@            drones[j].type = kinds[n][1 + j];
         }
         for (k = 0; k < 3; k++) own.up[k] = *s++;
         own.thrust = *s++;

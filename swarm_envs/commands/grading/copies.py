@@ -13,7 +13,7 @@ import numpy as np
 
 import swarm_envs
 from swarm_envs.agents import load
-from swarm_envs.agents.policy import PolicyAgent, read_policy
+from swarm_envs.agents.policy import read_policy
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.commands.grading.messages import Array
 from swarm_envs.commands.grading.remote import path_of
@@ -61,28 +61,31 @@ def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]
             own = _shipped_acts(name, env, rows, twins)
         except (ValueError, AttributeError):  # it flies no such episodes, or not by rows
             continue
-        if own is not None and _alike(own, acts):
+        if any(_alike(one, acts) for one in own):
             return name
     return ""
 
 
 def _shipped_acts(
     name: str, env: SwarmParallelEnv, rows: Float32Array, twins: Twins
-) -> Array | None:
-    """Actions of a shipped agent; None if it is privileged, or has others than the work."""
+) -> list[Array]:
+    """Actions of a shipped agent's policies; none if it is privileged, or acts otherwise."""
     agent: Any = _shipped(name)
     if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
-        return None
-    if isinstance(agent, PolicyAgent):
-        layout = observation_layout(agent.policy.note.num_neighbors)
-    else:
+        return []
+    acting: Any = getattr(agent, "policies", ())
+    layouts = [observation_layout(*one.policy.note.form) for one in acting]
+    if not acting:
         config = replace(env.core.config, **{**agent.requires, "num_obstacles": 0})
         twin = twins.get(repr(config))
         if twin is None:
             twin = twins[repr(config)] = SwarmParallelEnv(env.core.task, config)
-        layout = twin.observation_layout
+        acting, layouts = [agent], [twin.observation_layout]
         agent.reset(twin, 0)
-    return np.asarray(agent.act_batch(_observed(rows, env, layout)), np.float64)
+    return [
+        np.asarray(one.act_batch(_observed(rows, env, layout)), np.float64)
+        for one, layout in zip(acting, layouts, strict=True)
+    ]
 
 
 def _alike(own: Array, acts: Array) -> bool:
@@ -120,7 +123,7 @@ def _shipped(name: str) -> Any:
 def _shipped_weights() -> dict[str, str]:
     """Names of shipped policies by the digests of their weights."""
     agents = {name: _shipped(name) for name, path in SHIPPED.items() if "agents.policy" in path}
-    return {agent.digest: name for name, agent in agents.items()}
+    return {one.digest: name for name, agent in agents.items() for one in agent.policies}
 
 
 def _copied_weights(file: Path) -> str:
