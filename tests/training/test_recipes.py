@@ -53,6 +53,8 @@ def test_layouts_are_refused_with_the_list(task):
         with_recipe(options(layout="spiral"), task)
     assert all(f"'{name}'" in str(error.value) for name in RECIPES[task].layouts)
     for layout in RECIPES[task].layouts:
+        whole = with_recipe(options(layout=layout, algo="dagger"), task)
+        assert whole.layout == layout
         assert set(RECIPES[task].evaluation_layouts(layout)) <= set(RECIPES[task].layouts)
 
 

@@ -25,7 +25,7 @@ from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.tasks.rewards import write_terms
 from swarm_envs.training.rl.encoders import Actor, Trunks, encoder_spec, fill
-from swarm_envs.training.rl.recipes import ALL, recipe_of, with_recipe
+from swarm_envs.training.rl.recipes import recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
@@ -78,8 +78,6 @@ class Learner(ABC):
 
     def make_env(self, blueprints: list[Blueprint], share: int) -> SharedPolicyVecEnv:
         """The environments of all teams, so many of each."""
-        if self.config.layout == ALL:
-            raise ValueError(f"--layout {ALL} is learned by --algo dagger; name one layout")
         return SharedPolicyVecEnv(blueprints, share, self.config.seed, features=self.features)
 
     def start_from(self, trunks: Trunks, head: nn.Linear) -> Actor | None:

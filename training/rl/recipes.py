@@ -27,6 +27,7 @@ from swarm_envs import task_family
 from swarm_envs.agents.features import FULL, GOAL, REFERENCE, TYPED
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.agents.protocol import AT_ONCE, fly_batch
+from swarm_envs.agents.registry import controller_of
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import check_name
@@ -367,31 +368,25 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 
 
 def recipe_of(task: str) -> Recipe:
-    """The recipe of a task, whatever its version.
-
-    Raises:
-        ValueError: the task has none; the message lists those that have one.
-    """
-    family = task_family(task)
-    if family not in RECIPES:
-        raise ValueError(
-            f"`swarm-envs train` trains {', '.join(RECIPES)}, but not {family!r}; train it by "
-            "Stable-Baselines3 with swarm_envs.training.SharedPolicyVecEnv, which takes every task "
-            "(docs/interfaces.md)"
-        )
-    return RECIPES[family]
+    """The recipe of a task, whatever its version."""
+    return RECIPES[task_family(task)]
 
 
 def with_recipe(config: RlConfig, task: str) -> RlConfig:
     """The options of a run, with the defaults of its task's recipe for what was not given.
 
     Raises:
-        ValueError: the task has no recipe, or no such layout; the message lists those that exist.
+        ValueError: the task has no such layout, the algorithm learns one layout alone, or no agent
+            has such a controller.
     """
     recipe = recipe_of(task)
     missing = [k for k in recipe.defaults if config.uses(k) and getattr(config, k) is None]
     whole = replace(config, **{k: recipe.defaults[k] for k in missing})
     check_name("--layout", whole.layout, recipe.layouts)
+    if config.controller is not None:
+        controller_of(config.controller)
+    if whole.layout == ALL and config.algo != "dagger":
+        raise ValueError(f"--layout {ALL} is learned by --algo dagger; name one layout")
     return whole
 
 

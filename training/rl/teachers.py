@@ -162,7 +162,7 @@ class WayFinder(CoreAgent):
     filter, who is near, from rows without noise.
     """
 
-    past_m, keep_m = 0.5, 0.28
+    past_m, keep_m = 0.1, 0.28
     """How far beyond a goal it aims, and how far from obstacles, m."""
 
     def __init__(self) -> None:
