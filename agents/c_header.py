@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -401,7 +401,7 @@ def draw_state(policy: Policy, others: int, rng: np.random.Generator) -> KnownSt
         moving = [place, rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.8, 3)]
         task = np.concatenate([task] * (note.features == FULL) + moving)
     load = rng.uniform(0.2, 1.5, (count, 3 * note.observe_load))
-    near = [rng.normal(0.0, 0.3, FORCE_WIDTH * note.observe_force)]
+    near: list[Any] = [rng.normal(0.0, 0.3, FORCE_WIDTH * note.observe_force)]
     if note.num_obstacles:
         ways = rng.normal(0.0, 0.8, (note.num_obstacles, 3))
         near += [[rng.integers(note.num_obstacles + 1)], ways.ravel()]

@@ -156,7 +156,7 @@ def _goal_features(rows: Float32Array, at: ObservationColumns, typed: bool) -> F
     return made.reshape(*rows.shape[:-1], made.shape[-1])
 
 
-def check_width(rows: Float32Array, *form: int) -> None:
+def check_width(rows: Float32Array, *form: Any) -> None:
     """Refuse rows that are not of a form: K, M, and whether load and force are observed."""
     wanted = observation_width(*form)
     if rows.shape[-1] != wanted:
@@ -245,12 +245,12 @@ def _write_neighbor(
 
 
 @cache
-def _fields(*form: int) -> Mapping[str, slice]:
+def _fields(*form: Any) -> Mapping[str, slice]:
     return {field.name: field.where for field in observation_layout(*form)}
 
 
 @cache
-def _columns(*form: int) -> ObservationColumns:
+def _columns(*form: Any) -> ObservationColumns:
     return observation_columns(_fields(*form))
 
 
@@ -400,7 +400,7 @@ def _obstacle(offset: Float32Array) -> tuple[Float32Array, Float32Array]:
 def _beside(seen: Float32Array, goal: Float32Array) -> Float32Array:
     """(..., K, 5 or with load 8) of neighbours (..., K, width) beside a goal (..., 1, 3)."""
     position, mask = seen[..., 0:3], seen[..., -1:]
-    apart, _ = _direction(position + seen[..., 6:9] - goal, _TWO)
+    apart, _ = _direction(position + seen[..., 6:9] - goal, 2.0)
     flat = np.sqrt(np.square(position[..., :2]).sum(axis=-1, keepdims=True))
     beside = np.exp(-flat / np.float32(BESIDE))
     above = beside * np.clip(position[..., 2:3] / np.float32(ABOVE), -1.0, 1.0)

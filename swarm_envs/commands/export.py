@@ -106,7 +106,7 @@ def export_policy(options: PolicyOptions) -> None:
     from swarm_envs.agents.c_header import costs, policy_header
 
     check_inputs(options)
-    policies = getattr(load(options.agent), "policies", ())
+    policies: tuple[Any, ...] = getattr(load(options.agent), "policies", ())
     if len(policies) != 1:
         kind = f"{len(policies)} trained policies" if policies else "no trained policy"
         raise Misuse(

@@ -68,7 +68,7 @@ DRONE = np.dtype(
 
 def as_row(state: KnownState) -> np.ndarray:
     """A row of the program's input, its set-point at rest."""
-    own = [("up", *VECTOR), ("thrust", np.float32), ("setpoint", *VECTOR)]
+    own: list[Any] = [("up", *VECTOR), ("thrust", np.float32), ("setpoint", *VECTOR)]
     own += [("task", np.float32, len(state.task))]
     if len(state.near):  # a force, and how many obstacles are where
         own += [("force", *VECTOR), ("count", np.int32), ("ways", np.float32, len(state.near) - 4)]

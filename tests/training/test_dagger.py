@@ -103,7 +103,8 @@ def core_of(task: str, **given: Any) -> tuple[SwarmCore, Any]:
 def test_labels_are_of_the_true_state(given):
     """Where students observe noise, or an estimate."""
     given = {"num_drones": 6, "num_neighbors": 7, "decision_rate": 20, **given}
-    (core, blueprint), agent = core_of("swap_v1", **given), load("roundabout")
+    core, blueprint = core_of("swap_v1", **given)
+    agent: Any = load("roundabout")
     for _ in range(5):
         core.step(np.zeros((3, 6, 3)))
     true, env = core.true_rows(7, 0, False, False), SwarmParallelEnv(*blueprint)

@@ -145,7 +145,8 @@ def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
         given = {"obstacles": (), "success": task.success}
     else:
         given = {"obstacles": task.obstacles, "success": None}
-    return {name: (1 / len(names), replace(task, layout=name, **given)) for name in names}
+    changed: Any = task  # a dataclass, as every task is
+    return {name: (1 / len(names), replace(changed, layout=name, **given)) for name in names}
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

@@ -192,7 +192,7 @@ class WayFinder(CoreAgent):
         turned = self._turned(position[..., :2], way[..., :2])
         way = np.concatenate([turned, way[..., 2:]], axis=-1)
         rows[..., self._goal] = way * (1.0 + self.past_m / np.maximum(length, 0.05))
-        return self._pilot.act_batch(rows)
+        return np.asarray(self._pilot.act_batch(rows), np.float64)
 
     def _turned(self, at: FloatArray, way: FloatArray) -> FloatArray:
         """Level ways (..., 2) turned past the first obstacle in them, m."""
