@@ -56,6 +56,11 @@ def policy_of(learner: PpoLearner) -> Policy:
     return Policy(policy_note(learner, "swap_v0"), learner.actor(), {})
 
 
+def saved(learner: PpoLearner, folder: Path) -> Path:
+    write_policy(folder / "policy.safetensors", policy_of(learner))
+    return folder
+
+
 def rows_of(learner: PpoLearner) -> np.ndarray:
     """Observation rows of every drone after some decisions."""
     learner.env.reset()
@@ -69,20 +74,13 @@ def rows_of(learner: PpoLearner) -> np.ndarray:
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_flies_is_what_was_trained(kind, tmp_path):
     learner = make(**KINDS[kind])
-    path = tmp_path / "policy.safetensors"
-    write_policy(path, policy_of(learner))
-    agent = PolicyAgent(read_policy(path))
+    agent = PolicyAgent(read_policy(saved(learner, tmp_path) / "policy.safetensors"))
     rows = rows_of(learner)
     actions, _ = learner.model.predict(learner.env.observe(rows), deterministic=True)
     np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
     assert np.ptp(actions, axis=0).min() > 0.01
-    options = {
-        **learner.config.teams[0],
-        "physics": "batch",
-        "horizon_s": 0.5,
-        "interactions": "none",
-    }
-    env = swap_v0.parallel_env(**options, **agent.requires)
+    options = {**learner.config.teams[0], "physics": "batch", "interactions": "none"}
+    env = swap_v0.parallel_env(**options, horizon_s=0.5, **agent.requires)
     assert fly_episode(env, agent, seed=0)["length_s"] > 0
 
 
@@ -163,8 +161,8 @@ def test_every_algorithm_has_every_encoder(algo, encoder):
 @pytest.mark.parametrize("algo", ["mappo", "dagger"])
 def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
     first = make(drones=4, **SET)
-    write_policy(tmp_path / "policy.safetensors", policy_of(first))
-    options: dict[str, Any] = {"algo": algo, "start": str(tmp_path), "hidden": (8, 8), **SET}
+    start = str(saved(first, tmp_path))
+    options: dict[str, Any] = {"algo": algo, "start": start, "hidden": (8, 8), **SET}
     options |= {"batch_size": 64, "n_steps": 16} if algo == "mappo" else {}
     config = RlConfig(out=Path("never"), environments=12, interactions="none", **options)
     found = to_tensors(make_learner(config, "swap_v0").actor())
@@ -175,10 +173,8 @@ def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
 def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
     """By the gradient of the divergence of normal distributions of the same deviation."""
     first = make(drones=4, **SET)
-    write_policy(tmp_path / "policy.safetensors", policy_of(first))
-    learner: Any = make_learner(
-        replace(first.config, start=str(tmp_path), start_kl=3.0, seed=9), "swap_v0"
-    )
+    config = replace(first.config, start=str(saved(first, tmp_path)), start_kl=3.0, seed=9)
+    learner: Any = make_learner(config, "swap_v0")
     values = learner.env.observe(rows_of(learner))
     before = first.model.predict(values, deterministic=True)[0]
     np.testing.assert_allclose(learner.model.predict(values, deterministic=True)[0], before)
@@ -222,12 +218,9 @@ def test_types_are_one_hot_in_order():
     assert around[:2, 0, sizes.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
 
 
-def test_a_policy_each_needs_types():
+def test_types_that_are_not_there_are_refused():
     with pytest.raises(ValueError, match="--per-type needs vehicles of several types"):
         make(per_type=True)
-
-
-def test_vehicles_that_it_has_not_flown_are_refused():
     learner = make(team=("SSLL",), per_type=True)
     agent = PolicyAgent(policy_of(learner))
     options = {"team": "SSSS*", "physics": "batch", "interactions": "none", **agent.requires}

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
-from safetensors import safe_open
+from safetensors.numpy import load_file
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import load
@@ -28,34 +28,19 @@ from swarm_envs.training.rl.recipes import choosing_seeds
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.sac import SacLearner
 
-COMMON = [
-    *("--drones", "2", "--environments", "8", "--hidden", "8", "8", "--num-neighbors", "1"),
-    *("--judge-every", "2", "--judge-episodes", "4", "--interactions", "none", "--seed", "5"),
-    *("--no-tensorboard", "--no-progress"),
-]
-ON_POLICY = [
-    "--n-steps",
-    "8",
-    "--batch-size",
-    "64",
-    "--n-epochs",
-    "2",
-    "--checkpoint-rollouts",
-    "3",
-]
+COMMON = (
+    "--drones 2 --environments 8 --hidden 8 8 --num-neighbors 1 --judge-every 2 --judge-episodes 4 "
+    "--interactions none --seed 5 --no-tensorboard --no-progress"
+)
+ON_POLICY = "--n-steps 8 --batch-size 64 --n-epochs 2 --checkpoint-rollouts 3"
 TINY = {
-    "ppo": [*ON_POLICY, "--steps", "2000"],
-    "mappo": [*ON_POLICY, "--steps", "1280"],
-    "sac": [
-        *("--steps", "1536", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"),
-        *("--sac.learning-starts", "200", "--sac.buffer-size", "1000", "--sac.batch-size", "32"),
-        *("--sac.train-freq", "4"),
-    ],
-    "dagger": [
-        *("--steps", "1536", "--checkpoint-rollouts", "6", "--dagger.gradient-steps", "2"),
-        *("--dagger.batch-size", "32", "--dagger.buffer-size", "500", "--dagger.train-freq", "4"),
-        *("--dagger.teacher", "fast-line", "circle=roundabout"),
-    ],
+    "ppo": f"{ON_POLICY} --steps 2000",
+    "mappo": f"{ON_POLICY} --steps 1280",
+    "sac": "--steps 1536 --checkpoint-rollouts 6 --sac.gradient-steps 4 --sac.learning-starts 200 "
+    "--sac.buffer-size 1000 --sac.batch-size 32 --sac.train-freq 4",
+    "dagger": "--steps 1536 --checkpoint-rollouts 6 --dagger.gradient-steps 2 "
+    "--dagger.train-freq 4 --dagger.batch-size 32 --dagger.buffer-size 500 "
+    "--dagger.teacher fast-line circle=roundabout",
 }
 STEPS = {"ppo": 2048, "mappo": 1280, "sac": 1536, "dagger": 1536}  # rounded up to rollouts
 LEARNERS: dict[str, Any] = {
@@ -66,15 +51,12 @@ every_algorithm = pytest.mark.parametrize("algo", TINY)
 
 
 def command(algo: str, out: Path, *more: str) -> list[str]:
-    return ["train", "--algo", algo, *COMMON, *TINY[algo], "--out", str(out), *more]
+    options = f"--algo {algo} {COMMON} {TINY[algo]}".split()
+    return ["train", *options, "--out", str(out), *more]
 
 
 def curve(folder: Path) -> list[dict[str, str]]:
-    path = folder / "curve.csv"
-    if not path.is_file():
-        return []
-    with path.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return list(csv.DictReader((folder / "curve.csv").read_text(encoding="utf-8").splitlines()))
 
 
 @pytest.fixture(scope="module")
@@ -128,14 +110,10 @@ def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
     assert "resuming from the checkpoint at" in capsys.readouterr().out
     assert (tmp_path / FILE).read_bytes() == (whole[algo] / FILE).read_bytes()
     assert curve(tmp_path) == curve(whole[algo])
-    with (
-        safe_open(tmp_path / "checkpoint.safetensors", "np") as here,
-        safe_open(whole[algo] / "checkpoint.safetensors", "np") as there,
-    ):
-        names = set(there.keys())
-        assert set(here.keys()) == names
-        for name in names:
-            assert np.array_equal(here.get_tensor(name), there.get_tensor(name)), name
+    here, there = (load_file(out / "checkpoint.safetensors") for out in (tmp_path, whole[algo]))
+    assert here.keys() == there.keys()
+    for name, tensor in there.items():
+        assert np.array_equal(here[name], tensor), name
 
 
 @pytest.mark.parametrize(
