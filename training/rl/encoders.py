@@ -67,32 +67,35 @@ class SetEncoder(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """(B, `width`) for features (B, `sizes.width`)."""
-        sizes, (first, *deeper) = self.spec.sizes, self.phi
+        sizes, (first, *deeper, last) = self.spec.sizes, self.phi
         assert isinstance(first, nn.Linear)
         own = values[:, : sizes.own]
         around = values[:, sizes.own :].reshape(-1, sizes.num_neighbors, sizes.neighbor)
         present = around[..., sizes.mask, None]
         shared = functional.linear(own, first.weight[:, : sizes.own], first.bias)
-        members = shared[:, None] + functional.linear(around, first.weight[:, sizes.own :])
+        members = functional.linear(around, first.weight[:, sizes.own :]).add_(shared[:, None])
         for layer in deeper:
             members = layer(members)
+        members = last(members.mul_(present))  # so that who is not there is 0
         if self.score is None:
-            return torch.cat([own, pool_members(members, present, self.spec.pooling)], dim=1)
-        mean = pool_members(members, present, "mean")[:, None].expand_as(members)
-        scores = self.score(torch.cat([members, mean], dim=-1))
-        weights = present * torch.softmax(scores.masked_fill(present == 0, -1e9), dim=1)
+            return torch.cat([own, pool_members(members, present, self.spec)], dim=1)
+        mean = members.sum(dim=1, keepdim=True) / present.sum(dim=1, keepdim=True).clamp(min=1.0)
+        scores = self.score(torch.cat([members, mean.expand_as(members)], dim=-1))
+        weights = torch.softmax(scores.masked_fill(present == 0, -1e9), dim=1)
         return torch.cat([own, (weights * members).sum(dim=1)], dim=1)
 
 
-def pool_members(members: Tensor, present: Tensor, pooling: str) -> Tensor:
-    """Twin of `swarm_envs.agents.networks.pooled`: of (B, K, width) and (B, K, 1)."""
-    if pooling == "max-sum":
-        return torch.cat([pool_members(members, present, part) for part in ("max", "sum")], dim=1)
-    if pooling == "max":
-        found = members.masked_fill(present == 0, -1.0).amax(dim=1)
-        return found * present.amax(dim=1)
-    total = (members * present).sum(dim=1)
-    return total if pooling == "sum" else total / present.sum(dim=1).clamp(min=1.0)
+def pool_members(members: Tensor, present: Tensor, spec: EncoderSpec) -> Tensor:
+    """Twin of `swarm_envs.agents.networks.pooled`: of (B, K, width), 0 where `present` is."""
+    parts = []
+    if "max" in spec.pooling:
+        lowest = members if spec.activation == "relu" else members - (present == 0).float()
+        parts.append(lowest.max(dim=1).values * present.amax(dim=1))
+    if spec.pooling != "max":
+        parts.append(members.sum(dim=1))
+    if spec.pooling == "mean":
+        parts[0] = parts[0] / present.sum(dim=1).clamp(min=1.0)
+    return torch.cat(parts, dim=1)
 
 
 class Trunk(nn.Module):
