@@ -49,38 +49,20 @@ def gymnasium_name(task: str, suffix: str = "") -> str:
 
 def register() -> None:
     """Register every task with Gymnasium and, from 1.27 on, PettingZoo, unless it is registered."""
+    joint = "swarm_envs.envs.joint"
     for task in TASKS:
+        given = {"task": task}
         if gymnasium_name(task) not in gymnasium.registry:
-            _register_with_gymnasium(task)
-        if task not in _known_to_pettingzoo():
-            _register_with_pettingzoo(task)
-
-
-def _register_with_gymnasium(task: str) -> None:
-    gymnasium.register(
-        id=gymnasium_name(task),
-        entry_point="swarm_envs.envs.joint:make_joint",
-        vector_entry_point="swarm_envs.envs.vector:make_vector",
-        kwargs={"task": task},
-    )
-    gymnasium.register(
-        id=gymnasium_name(task, "Solo"),
-        entry_point="swarm_envs.envs.joint:make_solo",
-        kwargs={"task": task},
-    )
-
-
-def _register_with_pettingzoo(task: str) -> None:
-    pettingzoo.register("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
-    pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
-
-
-def _known_to_pettingzoo() -> tuple[str, ...]:
-    """Tasks that are registered there, or all if this version has no registry."""
-    if not hasattr(pettingzoo, "register"):
-        return TASKS
-    known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`
-    return tuple(task for task in TASKS if f"swarm_envs/{task.replace('_v', '-v')}" in known)
+            name, solo = gymnasium_name(task), gymnasium_name(task, "Solo")
+            vector = "swarm_envs.envs.vector:make_vector"
+            gymnasium.register(name, f"{joint}:make_joint", vector_entry_point=vector, kwargs=given)
+            gymnasium.register(solo, f"{joint}:make_solo", kwargs=given)
+        if not hasattr(pettingzoo, "register"):
+            continue
+        known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`
+        if f"swarm_envs/{task.replace('_v', '-v')}" not in known:
+            pettingzoo.register("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
+            pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
 
 
 def make(task: str, **options: Any) -> SwarmParallelEnv:

@@ -449,12 +449,8 @@ def _many_of(kind: Kind, holders: tuple[type, ...]) -> Kind:
     )
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
+def _is(kind: type, value: object) -> bool:
+    return isinstance(value, kind) and not isinstance(value, bool | np.bool_)
 
 
 def _is_numbers(value: object) -> bool:
@@ -468,8 +464,8 @@ ANYTHING = Kind("anything", lambda value: True)
 """What an annotation asks for that says nothing here."""
 _SIMPLE: Mapping[Any, Kind] = {
     Any: ANYTHING,
-    int: Kind("an integer", _is_integer),
-    float: Kind("a number", _is_number),
+    int: Kind("an integer", functools.partial(_is, Integral)),
+    float: Kind("a number", functools.partial(_is, Real)),
     bool: Kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
     str: Kind("text", lambda value: isinstance(value, str)),
     Path: Kind("a pathlib.Path", lambda value: isinstance(value, Path)),

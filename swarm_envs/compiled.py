@@ -348,23 +348,17 @@ def entry_point(compiled: F, *arguments: object) -> F:
     if signature in dispatcher.signatures:
         entry: F = dispatcher.compile(signature)  # which only looks it up
     else:
-        with _alone_in(_folder(dispatcher.py_func)), _without_collection():
-            entry = dispatcher.compile(signature)
+        collects = gc.isenabled()
+        with _alone_in(_folder(dispatcher.py_func)):
+            gc.disable()  # compilation makes little garbage; looking for it takes an eighth of it
+            try:
+                entry = dispatcher.compile(signature)
+            finally:
+                if collects:
+                    gc.enable()
     if _bar is not None:
         _bar.update()
     return entry
-
-
-@contextmanager
-def _without_collection() -> Iterator[None]:
-    """Compilation makes little garbage, and to look for it takes an eighth of the time."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 @contextmanager

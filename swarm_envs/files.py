@@ -57,10 +57,8 @@ def _runs(process: int) -> bool:
         return True
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's
-        return True
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)  # else it is another user's
     return True
 
 
@@ -113,15 +111,10 @@ def claimed(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            if made:
-                _remove_unused(folder)
-
-
-def _remove_unused(folder: Path) -> None:
-    with suppress(OSError):  # Windows keeps a lock that is open
-        if [path.name for path in folder.iterdir()] == [LOCK]:
-            (folder / LOCK).unlink()
-            folder.rmdir()
+            with suppress(OSError):  # Windows keeps a lock that is open
+                if made and [path.name for path in folder.iterdir()] == [LOCK]:
+                    (folder / LOCK).unlink()
+                    folder.rmdir()
 
 
 def _lock(folder: Path, lock: TextIO) -> None:

@@ -85,7 +85,13 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             for found, count in zip(blueprints, counts, strict=True)
         )
         self.features = features
-        _check_alike(self.cores)
+        for k, core in enumerate(self.cores):
+            if (core.form, core.mode) != (self.core.form, self.core.mode):
+                raise ValueError(
+                    f"team {k} observes {core.form} and acts by {core.mode}, but team 0 "
+                    f"{self.core.form} and {self.core.mode}; make them with the same options but "
+                    "for the team"
+                )
         self._make_shape()
         sizes = [core.num_envs * core.num_drones for core in self.cores]
         self._begins = list(accumulate(sizes, initial=0))
@@ -333,16 +339,6 @@ def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
     if options:
         raise TypeError(f"{', '.join(options)}: give options to the blueprint, not beside it")
     return tuple(found)
-
-
-def _check_alike(cores: Sequence[SwarmCore]) -> None:
-    first = cores[0]
-    for k, core in enumerate(cores):
-        if (core.form, core.mode) != (first.form, first.mode):
-            raise ValueError(
-                f"team {k} observes {core.form} and acts by {core.mode}, but team 0 {first.form} "
-                f"and {first.mode}; make them with the same options but for the team"
-            )
 
 
 def _row(batch: Any, k: int) -> Any:

@@ -162,7 +162,11 @@ def _scaling(config: MlrDmpcConfig, *places: FloatArray) -> tuple[float, float, 
     """The largest scaling of heights, up to the configured, that (20) allows for (S, N, 3) m."""
     wanted = config.scaling
     largest = wanted[2]
-    apart = np.concatenate([_pairs(one) for one in places])
+    pairs = []  # how far any two of one stage are apart, by axis
+    for one in places:
+        first, second = np.triu_indices(one.shape[1], 1)
+        pairs.append(np.abs(one[:, first] - one[:, second]).reshape(-1, 3))
+    apart = np.concatenate(pairs)
     level = np.hypot(apart[:, 0] / wanted[0], apart[:, 1] / wanted[1])
     needed = np.sqrt(np.maximum((_ROOM * config.distance_m) ** 2 - level**2, 0.0))
     close = needed > 0.0
@@ -174,9 +178,3 @@ def _scaling(config: MlrDmpcConfig, *places: FloatArray) -> tuple[float, float, 
             "m, what drones need; spread them, or give a config with a smaller distance_m"
         )
     return (wanted[0], wanted[1], largest)
-
-
-def _pairs(places: FloatArray) -> FloatArray:
-    """(P, 3) how far any two of places (S, N, 3) of one stage are apart, by axis, m."""
-    first, second = np.triu_indices(places.shape[1], 1)
-    return np.abs(places[:, first] - places[:, second]).reshape(-1, 3)

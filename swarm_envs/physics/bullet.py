@@ -192,15 +192,6 @@ class BulletPhysics(Physics):
         super().close()
         self._finalizer()
 
-    def _connect(self) -> int:
-        bullet = self._bullet
-        client = int(bullet.connect(bullet.DIRECT))
-        if client < 0:
-            raise RuntimeError(
-                "Bullet gave no client: too many are open; close() environments that are done"
-            )
-        return client
-
     def _populate(self, e: int) -> list[int]:
         """Empty the world of environment `e` and build floor, obstacles and drones; their ids."""
         bullet, client = self._bullet, self.clients[e]
@@ -250,7 +241,12 @@ class BulletPhysics(Physics):
     def _build(self) -> None:
         every = range(self.num_envs)
         for e in every:
-            self.clients.append(self._connect())
+            client = int(self._bullet.connect(self._bullet.DIRECT))
+            if client < 0:
+                raise RuntimeError(
+                    "Bullet gave no client: too many are open; close() environments that are done"
+                )
+            self.clients.append(client)
             self.bodies.append(self._populate(e))
         self._built, self._built_teams = list(map(self._inertias, every)), list(self.teams)
         self._memory = self._columns.data.cast("B")

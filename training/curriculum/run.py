@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json, written_whole
-from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions import load
 from swarm_envs.state import FloatArray
 from swarm_envs.training.belief.feedforward import simulated_fit_config
 from swarm_envs.training.collection.collect import begin_manifest, collect, was_cut_short
@@ -259,7 +259,15 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     }
     begin_manifest(config.out / ORIGIN, origin)
     rounds = _fly_rounds(config)
-    unseen = _evaluate_all(config, truth)
+    unseen: list[Unseen] = []
+    if (config.out / UNSEEN).exists():
+        unseen += json.loads((config.out / UNSEEN).read_text())
+    else:
+        models = [load(weights_of(config, k + 1)) for k in range(len(config.stages))]
+        hidden = not config.progress
+        for team in tqdm(config.unseen_teams, "unseen swaps", unit="team", disable=hidden):
+            unseen.append(evaluate_unseen(models, truth, team, config.episodes))
+        write_json(config.out / UNSEEN, json_ready(unseen))
     with written_whole(config.out / "learned.safetensors") as partial:
         shutil.copyfile(weights_of(config, len(config.stages)), partial)
     drag = {name: truth.field.drag[k].tolist() for k, name in enumerate(truth.types)}
@@ -298,17 +306,6 @@ def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
         reports.append(report)
         clearance = report["next_clearance_m"]
     return reports
-
-
-def _evaluate_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
-    path = config.out / UNSEEN
-    if path.exists():
-        return list(json.loads(path.read_text()))
-    models = [load(weights_of(config, k + 1)) for k in range(len(config.stages))]
-    bar = tqdm(config.unseen_teams, disable=not config.progress, desc="unseen swaps", unit="team")
-    found = [evaluate_unseen(models, truth, team, config.episodes) for team in bar]
-    write_json(path, json_ready(found))
-    return found
 
 
 def _rule(config: CurriculumConfig) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +31,6 @@ from swarm_envs.training.reproduce.lag_study import TEAM, TRUTH
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
 from swarm_envs.viewing.style import GREY, INK, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _RATE_G = 0.5  # d_f: how fast the planted error changes, gram-force a second
 _SIZE_G = 5.0
@@ -220,7 +217,13 @@ def _text(summary: Mapping[str, Any]) -> str:
     )
 
 
-_POINT, _QUADROTOR, _CLAMPED = "#0072B2", "#009E73", "#D55E00"
+_PLANTS = (
+    ("point_growing", "#0072B2", "point mass"),
+    ("quadrotor_growing", "#009E73", "quadrotor, integral free"),
+    ("clamped_growing", "#D55E00", "quadrotor, integral clamped"),
+)
+# They lie on each other.
+_LINES: tuple[dict[str, Any], ...] = ({"linewidth": 3.0}, {"linestyle": "--"}, {})
 
 
 def _plot(
@@ -234,34 +237,24 @@ def _plot(
         time = np.array(curves["time_s"])
         for k, own in enumerate(curves["point_random_m"]):
             label = "point mass, random errors" if k == 0 else None
-            envelope.plot(time, 100.0 * np.array(own), color=_POINT, linewidth=0.9, label=label)
+            envelope.plot(
+                time, 100.0 * np.array(own), color=_PLANTS[0][1], linewidth=0.9, label=label
+            )
         bound = 100.0 * np.array(curves["envelope_m"])
         envelope.plot(time, bound, color=INK, linewidth=1.8, label="bound on the way there")
-        growing.plot(time, 100.0 * np.array(curves["point_growing_m"]), color=_POINT,
-                     linewidth=3.0, label="point mass")  # fmt: skip
-        growing.plot(time, 100.0 * np.array(curves["quadrotor_growing_m"]), "--",
-                     color=_QUADROTOR, label="quadrotor, integral free")  # fmt: skip
-        growing.plot(time, 100.0 * np.array(curves["clamped_growing_m"]), color=_CLAMPED,
-                     label="quadrotor, integral clamped")  # fmt: skip
+        for (key, color, label), line in zip(_PLANTS, _LINES, strict=True):
+            error = 100.0 * np.array(curves[f"{key}_m"])
+            growing.plot(time, error, color=color, label=label, **line)
         for axis, title in ((envelope, "Random errors, gains mid"), (growing, "Worst error")):
             axis.axhline(mid["ball_cm"], color=GREY, linestyle=":", label="ball, eq. (23)")
             label_axis(axis, title, "Time (s)", "Position error (cm)", legend=8)
         growing.set_ylim(0.0, 3.2 * mid["ball_cm"])
-        _plot_balls(balls, rows)
-
-
-def _plot_balls(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    drawn = (
-        ("ball_cm", "#B8BEC5", "ball, eq. (23)"),
-        ("point_growing_cm", _POINT, "point mass"),
-        ("quadrotor_growing_cm", _QUADROTOR, "quadrotor, integral free"),
-        ("clamped_growing_cm", _CLAMPED, "quadrotor, integral clamped"),
-    )
-    series = [([row[key] for row in rows], color, label) for key, color, label in drawn]
-    draw_numbered_bars(axis, [row["gains"] for row in rows], series)
-    axis.legend(fontsize=8, ncols=2, loc="upper center")
-    axis.set_ylim(1.0, 500.0)
-    label_axis(axis, "Worst error, by gains", "", "Largest error (cm)", grid="y")
+        drawn = (("ball", "#B8BEC5", "ball, eq. (23)"), *_PLANTS)
+        series = [([row[f"{key}_cm"] for row in rows], color, label) for key, color, label in drawn]
+        draw_numbered_bars(balls, [row["gains"] for row in rows], series)
+        balls.legend(fontsize=8, ncols=2, loc="upper center")
+        balls.set_ylim(1.0, 500.0)
+        label_axis(balls, "Worst error, by gains", "", "Largest error (cm)", grid="y")
 
 
 BALL = Study(

@@ -19,7 +19,8 @@ from swarm_envs.training.force_model.explained import generalisation
 from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.heat_maps import (
-    all_maps,
+    MAP_CASES,
+    force_map,
     force_on_ego_g,
     plot_gaps,
     plot_heat_maps,
@@ -183,7 +184,7 @@ def _report(options: Any, cells: Mapping[str, Any]) -> Report:
     true_forces = None if truth is None else load(truth)
     name = Path(forces.name).name
     with tqdm(total=2, unit="step", desc="Fig. 5") as bar:
-        maps = all_maps(forces, 0.01)
+        maps = [force_map(forces, case) for case in MAP_CASES]
         bar.update()
         swarms = all_swarms(forces)
         bar.update()
@@ -217,8 +218,10 @@ def format_summary(summary: dict[str, Any]) -> str:
                 f"at y = {gap['y_m']:.2f}, z = {gap['z_m']:.2f} m"
             )
     for s in summary["larger_swarms"]:
+        small = set(s["team_from_below"]) == {"S"}
         lines.append(
-            f"{s['formation']} of {s['drones']}, {_team(s['team_from_below'])}: up to "
+            f"{s['formation']} of {s['drones']}, "
+            f"{'all small' if small else 'one small below large ones'}: up to "
             f"{s['most_neighbours']} neighbours, {s['neighbours_beyond_measured']} more than "
             f"measured; forces {s['strongest_force_g']:z.1f} to {s['highest_force_g']:+z.1f} g"
         )
@@ -228,10 +231,6 @@ def format_summary(summary: dict[str, Any]) -> str:
             f"{team['mean_neighbours']:.1f} neighbours on average"
         )
     return "\n".join(lines)
-
-
-def _team(from_below: str) -> str:
-    return "all small" if set(from_below) == {"S"} else "one small below large ones"
 
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:

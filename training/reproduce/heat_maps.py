@@ -188,17 +188,13 @@ def force_map(model: InteractionModel, case: _MapCase, step_m: float = 0.01) -> 
     joint = force_on_ego_g(model, team, position, velocity)
     gap = superposed_force_g(model, team, position, velocity) - joint
     shape = (len(z), len(y))
-    free = _free(team, position).reshape(shape)
-    return _ForceMap(case, y, z, joint.reshape(shape), gap.reshape(shape), free)
-
-
-def _free(team: list[str], position: FloatArray) -> BoolArray:
     radius = [vehicle.radius for vehicle in parse_team("".join(team))]
     free = position[:, 0, 2] >= _LOWEST_MEASURED_M - 1e-9
     for j in range(1, len(team)):
         distance = np.linalg.norm(position[:, j] - position[:, 0], axis=1)
         free &= distance >= radius[0] + radius[j]
-    return np.asarray(free)
+    joint, gap = joint.reshape(shape), gap.reshape(shape)
+    return _ForceMap(case, y, z, joint, gap, free.reshape(shape))
 
 
 def summarise_maps(maps: list[_ForceMap], model: str) -> dict[str, Any]:
@@ -245,11 +241,6 @@ def _summary(found: _ForceMap) -> dict[str, Any]:
     }
 
 
-def all_maps(model: InteractionModel, step_m: float = 0.01) -> list[_ForceMap]:
-    """All eight maps, (a) to (h)."""
-    return [force_map(model, case, step_m) for case in MAP_CASES]
-
-
 def plot_heat_maps(path: Path, maps: Sequence[_ForceMap], model: str) -> None:
     """Draw the eight maps on one colour scale."""
     lowest = min(float(m.force_g.min()) for m in maps)
@@ -259,8 +250,7 @@ def plot_heat_maps(path: Path, maps: Sequence[_ForceMap], model: str) -> None:
         axes = figure.subplots(2, 4)
         for axis, found in zip(axes.flat, maps, strict=True):
             colors = _draw(axis, found, found.force_g, (lowest, highest))
-            case = found.case
-            axis.set_title(f"({case.letter})  {case.title}")
+            axis.set_title(f"({found.case.letter})  {found.case.title}")
         _finish(figure, axes, colors, "Vertical force (g): red pushes down")
 
 

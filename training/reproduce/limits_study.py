@@ -142,11 +142,6 @@ def _thrust(case: str) -> dict[float, FlightTest]:
     return {ratio: swap_test((*team, one), truth=TRUTH) for ratio, one in lowest.items()}
 
 
-def _planes(case: str) -> dict[float, FlightTest]:
-    layouts = {gap: replace(PAPER_SWAP, gap_m=(gap, gap)) for gap in (0.2, 0.3, 0.4, 0.6, 0.8, 1.0)}
-    return {gap: swap_test(case, layout, TRUTH) for gap, layout in layouts.items()}
-
-
 def _air(case: str) -> dict[float, FlightTest]:
     test, strengths = swap_test(case, truth=TRUTH), (0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
     return {x: replace(test, randomization=Randomization(force_scale=(x, x))) for x in strengths}
@@ -159,7 +154,8 @@ def all_sweeps() -> tuple[Sweep, ...]:
         f"{one} above S": {float(n): swap_test(one * n + "2S", truth=TRUTH) for n in range(1, 6)}
         for one in "SL"
     }
-    planes = {case: _planes(case) for case in _CASES}
+    gaps = {x: replace(PAPER_SWAP, gap_m=(x, x)) for x in (0.2, 0.3, 0.4, 0.6, 0.8, 1.0)}
+    planes = {case: {x: swap_test(case, gaps[x], TRUTH) for x in gaps} for case in _CASES}
     return (
         *map(_spoiled, _IMPERFECTIONS),
         _flown("air", "True over predicted force", {case: _air(case) for case in _CASES}),

@@ -14,7 +14,7 @@ the one with which the plan was made.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -225,11 +225,6 @@ ATTEMPTS = 6
 """How often either planner may restart while its plan breaks a bound."""
 
 
-def _planning_bounds() -> PlanningBounds:
-    """What every plan shall keep to, whoever makes it."""
-    return PlanningBounds(force_g={t: PLANNED_SHARE * b for t, b in FORCE_BOUNDS_G.items()})
-
-
 @dataclass(frozen=True)
 class TrialSettings:
     """What all trials share."""
@@ -240,7 +235,9 @@ class TrialSettings:
     """The true force model in (b)."""
     engine: str = "batch"
     """Of (b): `bullet` or `batch`."""
-    bounds: PlanningBounds = field(default_factory=_planning_bounds)
+    bounds: PlanningBounds = PlanningBounds(
+        force_g={token: PLANNED_SHARE * bound for token, bound in FORCE_BOUNDS_G.items()}
+    )
     """What every plan shall keep to, whoever makes it."""
 
     def plan(self, swap: _PlannedSwap, planner: str, seed: int) -> SwarmPlan:

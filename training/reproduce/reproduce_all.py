@@ -138,17 +138,6 @@ def choose_studies(keys: Sequence[str]) -> list[Study]:
     return [study for key, study in studies.items() if not keys or key in keys]
 
 
-def _listing() -> str:
-    """The items with what they show, or why they cannot be remade, as text."""
-    studies = numbered_studies()
-    width = max(map(len, studies))
-    return "\n".join(
-        f"{key.ljust(width)}  {study.shows}"
-        + (f" [not remade: {study.missing}]" if study.missing else "")
-        for key, study in studies.items()
-    )
-
-
 def steps_of(options: ReproduceAllOptions, study: Study) -> list[_Step]:
     """The commands that remake a study; rows of measured force are collected unless `--data` is."""
     folder, steps = options.folder(study), []
@@ -295,7 +284,12 @@ def reproduce_all(options: ReproduceAllOptions) -> tuple[str, bool]:
         OSError: it cannot be written.
     """
     if options.list:
-        return _listing(), True
+        studies = numbered_studies()
+        width, lines = max(map(len, studies)), list[str]()
+        for key, study in studies.items():
+            why = f" [not remade: {study.missing}]" if study.missing else ""
+            lines.append(f"{key.ljust(width)}  {study.shows}{why}")
+        return "\n".join(lines), True
     with claimed(options.out):
         _check_settings(options)
         others = {key: outcome_of(options, study) for key, study in numbered_studies().items()}

@@ -49,7 +49,12 @@ def html_page(outcomes: Sequence[StudyOutcome], about: Sequence[str], out: Path)
     ]
     for paper, own in by_paper.items():
         parts.append(f'<h2 id="{escape(paper)}">{escape(PAPERS[paper].title)}</h2>')
-        parts.append(f"<nav>{''.join(_links(own))}</nav>")
+        links = list[str]()
+        for outcome in own:
+            soft = "" if outcome.state == "done" else ' class="soft"'
+            label = escape(outcome.study.label)
+            links.append(f'<a{soft} href="#{escape(_anchor(outcome))}">{label}</a>')
+        parts.append(f"<nav>{''.join(links)}</nav>")
         parts += [part for outcome in own for part in _item(outcome, out)]
     return "\n".join([*parts, "</body></html>", ""])
 
@@ -76,13 +81,6 @@ def _anchor(outcome: StudyOutcome) -> str:
     return outcome.study.key.replace("/", "-")
 
 
-def _links(outcomes: Sequence[StudyOutcome]) -> Iterator[str]:
-    for outcome in outcomes:
-        soft = "" if outcome.state == "done" else ' class="soft"'
-        label = escape(outcome.study.label)
-        yield f'<a{soft} href="#{escape(_anchor(outcome))}">{label}</a>'
-
-
 def _item(outcome: StudyOutcome, out: Path) -> Iterator[str]:
     study = outcome.study
     yield f'<section class="item" id="{escape(_anchor(outcome))}">'
@@ -99,7 +97,9 @@ def _item(outcome: StudyOutcome, out: Path) -> Iterator[str]:
         yield from _table(outcome.claims)
     if outcome.state == "done":
         for name in study.pictures:
-            yield _picture(out / study.key / name, f"{study.label}, ours")
+            data = base64.b64encode((out / study.key / name).read_bytes()).decode("ascii")
+            says = f'alt="{escape(study.label)}, ours"'
+            yield f'<img loading="lazy" {says} src="data:image/png;base64,{data}">'
     if outcome.commands:
         spent = f", {outcome.cpu_s:.0f} s of CPU time" if outcome.state == "done" else ""
         lines = "\n".join(escape(command) for command in outcome.commands)
@@ -107,33 +107,18 @@ def _item(outcome: StudyOutcome, out: Path) -> Iterator[str]:
     yield "</section>"
 
 
-def _picture(path: Path, says: str) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f'<img loading="lazy" alt="{escape(says)}" src="data:image/png;base64,{data}">'
-
-
 def _table(claims: Sequence[Claim]) -> Iterator[str]:
     heads = "".join(f"<th>{escape(head)}</th>" for head in _HEADS)
     yield f"<table><thead><tr>{heads}</tr></thead><tbody>"
     for claim in claims:
-        cells = dict(zip(_HEADS, _cells(claim), strict=True))
-        yield (
-            "<tr>"
-            + "".join(_html_cell(name, text, claim) for name, text in cells.items())
-            + "</tr>"
-        )
+        looks = ["", *["number"] * 3, claim.agreement.replace(" ", "-")]
+        cells = [
+            f'<td data-name="{escape(name)}" class="{look}">{_text(text)}</td>'
+            for name, text, look in zip(_HEADS, _cells(claim), looks, strict=True)
+        ]
+        cells[0] = f"<td>{_text(claim.quantity)}</td>"
+        yield f"<tr>{''.join(cells)}</tr>"
     yield "</tbody></table>"
-
-
-def _html_cell(name: str, text: str, claim: Claim) -> str:
-    if name == "quantity":
-        return f"<td>{_text(text)}</td>"
-    look = (
-        f' class="{claim.agreement.replace(" ", "-")}"'
-        if name == "difference"
-        else ' class="number"'
-    )
-    return f'<td data-name="{escape(name)}"{look}>{_text(text)}</td>'
 
 
 def _cells(claim: Claim) -> tuple[str, str, str, str, str]:

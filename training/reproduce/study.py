@@ -134,7 +134,11 @@ class StudyOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be done."""
         study = self.chosen
-        for name in _foreign(self, study):
+        known = {"figure", "table", "study", "out", "json", "seed", *(study.takes or ())}
+        for entry in dataclasses.fields(self) if study.takes is not None else ():
+            name = entry.name
+            if name in known or getattr(self, name) == entry.default:
+                continue
             homes = [s for s in _studies_of(self.paper).values() if name in (s.takes or ())]
             raise ValueError(
                 f"--{name.replace('_', '-')} has no meaning for {_flag_of(study)}, but for "
@@ -168,18 +172,6 @@ def _studies_of(paper: str) -> dict[str, Study]:
 def _flag_of(study: Study) -> str:
     """How a study is asked for, such as `--figure 5`."""
     return "--" + study.name.replace("-", " ", 1)
-
-
-def _foreign(options: StudyOptions, study: Study) -> list[str]:
-    """Options that were given although they mean nothing for the study."""
-    if study.takes is None:
-        return []
-    known = {"figure", "table", "study", "out", "json", "seed", *study.takes}
-    return [
-        entry.name
-        for entry in dataclasses.fields(options)
-        if entry.name not in known and getattr(options, entry.name) != entry.default
-    ]
 
 
 def run_study(study: Study, options: Any, progress: bool = True) -> tuple[dict[str, Any], str]:

@@ -139,7 +139,9 @@ class SwarmPlan:
             OSError: the file cannot be written.
         """
         file = _checked(path)
-        arrays, about = _arrays(self), _about(self)
+        arrays, about = {"starts": self.starts, "goals": self.goals}, _about(self)
+        for owner, part in itertools.product(_MOTIONS, _PARTS):
+            arrays[f"{owner}_{part}"] = getattr(getattr(self, owner), part)
         about["sha256"] = _digest(arrays, about)
         if file.suffix == ".json":
             write_json(file, {"about": about, **{name: a.tolist() for name, a in arrays.items()}})
@@ -184,13 +186,6 @@ def _checked(path: str | Path) -> Path:
     if file.suffix not in _SUFFIXES:
         raise ValueError(unknown_name("suffix", file.suffix, _SUFFIXES, f"of {str(file)!r}"))
     return file
-
-
-def _arrays(plan: SwarmPlan) -> dict[str, FloatArray]:
-    arrays = {"starts": plan.starts, "goals": plan.goals}
-    for owner, part in itertools.product(_MOTIONS, _PARTS):
-        arrays[f"{owner}_{part}"] = getattr(getattr(plan, owner), part)
-    return arrays
 
 
 def _about(plan: SwarmPlan) -> dict[str, Any]:
