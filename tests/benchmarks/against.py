@@ -77,12 +77,7 @@ def measured() -> Iterator[Measured]:
 
 
 class Tree:
-    """A tree, and a process that measures in it.
-
-    Args:
-        folder: with the package `swarm_envs` in it.
-        kernels: folder for its cached kernels; None for the one that numba takes by itself.
-    """
+    """A tree, and a process that measures in it."""
 
     def __init__(self, folder: Path, kernels: Path | None = None) -> None:
         self._folder, self._kernels = folder, kernels
@@ -145,11 +140,7 @@ class Tree:
 
 
 def checked_out(ref: str) -> Path:
-    """The tree of another commit, as a worktree of this repository's; made once.
-
-    Raises:
-        subprocess.CalledProcessError: there is no such commit.
-    """
+    """The tree of another commit, as a worktree of this repository's; made once."""
     git = ["git", "-C", str(ROOT)]
     name = subprocess.check_output([*git, "rev-parse", "--short", f"{ref}^{{commit}}"], text=True)
     folder = BUILD / name.strip()
@@ -179,13 +170,7 @@ def in_turn(trees: Sequence[Tree], job: Measured, repetitions: int) -> Pair | st
 
 
 def compared(row: Row, pair: Pair | str, fast: bool) -> Iterator[Row]:
-    """Three rows: the other tree's, this one's, and how many times as fast this one is.
-
-    Args:
-        row: what they share.
-        pair: what was measured, or why nothing was.
-        fast: whether large numbers are good.
-    """
+    """Three rows: the other tree's, this one's, and how many times as fast this one is."""
     names = [f"{row['what']}, {which}" for which in ("old", "new", "new over old")]
     units = [row["unit"], row["unit"], "times as fast"]
     notes = [{"value": None, "note": pair}] * 2 + [{"value": None, "note": "not measured"}]

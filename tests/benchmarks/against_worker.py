@@ -51,13 +51,13 @@ def reset(engine: str, drones: int) -> Call:
     return partial(env.reset)
 
 
-def hovering(envs: int, drones: int, **options: Any) -> Any:
-    """Many environments, on one thread, that have hovered for a while, and zeros as actions."""
+def hovering(envs: int, drones: int, placed: Any = None, threads: int = 1, **options: Any) -> Any:
+    """Many environments that have hovered for a while, and zeros as actions."""
     blueprint = importlib.import_module("swarm_envs.swap_v0").blueprint
-    fixed = {"physics": "batch", "threads": 1, "horizon_s": 1e6, "end_on_success": False}
+    fixed = {"physics": "batch", "threads": threads, "horizon_s": 1e6, "end_on_success": False}
     task, config, _ = blueprint(num_drones=drones, **fixed, **options)
     core = importlib.import_module("swarm_envs.envs.core").SwarmCore(task, config, envs)
-    core.reset(list(range(envs)))
+    core.reset(list(range(envs)), **({"options": placed} if placed else {}))
     still = np.zeros((envs, drones, 3))
     for _ in range(HOVER_DECISIONS):
         core.step(still)
@@ -97,12 +97,12 @@ MAKERS: dict[str, Callable[..., Call]] = {
 """What can be measured: makes what is called, warmed up."""
 
 
-def cpu_seconds(call: Call, times: int) -> float:
-    """CPU time of one call in this thread, s: the mean over a run of them."""
-    begin = time.thread_time()
+def cpu_seconds(call: Call, times: int, clock: Callable[[], float] = time.thread_time) -> float:
+    """Time of one call, of this thread's CPU unless the clock is another, s: a run's mean."""
+    begin = clock()
     for _ in range(times):
         call()
-    return (time.thread_time() - begin) / times
+    return (clock() - begin) / times
 
 
 def first_steps() -> dict[str, float]:

@@ -18,15 +18,16 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.options import batch_of
 from swarm_envs.interactions import load
+from tests.benchmarks.against_worker import cpu_seconds, hovering
 from tests.benchmarks.peers import RATES, batch_peer_row
-from tests.benchmarks.rows import Row, cpu_seconds, number, run, spread
-from tests.benchmarks.throughput import HOVER_DECISIONS, packed
+from tests.benchmarks.rows import Row, number, run, spread
+from tests.benchmarks.throughput import packed
 
 BATCH = (1024, 4)  # environments and drones of the headline
 ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)  # with 4 drones each: how cost grows with E
@@ -35,17 +36,10 @@ DRONES = (16, 32, 64, 128, 256)
 MEMORY = (1024, 16)  # environments and drones whose memory is measured
 
 
-def make_core(envs: int, drones: int, start: str = "random", **options: object) -> SwarmCore:
+def make_core(envs: int, drones: int, start: str = "random", **options: Any) -> SwarmCore:
     """A batch of swap environments that hover, 2 s into their episodes."""
-    blueprint = batch_of(
-        "swap_v0", num_drones=drones, horizon_s=1e6, end_on_success=False, **options
-    )
-    core = SwarmCore(blueprint.task, blueprint.config, envs)
     placed = {"start": packed(drones)} if start == "packed" else None
-    core.reset(list(range(envs)), options=placed)
-    still = np.zeros((envs, drones, 3), dtype=np.float32)
-    for _ in range(HOVER_DECISIONS):
-        core.step(still)
+    core: SwarmCore = hovering(envs, drones, placed, **options)[0]
     return core
 
 
@@ -111,6 +105,7 @@ def _row(what: str, core: SwarmCore) -> Row:
 
 MEMORY_SCRIPT = """
 from pathlib import Path
+from typing import Any
 from tests.benchmarks.batched import make_core
 make_core({envs}, {drones}, force_rate=48)
 print(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])

@@ -1,4 +1,4 @@
-"""Speed of the interaction forces, and of the same networks in torch and in plain numpy.
+"""Speed of the interaction forces, and of the same networks in torch.
 
     make bench
     python -m tests.benchmarks.forces --json forces.json
@@ -15,17 +15,16 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import resources
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import all_forces
-from swarm_envs.vehicles import GRAM_FORCE, parse_team
-from tests.benchmarks.rows import Row, cpu_seconds, run, spread
+from swarm_envs.vehicles import parse_team
+from tests.benchmarks.against_worker import cpu_seconds
+from tests.benchmarks.rows import Row, run, spread
 
 Array = npt.NDArray[Any]
 
@@ -44,49 +43,6 @@ def states(num_envs: int, num_drones: int) -> tuple[Array, Array]:
 def team_of(num_drones: int) -> str:
     """Small and large drones in turn."""
     return ("SL" * num_drones)[:num_drones]
-
-
-def layers(field: ForceField, n: int) -> list[tuple[Array, Array]]:
-    """Matrix (in, out) and bias of each layer of a network."""
-    depth, columns = int(field.layout[n, 0]), field.layout.shape[1] // 2
-    found = []
-    for k, (inputs, outputs) in enumerate(pairwise(field.layout[n, 1 : depth + 2])):
-        start = field.layout[n, 1 + columns + k]
-        bias = start + inputs * outputs
-        matrix = field.weights[start:bias].reshape(inputs, outputs)
-        found.append((matrix, field.weights[bias : bias + outputs]))
-    return found
-
-
-def apply(network: list[tuple[Array, Array]], x: Array) -> Array:
-    """A ReLU network on the last axis."""
-    for k, (matrix, bias) in enumerate(network):
-        x = (np.maximum(x, 0.0) if k else x) @ matrix + bias
-    return x
-
-
-def numpy_forces(model: InteractionModel, position: Array, velocity: Array, team: str) -> Array:
-    """Forces (E, N, 3), N, of drones all above the anchor height, in plain numpy."""
-    field, count = model.field, len(model.types)
-    types = model.type_indices(parse_team(team))
-    own = np.concatenate([np.full_like(position[..., :1], -field.anchor_height), -velocity], 2)
-    free = apply(layers(field, count), np.clip(own, *field.environment_range))
-    pairs = np.concatenate([a[:, None] - a[:, :, None] for a in (position, velocity)], 3)
-    weights = 1.0 - np.eye(len(types))
-    for axis, (full, end) in enumerate(field.window.reshape(2, 2)[[0, 0, 1]]):
-        u = np.clip((abs(pairs[..., axis]) - full) / (end - full), 0.0, 1.0)
-        weights = weights * (1.0 - u**3 * (10.0 + u * (6.0 * u - 15.0)))
-    inputs, code = np.clip(pairs, *field.pair_range), free.copy()
-    for kind in range(count):
-        those = types == kind
-        phi = apply(layers(field, kind), inputs[:, :, those])
-        code += np.einsum("eij,eijk->eik", weights[:, :, those], phi)
-    force = -field.drag[types] * velocity
-    for kind in range(count):
-        those, rho = types == kind, layers(field, count + 1 + kind)
-        lift = apply(rho, code[:, those]) - apply(rho, free[:, those])
-        force[:, those, 2] += lift[..., 0] * GRAM_FORCE
-    return force
 
 
 def torch_forces(dtype: str, position: Array, velocity: Array, team: str) -> Callable[[], Any]:
@@ -132,7 +88,6 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
     calls: dict[str, Callable[[], Callable[[], Any]]] = {
         "kernel": lambda: kernel_forces(model, position, velocity, team),
         "forces": lambda: partial(model.forces, position, velocity, team),
-        "numpy": lambda: partial(numpy_forces, model, position, velocity, team),
         "torch": lambda: torch_forces(dtype, position, velocity, team),
     }
     call = calls[way]()
@@ -145,7 +100,7 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
 def rows(options: argparse.Namespace) -> Iterator[Row]:
     """Everything that is measured, in the order of the table."""
     ways = [("kernel", "float64"), ("kernel", "float32"), ("forces", "float64")]
-    ways += [("numpy", "float64"), ("torch", "float64"), ("torch", "float32")]
+    ways += [("torch", "float64"), ("torch", "float32")]
     for envs, drones in SIZES:
         for way, dtype in ways:
             yield force_row(way, dtype, envs, drones, options.repetitions)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import platform
 import statistics
-import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,16 +16,6 @@ from swarm_envs.files import write_json
 Row = dict[str, Any]
 HEADS = {"environments": "envs", "drones": "drones", "force_rate": "force rate"}
 """Columns of counts, by the name of a row's entry; those that no row fills are left out."""
-
-
-def cpu_seconds(
-    call: Callable[[], object], times: int, clock: Callable[[], float] = time.thread_time
-) -> float:
-    """Time of one call, of this thread's CPU unless the clock is another, s: a run's mean."""
-    begin = clock()
-    for _ in range(times):
-        call()
-    return (clock() - begin) / times
 
 
 def spread(values: Sequence[float]) -> Row:
@@ -71,18 +60,7 @@ def run(
     repetitions: int = 7,
     configure: Callable[[argparse.ArgumentParser], None] = lambda parser: None,
 ) -> tuple[argparse.Namespace, list[Row]]:
-    """Measure, print the table, and write it as JSON if asked to.
-
-    Args:
-        description: the script's docstring.
-        measure: gives the rows in the order of the table, from the options.
-        arguments: of the command line.
-        repetitions: of each measurement, by default.
-        configure: adds options of the script's own.
-
-    Returns:
-        The options and the rows.
-    """
+    """Measure, print the table, and write it as JSON if asked to."""
     parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="also write the rows there")
     parser.add_argument("--repetitions", type=int, default=repetitions, help="runs of each")

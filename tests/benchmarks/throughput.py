@@ -21,11 +21,11 @@ import numpy.typing as npt
 
 from swarm_envs import swap_v0
 from swarm_envs.physics import bullet_available
+from tests.benchmarks.against_worker import HOVER_DECISIONS, cpu_seconds
 from tests.benchmarks.peers import EFFECTS, peer_row
-from tests.benchmarks.rows import Row, cpu_seconds, run, spread
+from tests.benchmarks.rows import Row, run, spread
 
 SIZES = {"bullet": (4, 16), "batch": (4, 16, 64)}
-HOVER_DECISIONS = 96  # flown before the clock starts: 2 s
 SPACING = 0.14  # between neighbours of a packed layer, m: 2 cm more than where small drones touch
 LAYERS = {4: (1, 0.0), 16: (2, 0.3), 64: (8, 0.15)}
 """Layers of a packed swarm and the height between them, m, by number of drones."""

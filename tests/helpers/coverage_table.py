@@ -11,11 +11,7 @@ _DEEP = ("baselines", "training", "swarm_envs")
 
 
 def table(files: dict[str, dict[str, dict[str, int]]]) -> str:
-    """Lines and covered lines by package.
-
-    Args:
-        files: by path, each with a `summary` of `num_statements` and `covered_lines`.
-    """
+    """Lines and covered lines by package."""
     total, covered = Counter[str](), Counter[str]()
     for path, facts in files.items():
         for name in (_package(PurePosixPath(path)), "all"):

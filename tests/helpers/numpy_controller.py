@@ -66,13 +66,7 @@ def rotation_between(direction: FloatArray) -> FloatArray:
 
 
 class NumpyTrackingController:
-    """The tracking controller of one drone, for reading and for checking the compiled one.
-
-    Args:
-        vehicle: what the drone is taken to be.
-        config: gains, filters and limits. The forces to compensate are given to `commands`.
-        dt: length of a controller step, s.
-    """
+    """The tracking controller of one drone, for reading and for checking the compiled one."""
 
     def __init__(
         self, vehicle: Vehicle, config: ControllerConfig | None = None, dt: float = 1.0 / 240.0
@@ -101,16 +95,7 @@ class NumpyTrackingController:
         target: TrackingTarget,
         feedforward: FloatArray | None = None,
     ) -> FloatArray:
-        """Rotor thrust commands u_c (4,), N, for one step.
-
-        Args:
-            position: (3,) p, m.
-            velocity: (3,) v, m/s.
-            quaternion: (4,) attitude (x, y, z, w), body to world.
-            angular_velocity: (3,) in the world frame, rad/s.
-            target: what to follow.
-            feedforward: (3,) interaction force f_hat of a model, world frame, N; None is zero.
-        """
+        """Rotor thrust commands u_c (4,), N, for one step; vectors (3,) in the world frame, SI."""
         rotation = Rotation.from_quat(quaternion).as_matrix()
         body_rate = rotation.T @ angular_velocity
         compensated = np.zeros(3) if feedforward is None else feedforward

@@ -44,11 +44,7 @@ def test_files() -> dict[str, frozenset[str]]:
 
 
 def nearest_tests(changed: Iterable[str]) -> list[str]:
-    """Test files that import what changed, directly or through others; the nearest first.
-
-    Args:
-        changed: paths below the root. A page of the documentation is seen by its own tests.
-    """
+    """Test files that import what changed, directly or through others; the nearest first."""
     paths, pages = list(changed), [path for path in changed if path.endswith((".md", ".rst"))]
     by_path = {str(file.relative_to(ROOT)): name for name, file in SOURCES.items()}
     graph = {name: imported_modules(parsed(name), name) for name in SOURCES} | test_files()

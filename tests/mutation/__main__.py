@@ -28,17 +28,7 @@ Key = tuple[Any, ...]
 
 
 def judged(group: Group, size: int, seed: int, killed: Mapping[Key, Row]) -> Iterator[Row]:
-    """Run the group's tests on a sample of its mutants; what became of each.
-
-    Args:
-        group: whose mutants.
-        size: of the sample; 0 for all.
-        seed: of the sample.
-        killed: rows of an earlier run, which need no other.
-
-    Raises:
-        RuntimeError: the tests fail on the files as they are.
-    """
+    """Run the group's tests on a sample of its mutants; what became of each."""
     limits: dict[tuple[str, ...], int] = {}
     chosen = sample(group.modules, size, seed)
     for mutant, source in tqdm(chosen, desc=group.name, unit="mutant", total=size or None):
@@ -89,11 +79,7 @@ def _line(name: str, file: str, paths: list[str], drawn: list[Row]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Judge a sample of every group, print the table and the survivors.
-
-    Returns:
-        0 if every group has 80 % of its mutants killed, else 1.
-    """
+    """Judge a sample of every group, print the table and the survivors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--group", choices=[g.name for g in GROUPS], action="append")
     parser.add_argument("--sample", type=int, default=100, help="mutants of each group; 0: all")

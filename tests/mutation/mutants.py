@@ -82,11 +82,7 @@ class Mutant:
 
 @cache
 def mutants(path: str) -> tuple[Mutant, ...]:
-    """Every mutant of a file, in an order that depends on nothing but its text.
-
-    Args:
-        path: of the file, relative to the checkout.
-    """
+    """Every mutant of a file, in an order that depends on nothing but its text."""
     text = _text(path)
     found, nodes = [], list(ast_nodes(get_ast(text)))
     ignored = set(_annotation_positions(ast.parse(text)))
@@ -99,13 +95,7 @@ def mutants(path: str) -> tuple[Mutant, ...]:
 
 
 def sample(paths: Iterable[str], size: int, seed: int) -> Iterator[tuple[Mutant, str]]:
-    """Mutants of several files with their sources, drawn without replacement.
-
-    Args:
-        paths: of the files.
-        size: how many; 0 for all.
-        seed: of the draw.
-    """
+    """Mutants of several files with their sources, drawn without replacement."""
     everything = [mutant for path in paths for mutant in mutants(path)]
     drawn = np.random.default_rng(seed).permutation(len(everything)).tolist()
     pairs = ((everything[k], everything[k].source()) for k in drawn)

@@ -44,13 +44,7 @@ class Verdict:
 def run_tests(
     tests: tuple[str, ...], limit_s: int, mutant: tuple[str, str] | None = None
 ) -> Verdict:
-    """Run tests in a fork until the first fails.
-
-    Args:
-        tests: arguments of pytest: files, tests, options.
-        limit_s: CPU time after which the fork is stopped, s.
-        mutant: path of a file, and the source that the fork imports in its place.
-    """
+    """Run tests in a fork until the first fails."""
     with tempfile.TemporaryFile() as log:
         child = os.fork()
         if not child:
@@ -66,14 +60,7 @@ def run_tests(
 
 
 def warm_up(tests: tuple[str, ...], limit_s: int = 600) -> float:
-    """Import here what tests import that is not ours.
-
-    Returns:
-        CPU time, s, that they take on the files as they are, in a fork of what there is then.
-
-    Raises:
-        RuntimeError: they fail.
-    """
+    """Import here what tests import that is not ours."""
     with tempfile.TemporaryDirectory() as folder:
         names = Path(folder) / "modules.json"
         os.environ["MUTATION_MODULES"] = str(names)

@@ -133,11 +133,7 @@ def ours() -> dict[str, str]:
 
 
 def _confinement() -> list[str]:
-    """What is put before a command so that it has no network and cannot write what is read-only.
-
-    Raises:
-        Failed: the system has not what it takes.
-    """
+    """What is put before a command so that it has no network and cannot write what is read-only."""
     if not sys.platform.startswith("linux") or not shutil.which("unshare"):
         raise Failed("a locked row needs Linux and util-linux (unshare, setpriv)")
     if os.geteuid():

@@ -16,16 +16,7 @@ _REQUIREMENT = re.compile(r"([\w-]+)(?:\[([\w,-]+)\])?(?:>=([\w.]+))?\s*(?:;\s*(
 
 
 def lowest(pyproject: Path, extras: Sequence[str] = ()) -> list[str]:
-    """Constraints, one a direct dependency, in the order of the file.
-
-    Args:
-        pyproject: the file.
-        extras: those whose dependencies are meant too, and those of the extras they name.
-
-    Raises:
-        KeyError: there is no such extra.
-        ValueError: a dependency has no lower bound, or another one beside it.
-    """
+    """Constraints, one a direct dependency, in the order of the file."""
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
     return list(dict.fromkeys(_pinned(project, extras)))
 

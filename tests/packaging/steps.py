@@ -119,19 +119,9 @@ def _expect(folder: Path, *names: str) -> None:
         raise AssertionError(f"{missing} were not written")
 
 
+_FIRST = (modules, first_step, agents, demo, fly, evaluate, readme, quickstart)
+_STEPS = (*_FIRST, refusals, page, cluster, train, tests)
 STEPS: Mapping[str, Callable[[Installation], None]] = {
-    "modules": modules,
-    "first step": first_step,
-    "agents": agents,
-    "demo": demo,
-    "fly": fly,
-    "evaluate": evaluate,
-    "README": readme,
-    "quickstart": quickstart,
-    "refusals": refusals,
-    "page": page,
-    "cluster": cluster,
-    "train": train,
-    "tests": tests,
+    "README" if step is readme else step.__name__.replace("_", " "): step for step in _STEPS
 }
 """Every step by its name, in the order of the table's columns."""
