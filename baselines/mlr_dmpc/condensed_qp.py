@@ -137,6 +137,7 @@ def _resting_inputs(config: MlrDmpcConfig) -> _Affine:
     last = np.eye(config.num_inputs)[-1:]
     rest = np.concatenate([by_jerk[1], by_jerk[2], last])
     needed = np.concatenate([by_state[1], by_state[2], np.zeros((1, 3))])
+    # The last right singular vectors span the null space: in it plans still end at rest.
     base = np.linalg.svd(rest)[2][len(rest) :].T
     return _Affine(-np.linalg.pinv(rest) @ needed, base)
 

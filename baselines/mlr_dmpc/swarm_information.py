@@ -159,7 +159,7 @@ class Membership:
         units = {unit for unit in self.view.units if not self._absences.gone(unit)} | {self._unit}
         units |= {unit for unit in range(self._absences.count) if self._absences.present(unit)}
         id_ = messages.ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
-        self._retry = round_ + 2 * (self._retry - self._since)
+        self._retry = round_ + 2 * (self._retry - self._since)  # less and less often
         drones, gone = self._heard_of & ~self.gone, self.gone
         members = (frozenset(np.flatnonzero(some).tolist()) for some in (drones, gone))
         view = messages.MembershipView(id_, tuple(sorted(units)), *members)

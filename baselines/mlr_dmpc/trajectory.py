@@ -210,6 +210,7 @@ def closest_distances(
         sampled = np.where(np.isnan(sampled), np.inf, sampled)
         lengths = np.linalg.norm(terms, axis=-1)
         speed = lengths[..., 1:] @ (np.arange(1, 4) * duration_s ** np.arange(3))
+        # Nowhere are they nearer than this; roots are sought only where it could matter.
         bound = sampled - speed * duration_s / (2 * _PARTS)
         best = sampled.min(axis=0)
         for r, k in np.argwhere(bound < best):
@@ -224,7 +225,7 @@ def _least_length(terms: FloatArray, duration_s: float) -> float:
     square = np.sum([np.convolve(terms[:, x], terms[:, x]) for x in range(3)], axis=0)
     slope = square[1:] * np.arange(1, 7)
     size = np.abs(slope).max(initial=0.0)
-    slope[np.abs(slope) < 1e-14 * size] = 0.0
+    slope[np.abs(slope) < 1e-14 * size] = 0.0  # a tiny leading coefficient makes huge roots
     roots = np.roots(slope[::-1])
     real = roots.real[np.abs(roots.imag) < 1e-6]
     times = np.concatenate([[0.0, duration_s], np.clip(real, 0.0, duration_s)])

@@ -272,7 +272,7 @@ def _best(task: _Task, around: _Solution | None = None) -> _Solution:
         apart = least_distances(found.path, neighbors.positions, config)
         near = apart < near_m
         near[chosen] = False
-        others = np.flatnonzero(near)
+        others = np.flatnonzero(near)  # they had no rows: nothing has kept the plan off them
         chosen = np.concatenate([chosen, others])
         missed = (apart[others] < config.sampled_distance_m + SPARE_M).any()
         if found.reason != ACCEPTED or not missed:
@@ -286,7 +286,7 @@ def _solve(task: _Task, chosen: IntArray, around: _Solution | None) -> _Solution
     problem = program(task.own, task.start_round, among, task.target, config, task.planes, plan)
     found = RowGeneration(problem, task.solver_name, NO_ROWS if around is None else around.active)
     jerk = fixed.jerks.at(problem.state, found.z)
-    jerk[-1] = 0.0
+    jerk[-1] = 0.0  # it is not sent: the plan ends at rest
     identity = Identity(task.start_round, task.compute_unit)
     plan = Trajectory(identity, problem.state, jerk, config.input_sampling_s)
     reason = found.failure or broken(plan, problem, fixed)
@@ -312,6 +312,7 @@ def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:
     Half-spaces hold to half of `TOLERANCE`, bounds to all of it, unless the trajectory that is
     flown holds them less: then as well as that does.
     """
+    # Each comparison is written so that NaN fails it.
     rest = fixed.rest_by_state @ plan.state + fixed.rest_by_jerk @ plan.jerk
     if not (error := np.abs(rest).max()) <= TOLERANCE or plan.jerk[-1].any():
         return f"does not end at rest: {error:.1e}"

@@ -275,7 +275,7 @@ def _one_follows(time: FloatArray, scaled: FloatArray) -> bool:
         return True
     u = 2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0
     basis = np.polynomial.chebyshev.chebvander(u, DEGREE)
-    q, _ = np.linalg.qr(basis)
+    q, _ = np.linalg.qr(basis)  # what is left off its columns no polynomial of this degree gives
     rest = scaled - q @ (q.T @ scaled)
     return bool(max(np.linalg.norm(rest[:, :3], axis=1).max(), np.abs(rest[:, 3]).max()) <= 1.0)
 

@@ -209,6 +209,7 @@ def meet(blocks: Records, count: int, drones: int, spots: Records) -> None:
                 distance = x * x + y * y + z * z
                 s.distance[place] = min(s.distance[place], distance)
                 t.distance[place] = min(t.distance[place], distance)
+            # Squares are compared: roots are taken once, at the end.
             if smallest < largest:  # else the nearest drone is also that of the smallest ratio
                 for place in range(count):
                     x, y = t.x[place] - s.x[place], t.y[place] - s.y[place]

@@ -95,7 +95,7 @@ def fly_references(
             arrivals.append(k * config.round_s + float(since[near[0]]))
             if len(arrivals) == len(formations):
                 break
-        swarm.run_round(targets=formations[len(arrivals)])
+        swarm.run_round(targets=formations[len(arrivals)])  # the round after it was reached
     position = np.concatenate(positions)
     time = np.arange(len(position), dtype=np.float64) * (config.round_s / _SAMPLES)
     first, second = np.triu_indices(position.shape[1], 1)

@@ -236,6 +236,7 @@ def run_cells(
             bar.set_postfix_str(name)
             done[name] = compute()
             if settings is not None:
+                # As the file gives it back, so that a resumed study says the same to the letter.
                 found[name] = done[name] = json.loads(json.dumps(done[name], allow_nan=False))
                 write_json(path, {"settings": wanted, "cells": found})
             bar.update()

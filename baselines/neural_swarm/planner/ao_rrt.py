@@ -201,5 +201,5 @@ class _Search:
             self.rng,
             path,
         )
-        self.iterations += max(used, 1)
+        self.iterations += max(used, 1)  # else a robot that cannot begin would never end the search
         return cost, path

@@ -228,6 +228,7 @@ def steer_towards(
     """Add edges from a node towards a place (3,), there after so many edges; return the last."""
     control, way = tree.vector[2], tree.vector[3]
     last = node
+    # The way is found anew at each edge: forces have moved the robot off the one before.
     for left in range(edges, 0, -1):
         for k in range(3):
             way[k] = place[k] - tree.state[last, k]
@@ -256,6 +257,7 @@ def steer_to_goal(
             control[k] = -speed[k] / (scene.dt * scene.edge) + scene.drag[k] * speed[k]
         cost = rest_bursts(table, scene.edge, left, limit, way, speed, control) if left > 1 else 0.0
         ahead = tree.cost[last] + cost * scene.dt + scene.cost_left[tree.knot[last]]
+        # At later edges the estimate has been passed once; forces alone make it worse then.
         if (left == edges and ahead >= bound) or not subtract_drift(scene, tree, last, control):
             return NONE
         if cost == np.inf:
@@ -315,6 +317,7 @@ def sample_state(
     """Draw a state (6,) into `out`, and a time and a cost, from the state-cost space."""
     last = scene.position.shape[0] - 1
     knot = rng.integers(1, last + 1)
+    # Cubed, so that most guided samples lie close to the guide and a few far off.
     guided, wide = rng.random() < chances.guided, rng.random() ** 3
     for k in range(3):
         if guided:
@@ -432,6 +435,7 @@ def grow_tree(
     if not forces_allowed(scene, 0, work):
         return INVALID, 0, 1
     for iteration in range(iterations):
+        # A path to the goal may take so many nodes: it is not to end half way for want of room.
         if tree.used[0] >= tree.cost.shape[0] - states.shape[0]:
             return INVALID, iteration, tree.used[0]
         new = 0
