@@ -140,10 +140,7 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """
     if not rows:
         raise ValueError(f"there is no row to write into {str(path)!r}")
-    with (
-        written_whole(path) as partial,
-        partial.open("w", newline="", encoding="utf-8") as file,
-    ):
+    with written_whole(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)

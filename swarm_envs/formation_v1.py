@@ -43,13 +43,7 @@ from typing import Annotated, Any, ClassVar
 
 from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.formation import (
-    LABELS,
-    LAYOUTS,
-    STARTS,
-    FormationTask,
-    shapes_of,
-)
+from swarm_envs.tasks.formation import LABELS, LAYOUTS, STARTS, FormationTask, shapes_of
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 
 

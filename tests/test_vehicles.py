@@ -8,14 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm_envs.vehicles import (
-    LARGE,
-    SMALL,
-    SMALL_STRONG,
-    VEHICLES,
-    parse_team,
-    team_string,
-)
+from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, VEHICLES, parse_team, team_string
 
 
 @pytest.mark.parametrize(
@@ -65,8 +58,7 @@ def test_an_empty_sequence_is_no_team():
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "mass_g", "thrust_g", "diameter_cm"),
-    [(SMALL, 34, 65, 12), (LARGE, 67, 145, 19)],
+    ("vehicle", "mass_g", "thrust_g", "diameter_cm"), [(SMALL, 34, 65, 12), (LARGE, 67, 145, 19)]
 )
 def test_table_1(vehicle, mass_g, thrust_g, diameter_cm):
     assert vehicle.mass * 1000 == pytest.approx(mass_g)

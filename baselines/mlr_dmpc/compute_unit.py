@@ -107,12 +107,7 @@ class ComputeUnit:
         return self._sent
 
     def _completed(
-        self,
-        message: UnitMessage,
-        own: Levels,
-        round_: int,
-        lacking: list[Missing],
-        complete: bool,
+        self, message: UnitMessage, own: Levels, round_: int, lacking: list[Missing], complete: bool
     ) -> UnitMessage:
         wanted = sorted(lacking, key=self._request_order)[:3]
         message = message._replace(

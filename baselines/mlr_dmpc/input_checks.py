@@ -47,12 +47,7 @@ def checked_points(
 
 
 def checked_options(
-    compute_units: int,
-    num_drones: int,
-    trigger: str,
-    recovery: bool | str,
-    measure: str,
-    seed: int,
+    compute_units: int, num_drones: int, trigger: str, recovery: bool | str, measure: str, seed: int
 ) -> None:
     """Refuse options that are none."""
     check_integer("compute_units", compute_units, 1)

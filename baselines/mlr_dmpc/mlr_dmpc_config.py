@@ -13,15 +13,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from swarm_envs.arguments import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    POSITIVE_M,
-    POSITIVE_S,
-    Count,
-    Range,
-    typed,
-)
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, POSITIVE_S, Count, Range, typed
 from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcConfig"]

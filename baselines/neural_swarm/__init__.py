@@ -5,10 +5,4 @@ from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds
 
-__all__ = [
-    "PlanningBounds",
-    "SwarmPlan",
-    "TrackingAgent",
-    "load_belief",
-    "plan_swarm",
-]
+__all__ = ["PlanningBounds", "SwarmPlan", "TrackingAgent", "load_belief", "plan_swarm"]

@@ -120,11 +120,7 @@ def mix_rotors(
 
 @part
 def track(
-    blocks: Records,
-    count: int,
-    settings: Records,
-    adaptive: bool | None,
-    hall: bool | None = None,
+    blocks: Records, count: int, settings: Records, adaptive: bool | None, hall: bool | None = None
 ) -> None:
     """Make one step of position and attitude loop for every drone of the first `count` blocks.
 

@@ -4,10 +4,7 @@ Trained policies and force models as C headers are made by `swarm_envs.agents.c_
 `swarm_envs.interactions.c_header`.
 """
 
-from swarm_envs.deploy.export import (
-    export_flight,
-    report,
-)
+from swarm_envs.deploy.export import export_flight, report
 from swarm_envs.deploy.flight import Flight, flight_along, flight_of, settled
 from swarm_envs.deploy.pieces import Pieces, evaluate, read_pieces
 

@@ -281,11 +281,7 @@ def fit_flight(
         try:
             fitted.append(
                 fit_pieces(
-                    flight.dense_time,
-                    flight.rows(i),
-                    tolerance,
-                    most,
-                    (bool(first), bool(last)),
+                    flight.dense_time, flight.rows(i), tolerance, most, (bool(first), bool(last))
                 )
             )
         except ValueError as error:

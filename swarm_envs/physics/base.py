@@ -35,16 +35,7 @@ from swarm_envs.physics.contact import (
     no_obstacles,
 )
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
-from swarm_envs.physics.step import (
-    BEGIN,
-    CONTROL,
-    MOVE,
-    ROTORS,
-    SPIN,
-    TOUCH,
-    fly,
-    new_work,
-)
+from swarm_envs.physics.step import BEGIN, CONTROL, MOVE, ROTORS, SPIN, TOUCH, fly, new_work
 from swarm_envs.physics.workers import Call, Workers
 from swarm_envs.state import (
     BoolArray,

@@ -114,10 +114,7 @@ def build_obstacle(bullet: Any, client: int, row: Sequence[float]) -> int:
             bullet.GEOM_CYLINDER, radius=row[3], height=row[5] - row[4], physicsClientId=client
         )
     body = bullet.createMultiBody(
-        baseMass=0.0,
-        baseCollisionShapeIndex=shape,
-        basePosition=center,
-        physicsClientId=client,
+        baseMass=0.0, baseCollisionShapeIndex=shape, basePosition=center, physicsClientId=client
     )
     return int(body)
 

@@ -17,11 +17,7 @@ from swarm_envs.baselines.neural_swarm.flights import swap_test
 from swarm_envs.control.config import ControllerConfig, Indi, MomentumObserver, NeuralFly
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.imperfect_flights import (
-    NOTHING,
-    Imperfection,
-    fly_imperfectly,
-)
+from swarm_envs.training.reproduce.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
 
 WRONG = 0.05 * np.sqrt(3.0)  # half width of an even distribution with a standard deviation of 5 %
 WORLDS = {

@@ -30,12 +30,7 @@ Call = Callable[[], object]
 def environment(engine: str, drones: int, **options: Any) -> Call:
     """A decision of a PettingZoo environment whose drones hover."""
     env = importlib.import_module("swarm_envs").make(
-        "swap_v0",
-        num_drones=drones,
-        physics=engine,
-        horizon_s=1e6,
-        end_on_success=False,
-        **options,
+        "swap_v0", num_drones=drones, physics=engine, horizon_s=1e6, end_on_success=False, **options
     )
     still = {agent: np.zeros(3, np.float32) for agent in env.possible_agents}
     env.reset(seed=0)

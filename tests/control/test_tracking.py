@@ -16,10 +16,7 @@ from swarm_envs.control.config import (
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
-from tests.helpers.numpy_controller import (
-    NumpyTrackingController,
-    TrackingTarget,
-)
+from tests.helpers.numpy_controller import NumpyTrackingController, TrackingTarget
 from tests.helpers.plain_adaptation import PlainAdaptation
 from tests.helpers.random_flights import RandomFlight
 

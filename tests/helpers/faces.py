@@ -97,11 +97,7 @@ def joined(rows: list[Any]) -> Any:
 FACES = [
     Face("parallel", parallel, all_at_once),
     Face("turns", turns, in_turns),
-    Face(
-        "joint",
-        make_joint,
-        lambda env, rows: env.step(joined(rows)),
-    ),
+    Face("joint", make_joint, lambda env, rows: env.step(joined(rows))),
     Face("solo", solo, step_solo),
     Face(
         "vector",

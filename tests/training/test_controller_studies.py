@@ -23,22 +23,13 @@ from swarm_envs.baselines.neural_swarm.theorem import (
 from swarm_envs.control.config import GAINS, MID, ControllerConfig, PositionGains
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.tasks.swap import SwapTask
-from swarm_envs.training.reproduce.ball_study import (
-    fly_quadrotors,
-    growing_error,
-    random_errors,
-)
+from swarm_envs.training.reproduce.ball_study import fly_quadrotors, growing_error, random_errors
 from swarm_envs.training.reproduce.imperfect_flights import (
     Imperfection,
     fly_imperfectly,
     slow_noise,
 )
-from swarm_envs.training.reproduce.limits_study import (
-    Sweep,
-    all_sweeps,
-    harmful_values,
-    sweep_rows,
-)
+from swarm_envs.training.reproduce.limits_study import Sweep, all_sweeps, harmful_values, sweep_rows
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL
 from tests.helpers.papers import run_quietly
 

@@ -13,10 +13,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, ControllerConfig, PositionGains
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import bullet_available
-from swarm_envs.training.reproduce.planned_swap_figures import (
-    format_scenarios,
-    scenario_rows,
-)
+from swarm_envs.training.reproduce.planned_swap_figures import format_scenarios, scenario_rows
 from swarm_envs.training.reproduce.planned_swaps import (
     JITTER_M,
     PID,

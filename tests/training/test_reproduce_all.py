@@ -13,13 +13,7 @@ import tyro
 from swarm_envs.cli import main
 from swarm_envs.training.collection.__main__ import CollectOptions
 from swarm_envs.training.reproduce import dmpc_figures
-from swarm_envs.training.reproduce.claims import (
-    Between,
-    Claim,
-    Reason,
-    about,
-    format_quantity,
-)
+from swarm_envs.training.reproduce.claims import Between, Claim, Reason, about, format_quantity
 from swarm_envs.training.reproduce.papers import PAPERS, Paper, load_paper, numbered_studies
 from swarm_envs.training.reproduce.reproduce_all import (
     RECORD,

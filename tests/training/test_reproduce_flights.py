@@ -14,9 +14,7 @@ from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.training.reproduce.claims import Extent
-from swarm_envs.training.reproduce.paired_flight_figures import (
-    FIGURE_8,
-)
+from swarm_envs.training.reproduce.paired_flight_figures import FIGURE_8
 from swarm_envs.training.reproduce.paired_flights import (
     PLAIN_SWAPS,
     STRONG_SWAPS,

@@ -131,9 +131,7 @@ REFUSED = {
         ("--table 3", "--data PATH"),
         ("--table 3 --data x.npz --cells H=11", "did you mean 'H=10'"),
     ],
-    "dmpc-swarm": [
-        ("--figure 4 --study loss", "give one of"),
-    ],
+    "dmpc-swarm": [("--figure 4 --study loss", "give one of")],
     "rth3d": [
         ("--figure 5 --methods rth4d", "rth3d-lba"),
         ("--figure 5 --methods auto auto", "each method once"),

@@ -8,14 +8,7 @@ from typing import Any
 from swarm_envs.files import claimed
 from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 from swarm_envs.training.collection.collect import CollectionConfig
-from swarm_envs.training.reproduce.claims import (
-    Between,
-    Claim,
-    Extent,
-    Reason,
-    claims_of,
-    exactly,
-)
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, claims_of, exactly
 from swarm_envs.training.reproduce.study import Study
 
 

@@ -18,14 +18,7 @@ from swarm_envs.baselines.neural_swarm.flights import default_engine, fly, forma
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.interactions import load
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
-from swarm_envs.training.reproduce.study import (
-    Cell,
-    Cells,
-    Report,
-    Study,
-    draw_seeds,
-    error_cell,
-)
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
 from swarm_envs.viewing.style import picture
 
 TRUTH = "learned"

@@ -30,14 +30,7 @@ from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
-from swarm_envs.training.reproduce.study import (
-    Cell,
-    Cells,
-    Report,
-    Study,
-    draw_seeds,
-    error_cell,
-)
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
 from swarm_envs.vehicles import GRAVITY, SMALL, parse_team
 from swarm_envs.viewing.style import GREY, picture
 

@@ -11,10 +11,4 @@ from swarm_envs.baselines.neural_swarm.planner.plan_plot import plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 
-__all__ = [
-    "PlanningBounds",
-    "PlanningProblem",
-    "Trajectories",
-    "plot_plan",
-    "search",
-]
+__all__ = ["PlanningBounds", "PlanningProblem", "Trajectories", "plot_plan", "search"]

@@ -224,11 +224,7 @@ def working_state(scene: Scene) -> WorkingState:
 
 
 def make_scene(
-    problem: PlanningProblem,
-    robot: int,
-    states: FloatArray,
-    planned: list[int],
-    edge: int,
+    problem: PlanningProblem, robot: int, states: FloatArray, planned: list[int], edge: int
 ) -> Scene:
     """The scene for planning one robot among those that have motions: the `planned` ones.
 

@@ -25,12 +25,7 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
 )
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.paper_protocol import PaperKind, PaperMessage
-from swarm_envs.baselines.mlr_dmpc.radio import (
-    PRESETS,
-    Jam,
-    LossModel,
-    LossProcess,
-)
+from swarm_envs.baselines.mlr_dmpc.radio import PRESETS, Jam, LossModel, LossProcess
 from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Identity, Trajectory
 
 CONFIG = MlrDmpcConfig()

@@ -10,11 +10,7 @@ import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
-from swarm_envs.baselines.neural_swarm.planner.verify import (
-    PlanCheck,
-    check_plan,
-    roll_out,
-)
+from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck, check_plan, roll_out
 from swarm_envs.interactions import load
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, Team, parse_team
