@@ -25,6 +25,7 @@ from swarm_envs.commands.checks import (
     need_torch,
 )
 from swarm_envs.errors import unknown_name
+from swarm_envs.files import claimed, write_json
 
 PROGRAM = "swarm-envs"
 """The command's name."""
@@ -64,11 +65,9 @@ class DemoOptions:
     """also write the results to this file"""
 
 
-def _demo(arguments: Sequence[str]) -> int:
-    options = _read("demo", DemoOptions, arguments)
+def _run_demo(options: DemoOptions) -> int:
     check_outputs(options.out, options.json)
     from swarm_envs.baselines.neural_swarm.demo import crashed_flights, format_table, run_demo
-    from swarm_envs.files import claimed, write_json
 
     with claimed(options.out):
         summary = run_demo(options.out, options.seed, options.swaps, options.video)
@@ -80,75 +79,66 @@ def _demo(arguments: Sequence[str]) -> int:
     crashed = crashed_flights(summary)
     if crashed:
         message = f"{crashed} flights ended early: their worst error is a lower bound"
-        return _complain(f"{PROGRAM} demo", message, FAILED)
-    return DONE
+        _complain(f"{PROGRAM} demo", message, FAILED)
+    return crashed
+
+
+def _load(path: str) -> Any:
+    """What `module:name` names; modules of the package without its name."""
+    module, name = path.split(":")
+    return getattr(importlib.import_module(f"swarm_envs.{module}"), name)
+
+
+def _command(
+    name: str, options: str, run: str | Callable[[Any], object], prefixes: bool = False
+) -> Callable[[Sequence[str]], int]:
+    """A command that reads options and runs a function, which may count failures."""
+
+    def read_and_run(arguments: Sequence[str]) -> int:
+        found = _read(name, _load(options), arguments, prefixes)
+        return FAILED if (_load(run) if isinstance(run, str) else run)(found) else DONE
+
+    return read_and_run
+
+
+def _learner(
+    name: str, options: str, function: str, prefixes: bool = False
+) -> Callable[[Sequence[str]], int]:
+    """A command that fits a model with a function that needs torch, and prints its report."""
+
+    def learn(config: Any) -> None:
+        check_outputs(config.out, config.json)
+        need_torch()
+        check_inputs(config)
+        with claimed(config.out):
+            report = _load(function)(config)
+        print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
+
+    return _command(name, options, learn, prefixes)
 
 
 def _fit(arguments: Sequence[str]) -> int:
+    """Fit a force model; with `--residual`, which has other options, what it leaves over."""
+    module = "training.force_model."
     if "--residual" in arguments:
-        return _fit_residual([word for word in arguments if word != "--residual"])
-    from swarm_envs.training.force_model.force_fit_config import FitConfig
-
-    config = _read("fit", FitConfig, arguments, prefixes=True)
-    return _learn(config, "swarm_envs.training.force_model.pipeline", "fit")
-
-
-def _fit_residual(arguments: Sequence[str]) -> int:
-    """What a force model leaves over: other options, so another command in all but its name."""
-    from swarm_envs.training.force_model.residual_config import ResidualConfig
-
-    config = _read("fit --residual", ResidualConfig, arguments, prefixes=True)
-    return _learn(config, "swarm_envs.training.force_model.residual_fit", "fit_residual")
+        options, function = "residual_config:ResidualConfig", "residual_fit:fit_residual"
+        run = _learner("fit --residual", module + options, module + function, prefixes=True)
+        return run([word for word in arguments if word != "--residual"])
+    options, function = "force_fit_config:FitConfig", "pipeline:fit"
+    return _learner("fit", module + options, module + function, prefixes=True)(arguments)
 
 
-def _curriculum(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
-
-    config = _read("curriculum", CurriculumConfig, arguments)
-    return _learn(config, "swarm_envs.training.curriculum.run", "run_curriculum")
-
-
-def _learn(config: Any, module: str, function: str) -> int:
-    """Fit a model with a function of a module that needs torch, and print its report."""
-    check_outputs(config.out, config.json)
-    need_torch()
-    check_inputs(config)
-    from swarm_envs.files import claimed
-
-    with claimed(config.out):
-        report = getattr(importlib.import_module(module), function)(config)
-    print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
-    return DONE
-
-
-def _collect(arguments: Sequence[str]) -> int:
-    from swarm_envs.files import claimed
-    from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
-
-    options = _read("collect", CollectOptions, arguments)
+def _collect(options: Any) -> None:
     check_outputs(options.out, options.json)
     check_inputs(options)
     with claimed(options.out):
-        run_collect(options)
-    return DONE
+        _load("training.collection.__main__:run_collect")(options)
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.reproduce import reproduce_paper
 
     return reproduce_paper(arguments, _read)
-
-
-def _in_module(name: str, module_name: str = "") -> Callable[[Sequence[str]], int]:
-    """A command whose module has `<Name>Options`, and `run_<name>`, which may count failures."""
-
-    def read_and_run(arguments: Sequence[str]) -> int:
-        module = importlib.import_module(f"swarm_envs.commands.{module_name or name}")
-        options: type[Any] = getattr(module, f"{name.title()}Options")
-        run: Callable[[Any], object] = getattr(module, f"run_{name}")
-        return FAILED if run(_read(name, options, arguments)) else DONE
-
-    return read_and_run
 
 
 def _export(arguments: Sequence[str]) -> int:
@@ -164,28 +154,17 @@ def _export(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _train(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.train import check_training, run_train
-    from swarm_envs.training.rl.rl_config import RlConfig
-
-    config = _read("train", RlConfig, arguments, prefixes=True)
-    check_training(config)
-    check_inputs(config)
-    need_torch()
-    run_train(config)
-    return DONE
-
-
-def _train_sweep(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.train_sweep import SweepOptions, run_sweep
-
-    options = _read("train-sweep", SweepOptions, arguments)
-    need_torch()
-    return FAILED if run_sweep(options) else DONE
+def _in_module(name: str, module: str = "") -> Callable[[Sequence[str]], int]:
+    """A command whose module has `<Name>Options` and `run_<name>`."""
+    place = f"commands.{module or name}"
+    return _command(name, f"{place}:{name.title()}Options", f"{place}:run_{name}")
 
 
 COMMANDS: Mapping[str, Command] = {
-    "demo": Command("stacked swaps with and without compensation of downwash", _demo),
+    "demo": Command(
+        "stacked swaps with and without compensation of downwash",
+        _command("demo", "cli:DemoOptions", _run_demo),
+    ),
     "fly": Command(
         "fly one episode and write metrics, films, replays and trajectories", _in_module("fly")
     ),
@@ -197,10 +176,30 @@ COMMANDS: Mapping[str, Command] = {
     "replay": Command("convert a recorded episode to a replay page", _in_module("replay", "fly")),
     "plan": Command("plan paths on a grid for up to a million robots", _in_module("plan")),
     "show": Command("plan, fly, film and export a drone light show", _in_module("show")),
-    "collect": Command("collect flight logs in simulation", _collect),
-    "curriculum": Command("learn the interaction force with a curriculum", _curriculum),
-    "train": Command("train a policy with PPO, MAPPO, SAC or DAgger", _train),
-    "train-sweep": Command("train with several seeds and options", _train_sweep),
+    "collect": Command(
+        "collect flight logs in simulation",
+        _command("collect", "training.collection.__main__:CollectOptions", _collect),
+    ),
+    "curriculum": Command(
+        "learn the interaction force with a curriculum",
+        _learner(
+            "curriculum",
+            "training.curriculum.curriculum_config:CurriculumConfig",
+            "training.curriculum.run:run_curriculum",
+        ),
+    ),
+    "train": Command(
+        "train a policy with PPO, MAPPO, SAC or DAgger",
+        _command(
+            "train", "training.rl.rl_config:RlConfig", "commands.train:run_train", prefixes=True
+        ),
+    ),
+    "train-sweep": Command(
+        "train with several seeds and options",
+        _command(
+            "train-sweep", "commands.train_sweep:SweepOptions", "commands.train_sweep:run_sweep"
+        ),
+    ),
     "fit": Command("fit a force model to flight logs", _fit),
     "export": Command("export flights, policies and force models to real drones", _export),
     "reproduce": Command("reproduce figures and tables of the papers", _reproduce),

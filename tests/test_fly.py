@@ -111,7 +111,7 @@ def test_out_leaves_out_what_needs_an_extra_and_says_which(capsys, tmp_path, mon
     arguments = ["--physics", "batch", "--horizon-s", "0.2", "--out", str(out)]
     assert main(["fly", *arguments]) == 0
     said = capsys.readouterr().out
-    assert "leaves out flight.mp4" in said
+    assert "skips flight.mp4" in said
     assert {"flight.json", "replay.html", "trajectory.npz"} == {file.name for file in out.iterdir()}
 
 

@@ -8,10 +8,25 @@ from pathlib import Path
 from typing import Any, Literal
 
 from swarm_envs.arguments import Count, Seed
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import (
+    Misuse,
+    as_misuse,
+    check_file,
+    check_folder,
+    command_options,
+)
 from swarm_envs.envs.setting import CrewOptions
+from swarm_envs.files import claimed, write_json
 from swarm_envs.training.scale_out.options import ScaleOptions
-from swarm_envs.training.scoreboard.tasks import SEED
+from swarm_envs.training.scoreboard.board import FILE, read
+from swarm_envs.training.scoreboard.manifest import OtherBenchmark
+from swarm_envs.training.scoreboard.replays import record_replays
+from swarm_envs.training.scoreboard.report import write
+from swarm_envs.training.scoreboard.results import join_results, verify_results
+from swarm_envs.training.scoreboard.roster import choose_agents
+from swarm_envs.training.scoreboard.runner import BenchmarkPlan, fly_benchmark
+from swarm_envs.training.scoreboard.standings import NOTE, align_columns, standings
+from swarm_envs.training.scoreboard.tasks import SEED, choose_tasks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,25 +104,11 @@ def run_benchmark(options: BenchmarkOptions) -> int:
 
 
 def _fly(options: BenchmarkOptions, out: Path) -> int:
-    from swarm_envs.files import claimed, write_json
-    from swarm_envs.training.scoreboard.board import FILE
-    from swarm_envs.training.scoreboard.manifest import OtherBenchmark
-    from swarm_envs.training.scoreboard.roster import choose_agents
-    from swarm_envs.training.scoreboard.runner import BenchmarkPlan, fly_benchmark
-    from swarm_envs.training.scoreboard.tasks import choose_tasks
-
     check_folder("--out", out)
-    try:
+    with as_misuse():
         tasks, agents = choose_tasks(options.task, options.crew()), choose_agents(options.agent)
-    except ValueError as error:
-        raise Misuse(str(error)) from error
-    plan = BenchmarkPlan(
-        tasks=tasks,
-        agents=agents,
-        seed=options.seed,
-        episodes=options.episodes,
-        quick=options.quick,
-    )
+    given = {name: getattr(options, name) for name in ("seed", "episodes", "quick")}
+    plan = BenchmarkPlan(tasks=tasks, agents=agents, **given)
     with claimed(out):
         try:
             content = fly_benchmark(plan, out, options.scale, options.table)
@@ -123,31 +124,20 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
 
 def _verify(path: Path) -> int:
     """Say what is wrong with a results file; return how much."""
-    from swarm_envs.training.scoreboard.results import verify_results
-
     count = 0
-    try:
+    with as_misuse(FileNotFoundError):
         for problem in verify_results(path):
             count += 1
             print(f"WRONG {problem}", flush=True)
-    except (FileNotFoundError, ValueError) as error:
-        raise Misuse(str(error)) from error
     print(f"{path}: {f'{count} problems' if count else 'verified'}")
     return count
 
 
 def _join(paths: list[Path], out: Path) -> int:
     """Write a results file of several, and its report."""
-    from swarm_envs.files import claimed, write_json
-    from swarm_envs.training.scoreboard.board import FILE
-    from swarm_envs.training.scoreboard.report import write
-    from swarm_envs.training.scoreboard.results import join_results
-
     check_folder("--out", out)
-    try:
+    with as_misuse(FileNotFoundError):
         content = join_results(paths)
-    except (FileNotFoundError, ValueError) as error:
-        raise Misuse(str(error)) from error
     with claimed(out):
         write_json(out / FILE, content)
         print(_standings(content))
@@ -157,13 +147,8 @@ def _join(paths: list[Path], out: Path) -> int:
 
 def _rewrite(options: BenchmarkOptions, folder: Path) -> int:
     """Write the pages of a benchmark that was flown; return how many are missing."""
-    from swarm_envs.files import claimed, write_json
-    from swarm_envs.training.scoreboard.board import FILE, read
-
-    try:
+    with as_misuse(FileNotFoundError):
         read(folder)
-    except (FileNotFoundError, ValueError) as error:
-        raise Misuse(str(error)) from error
     with claimed(folder):
         problems, page = _show(options, folder)
         if options.json is not None:
@@ -174,9 +159,6 @@ def _rewrite(options: BenchmarkOptions, folder: Path) -> int:
 
 def _show(options: BenchmarkOptions, folder: Path) -> tuple[list[str], Path]:
     """Write the replay pages and the report; give what went wrong, and the report."""
-    from swarm_envs.training.scoreboard.replays import record_replays
-    from swarm_envs.training.scoreboard.report import write
-
     problems = record_replays(folder, options.scale.workers) if options.replays else []
     return problems, write(folder)
 
@@ -189,8 +171,6 @@ def _tell(problems: list[str], *written: Path | None) -> None:
 
 
 def _standings(content: dict[str, Any]) -> str:
-    from swarm_envs.training.scoreboard.standings import NOTE, align_columns, standings
-
     lines = [*align_columns(standings(content)), NOTE]
     lines += [
         f"{cell['agent']} FAILED {cell['task']}: {cell['reason']}"

@@ -7,9 +7,12 @@ import importlib.util
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from swarm_envs.arguments import typed
 
@@ -19,6 +22,37 @@ command_options = functools.partial(typed, owner="--")
 
 class Misuse(ValueError):
     """Options with which a command cannot do its job, found before it begins."""
+
+
+@contextmanager
+def as_misuse(*kinds: type[Exception]) -> Iterator[None]:
+    """Turn ValueError, and errors of these kinds, into Misuse."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, (ValueError, *kinds)):
+            raise Misuse(str(error)) from error
+        raise
+
+
+class FlightBar:
+    """Counts decisions in a bar that begins with the first: planning and compiling do not count."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self.bar: Any = None
+        """From the first decision on."""
+
+    def __call__(self, *_: object) -> None:
+        """Count a decision."""
+        if self.bar is None:
+            self.bar = tqdm(total=self._total, desc="flight", unit="decision", mininterval=0.5)
+        self.bar.update()
+
+    def close(self) -> None:
+        """End the bar."""
+        if self.bar is not None:
+            self.bar.close()
 
 
 def check_folder(option: str, folder: Path) -> None:
@@ -75,6 +109,14 @@ def need_file(option: str, file: Path, what: str) -> None:
         raise Misuse(f"{given}, {what}, but that is a folder; name a file")
 
 
+def need_recording(file: Path) -> None:
+    """Refuse a recorded flight that is not there."""
+    if not file.is_file():
+        kind = "there is a folder, not a" if file.is_dir() else "there is no"
+        fix = "`swarm-envs fly --trajectory FILE` records a flight"
+        raise Misuse(f"{kind} file {str(file)!r}; {fix}")
+
+
 def _exists(given: str, path: Path) -> bool:
     try:
         return path.exists()
@@ -110,11 +152,9 @@ def check_inputs(options: Any) -> None:
     named = (("interactions", load), ("agent", load_agent), ("start", load_agent))
     for name, read in named:
         value = getattr(options, name, None)
-        try:
-            if isinstance(value, str | Path):
+        if isinstance(value, str | Path):
+            with as_misuse(FileNotFoundError):
                 read(value)
-        except (ValueError, FileNotFoundError) as error:
-            raise Misuse(str(error)) from error
 
 
 def need_torch(extra: str = "train") -> None:

@@ -5,15 +5,25 @@ from __future__ import annotations
 import shutil
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tqdm import tqdm
+
+from swarm_envs import __version__, make
 from swarm_envs.arguments import Count, Seed
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import (
+    Misuse,
+    as_misuse,
+    check_file,
+    check_folder,
+    command_options,
+)
 from swarm_envs.commands.fly import EpisodeOptions, best_agent, check_flies, find_task, prepare
+from swarm_envs.files import claimed, write_json
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 if TYPE_CHECKING:
@@ -62,20 +72,16 @@ class EvaluateOptions(EpisodeOptions):
 
 def run_evaluate(options: EvaluateOptions) -> int:
     """Fly, print and write; return how many agents failed."""
-    from swarm_envs import make
-    from swarm_envs.files import claimed
-
-    reports = [path for path in (options.json, _inside(options.out, "report.json")) if path]
+    reports = [] if options.json is None else [options.json]
     if options.out is not None:
         check_folder("--out", options.out)
+        reports.append(options.out / "report.json")
     for path in reports:
         check_file("--json", path, (".json",))
-    try:
+    with as_misuse(TypeError, ImportError):
         task = find_task(options.task)
         make(task, **options.setting()).close()
         options = replace(options, agent=options.agent or [best_agent(options, task)])
-    except (ValueError, TypeError, ImportError) as error:
-        raise Misuse(str(error)) from error
     folder = _kept(options) if options.out is None else options.out
     with ExitStack() as opened:
         made = _make_all(options, task, opened)
@@ -106,8 +112,6 @@ def _evaluate(
     options: EvaluateOptions, task: str, made: Mapping[str, Made], reports: list[Path]
 ) -> int:
     """Fly all agents and write the reports; return how many failed."""
-    from swarm_envs.files import write_json
-
     about = {"task": task, **options.setting(), "seed": options.seed}
     agents = _reports(options, about, made)
     failed = sum("error" in report for report in agents)
@@ -118,12 +122,8 @@ def _evaluate(
     print(_table(agents))
     kept = _kept(options)
     if options.out is None and kept is not None and kept.is_dir() and not failed:
-        shutil.rmtree(kept)  # the report is whole: nothing is left to go on with
+        shutil.rmtree(kept)  # the report is whole: nothing is left to resume
     return failed
-
-
-def _inside(folder: Path | None, name: str) -> Path | None:
-    return None if folder is None else folder / name
 
 
 def _kept(options: EvaluateOptions) -> Path | None:
@@ -137,63 +137,61 @@ def _reports(
     options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
 ) -> list[dict[str, Any]]:
     """Each agent's scores; or, under `error`, why it has none."""
-    if not options.scale.alone:
-        return _reports_apart(options, about, made)
-    return [_report(name, each, options, about) for name, each in made.items()]
-
-
-def _report(
-    name: str, made: Made, options: EvaluateOptions, about: dict[str, Any]
-) -> dict[str, Any]:
-    from swarm_envs.agents import SafetyFilter
-    from swarm_envs.agents.evaluation import score_episodes
-
-    report: dict[str, Any] = {"agent": name}
-    if isinstance(made, BaseException):
-        return {**report, "error": _unflyable(made)}
-    agent, env = made
-    report |= _described(agent, env)
-    try:
-        scores = score_episodes(_fly(name, env, agent, options, about))
-        counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
-        return {**report, **scores, **counted}
-    except Exception as error:
-        if ":" in name:  # its author needs to see where it failed
-            traceback.print_exception(error.__cause__ or error)
-        return {**report, "error": str(error)}
-
-
-def _unflyable(error: BaseException) -> str:
-    """Why an agent has no scores, if it cannot even be made."""
-    return f"cannot be flown: {type(error).__name__}: {error}"
-
-
-def _described(agent: Agent, env: SwarmParallelEnv) -> dict[str, Any]:
-    """What a report says of an agent besides its scores."""
-    return {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
-
-
-def _fly(
-    name: str, env: SwarmParallelEnv, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
-) -> list[dict[str, Any]]:
-    """Every episode of an agent, with a progress bar; what is kept is not flown again."""
-    from tqdm import tqdm
-
-    from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
+    from swarm_envs.agents.evaluation import frozen_seeds, score_episodes, source_digest
+    from swarm_envs.agents.protocol import flies_batches
+    from swarm_envs.training.scale_out.episodes import AgentEpisodes
 
     seeds = frozen_seeds(options.seed, options.episodes)
-    kept = _open_episodes(name, agent, options, about)
-    found = kept.episodes if kept is not None else {}
+    found: dict[str, dict[str, Any]] = {name: {"agent": name} for name in made}
+    records: list[AgentEpisodes] = []
+    for name, each in made.items():
+        if isinstance(each, BaseException):
+            found[name]["error"] = f"cannot be flown: {type(each).__name__}: {each}"
+            continue
+        agent, env = each
+        rate = env.core.config.decision_rate
+        found[name] |= {"privileged": agent.privileged, "decision_rate": rate}
+        try:
+            kept = _open_episodes(name, agent, options, about)
+            if options.scale.alone:
+                found[name] |= _fly_here(name, agent, env, seeds, kept)
+            else:
+                batched = flies_batches(env, agent)
+                records.append(AgentEpisodes(name, source_digest(agent), batched, kept))
+        except Exception as error:
+            if ":" in name:  # its author needs to see where it failed
+                traceback.print_exception(error.__cause__ or error)
+            found[name]["error"] = str(error)
+    _fly_apart(records, seeds, options, about["task"])
+    for record in records:
+        if record.failure is None:
+            found[record.name] |= score_episodes(record.flown(seeds))
+            continue
+        found[record.name]["error"] = record.failure
+        if ":" in record.name:
+            sys.stderr.write(record.trace)
+    return [*found.values()]
+
+
+def _fly_here(
+    name: str, agent: Agent, env: SwarmParallelEnv, seeds: Sequence[int], kept: EpisodeFile | None
+) -> dict[str, Any]:
+    """Scores of every episode of an agent; what is kept is not flown again."""
+    from swarm_envs.agents import SafetyFilter
+    from swarm_envs.agents.evaluation import evaluate_agent, score_episodes
+
+    found = {} if kept is None else kept.episodes
     _tell_before(name, sum(seed in found for seed in seeds), len(seeds))
     episodes, good = [], 0
-    flown = evaluate_agent(env, agent, seeds, dict(found), kept.add if kept is not None else None)
+    flown = evaluate_agent(env, agent, seeds, dict(found), None if kept is None else kept.add)
     with tqdm(total=len(seeds), desc=name[-30:], unit="episode", mininterval=0.5) as bar:
         for episode in flown:
             episodes.append(episode)
             good += episode["metrics"]["success"]
             bar.set_postfix_str(f"success {good / len(episodes):.1%}", refresh=False)
             bar.update()
-    return episodes
+    counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
+    return {**score_episodes(episodes), **counted}
 
 
 def _tell_before(name: str, before: int, wanted: int) -> None:
@@ -206,7 +204,6 @@ def _open_episodes(
     name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
     """Where an agent's episodes are kept; None if they are not."""
-    from swarm_envs import __version__
     from swarm_envs.agents.evaluation import EpisodeFile, source_digest
 
     folder = _kept(options)
@@ -217,96 +214,45 @@ def _open_episodes(
     return EpisodeFile(folder, name, depends)
 
 
-def _reports_apart(
-    options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
-) -> list[dict[str, Any]]:
-    """The same with other processes or a Ray cluster."""
-    found: dict[str, dict[str, Any]] = {}
-    agents: dict[str, AgentEpisodes] = {}
-    for name, each in made.items():
-        found[name], record = _enter_apart(name, each, options, about)
-        if record is not None:
-            agents[name] = record
-    _fly_apart([*agents.values()], options, about["task"])
-    for name, record in agents.items():
-        found[name] |= _scores(record, options)
-    return [found[name] for name in options.agent]
-
-
-def _enter_apart(
-    name: str, made: Made, options: EvaluateOptions, about: dict[str, Any]
-) -> tuple[dict[str, Any], AgentEpisodes | None]:
-    """What is known of an agent before it flies; no record if it cannot."""
-    from swarm_envs.agents.evaluation import source_digest
-    from swarm_envs.agents.protocol import flies_batches
-    from swarm_envs.training.scale_out.episodes import AgentEpisodes
-
-    report: dict[str, Any] = {"agent": name}
-    if isinstance(made, BaseException):
-        return {**report, "error": _unflyable(made)}, None
-    agent, env = made
-    report |= _described(agent, env)
-    batched = flies_batches(env, agent)
-    try:
-        kept = _open_episodes(name, agent, options, about)
-    except Exception as error:
-        return {**report, "error": str(error)}, None
-    return report, AgentEpisodes(name, source_digest(agent), batched, kept)
-
-
-def _fly_apart(agents: list[AgentEpisodes], options: EvaluateOptions, task: str) -> None:
-    """Every episode of all agents that is not there yet, with one progress bar."""
-    from tqdm import tqdm
-
-    from swarm_envs.agents.evaluation import frozen_seeds
+def _fly_apart(
+    agents: list[AgentEpisodes], seeds: Sequence[int], options: EvaluateOptions, task: str
+) -> None:
+    """Every episode that is not there yet, by other processes or a cluster, with one bar."""
     from swarm_envs.training.scale_out.episodes import EvaluationSpec, evaluate_distributed
 
-    seeds = frozen_seeds(options.seed, options.episodes)
     before = {e.name: sum(seed in e.episodes for seed in seeds) for e in agents}
     for name, count in before.items():
         _tell_before(name, count, len(seeds))
-    total = len(seeds) * len(agents)
-    if sum(before.values()) == total:
+    total, there = len(seeds) * len(agents), sum(before.values())
+    if there == total:
         return
     with (
         options.scale.open() as workers,
-        tqdm(total=total, initial=sum(before.values()), unit="episode", mininterval=0.5) as bar,
+        tqdm(total=total, initial=there, unit="episode", mininterval=0.5) as bar,
     ):
 
         def on_episode(record: AgentEpisodes, episode: Episode) -> None:
             bar.set_description_str(record.name[-30:], refresh=False)
             bar.update()
 
-        setting = options.setting()
-        evaluate_distributed(
-            [EvaluationSpec(e, task, setting, seeds) for e in agents], workers, on_episode
-        )
-
-
-def _scores(record: AgentEpisodes, options: EvaluateOptions) -> dict[str, Any]:
-    from swarm_envs.agents.evaluation import frozen_seeds, score_episodes
-
-    if record.failure is None:
-        return score_episodes(record.flown(frozen_seeds(options.seed, options.episodes)))
-    if ":" in record.name:  # its author needs to see where it failed
-        sys.stderr.write(record.trace)
-    return {"error": record.failure}
+        specs = [EvaluationSpec(e, task, options.setting(), seeds) for e in agents]
+        evaluate_distributed(specs, workers, on_episode)
 
 
 def _table(agents: list[dict[str, Any]]) -> str:
     """The reports in a few columns; a number that no agent has is left out."""
+    from swarm_envs.training.scoreboard.standings import align_columns
+
     known = [report for report in agents if "error" not in report]
     shown = {n: head for n, head in _COLUMNS.items() if any(r.get(n) is not None for r in known)}
     heads = ("agent", "success (95 %)", "collided", "near miss", *shown.values(), "decision, ms")
-    rows = [heads, *(_row(report, [*shown]) for report in known)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(heads))]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
+    lines = align_columns([heads, *(_row(report, [*shown]) for report in known)])
     lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]
     if any(report.get("privileged") for report in agents):
         lines.append("* sees the true state")
     if known:
         lines.append("decision: median (99th percentile) of the agent's time for the whole team")
-    return "\n" + "\n".join(line.rstrip() for line in lines)
+    return "\n" + "\n".join(lines)
 
 
 _COLUMNS = {
@@ -322,15 +268,12 @@ _COLUMNS = {
 
 def _row(report: dict[str, Any], shown: list[str]) -> tuple[str, ...]:
     low, high = report["intervals"]["success_rate"]
+    numbers = [(report.get(name), 3 if name.endswith("_m") else 2) for name in shown]
     return (
         report["agent"] + ("*" if report["privileged"] else ""),
         f"{report['success_rate']:.1%} ({100 * low:.0f}-{100 * high:.0f})",
         f"{report['collision_rate']:.1%}",
         f"{report['near_miss_rate']:.1%}",
-        *(_number(report.get(name), 3 if name.endswith("_m") else 2) for name in shown),
+        *("-" if value is None else f"{value:.{digits}f}" for value, digits in numbers),
         f"{report['act_ms']['p50']:.2f} ({report['act_ms']['p99']:.2f})",
     )
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

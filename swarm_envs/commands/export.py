@@ -12,10 +12,12 @@ import tyro
 from swarm_envs.arguments import Seed
 from swarm_envs.commands.checks import (
     Misuse,
+    as_misuse,
     check_file,
     check_inputs,
     check_outputs,
     command_options,
+    need_recording,
 )
 from swarm_envs.errors import unknown_name
 
@@ -89,10 +91,8 @@ def export_force(options: ForceOptions) -> None:
     from swarm_envs.interactions import load
     from swarm_envs.interactions.c_header import c_header
 
-    try:
+    with as_misuse(FileNotFoundError):
         model = load(options.model)
-    except (ValueError, FileNotFoundError) as error:
-        raise Misuse(str(error)) from error
     text = c_header(model, name, options.seed)
     facts = {"model": model.name, "types": list(model.types), "weights": model.field.weights.size}
     _write(options, text, {"header": str(options.out), "name": name, **facts})
@@ -178,10 +178,7 @@ class TrajectoryOptions:
 def export_trajectory(options: TrajectoryOptions) -> None:
     """Read, fit, check and write."""
     check_outputs(options.out, options.json)
-    if not options.file.is_file():
-        fix = "`swarm-envs fly --trajectory FILE` records a flight"
-        kind = "there is a folder, not a" if options.file.is_dir() else "there is no"
-        raise Misuse(f"{kind} file {str(options.file)!r}; {fix}")
+    need_recording(options.file)
     from swarm_envs.deploy import settled
     from swarm_envs.deploy.export import export_flight, report_content, report_lines
     from swarm_envs.files import write_json

@@ -10,10 +10,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from tqdm import tqdm
 
+from swarm_envs import TASKS, __version__, make, task_family
 from swarm_envs.arguments import Count, Seed
-from swarm_envs.commands.checks import Misuse, check_file, command_options, output_files
+from swarm_envs.commands.checks import (
+    FlightBar,
+    Misuse,
+    as_misuse,
+    check_file,
+    command_options,
+    need_recording,
+    output_files,
+)
 from swarm_envs.envs.setting import CrewOptions
+from swarm_envs.errors import check_name
+from swarm_envs.files import write_json
+from swarm_envs.vehicles import parse_team, team_string
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -54,8 +67,6 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
 
     def __post_init__(self) -> None:
         """Refuse two numbers of drones."""
-        from swarm_envs.vehicles import parse_team
-
         if self.team is None or self.drones is None:
             return
         if (count := len(parse_team(self.team))) != self.drones:
@@ -65,8 +76,6 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
-        from swarm_envs import task_family
-
         drones = self.drones
         if drones is None and task_family(self.task) in ("swap", "ring", "formation"):
             drones = 4
@@ -116,18 +125,14 @@ def run_fly(options: FlyOptions) -> None:
             if option == "trajectory":  # which needs no extra as .npz
                 files[option] = files[option].with_suffix(".npz")
             else:
-                print(f"leaves out {files.pop(option).name}: {error}")
+                print(f"skips {files.pop(option).name}: {error}")
     _check_writers(files)
-    try:
+    with as_misuse(TypeError, FileNotFoundError):
         task = find_task(options.task)
         name = options.agent or best_agent(options, task)
         agent, env = prepare(name, options, task)
-    except (ValueError, TypeError, FileNotFoundError) as error:
-        raise Misuse(str(error)) from error
-    try:
+    with closing(env):
         recording = _fly(env, agent, name, options)
-    finally:
-        env.close()
     _print_summary(recording, agent)
     _write_files(files, recording)
 
@@ -150,7 +155,6 @@ def _check_writers(files: Mapping[str, Path]) -> None:
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
     """The agent of a name, and the environment as it requires it."""
-    from swarm_envs import make
     from swarm_envs.agents import load
     from swarm_envs.agents.protocol import check_options_agree
 
@@ -177,50 +181,39 @@ def check_flies(
 
 def find_task(name: str) -> str:
     """The versioned name of a task; of the newest version if the name has none."""
-    from swarm_envs import TASKS, task_family
-    from swarm_envs.errors import check_name
-
     versions = sorted(task for task in TASKS if task_family(task) == name)
     return versions[-1] if versions else check_name("task", name, TASKS)
 
 
 def best_agent(options: EpisodeOptions, task: str) -> str:
     """The best agent for a task, as it was asked for."""
-    from swarm_envs import make
     from swarm_envs.agents import recommended
 
     with closing(make(task, **options.setting())) as env:
         drones = len(env.possible_agents)
+    try:
         return recommended(task, num_drones=drones, team=options.team, layout=options.layout)
+    except ValueError as error:
+        raise ValueError(f"{error}; name one by --agent") from error
 
 
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
-    from tqdm import tqdm
-
     from swarm_envs.agents import record_episode
 
-    total = round(env.view.horizon_s * env.core.config.decision_rate) + 1
-    bars: list[Any] = []  # made after the reset, so that neither planning nor compilation count
-
-    def watch(_: SwarmParallelEnv) -> None:
-        if not bars:
-            bars.append(tqdm(total=total, desc="flight", unit="decision", mininterval=0.5))
-        bars[0].update()
-
+    bar = FlightBar(round(env.view.horizon_s * env.core.config.decision_rate) + 1)
     try:
-        recording = record_episode(env, agent, options.seed, watch=watch, name=name)
-        bars[0].total = bars[0].n  # it may have ended before the time limit
+        recording = record_episode(env, agent, options.seed, watch=bar, name=name)
+        bar.bar.total = bar.bar.n  # it may have ended before the time limit
         return recording
     except Exception as error:
         if ":" in name:  # its author needs to see where it failed
             traceback.print_exc()
-        elif not bars and isinstance(error, ValueError):
+        elif bar.bar is None and isinstance(error, ValueError):
             raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
         what = f"{type(error).__name__}: {error}"
         raise ValueError(f"agent {name!r} failed in flight: {what}") from error
     finally:
-        for bar in bars:
-            bar.close()
+        bar.close()
 
 
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
@@ -234,13 +227,10 @@ def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -
 
 
 def _print_summary(recording: Recording, agent: Agent) -> None:
-    from swarm_envs.vehicles import team_string
     from swarm_envs.viewing.summary import metric_rows, outcome
 
-    about = recording.about
-    print(
-        f"{about.task}, team {team_string(recording.team)}, agent {about.agent}, seed {about.seed}"
-    )
+    about, team = recording.about, team_string(recording.team)
+    print(f"{about.task}, team {team}, agent {about.agent}, seed {about.seed}")
     print(outcome(recording), end="\n\n")
     rows = metric_rows(about.metrics)
     width = max(len(label) for label, _ in rows)
@@ -248,12 +238,11 @@ def _print_summary(recording: Recording, agent: Agent) -> None:
     if agent.privileged:
         print("note: this agent sees the true state")
     if others := _unmeasured(recording, agent):
-        print(f"note: {recording.about.agent} was not trained with vehicles {', '.join(others)}")
+        print(f"note: {about.agent} was not trained with vehicles {', '.join(others)}")
 
 
 def _unmeasured(recording: Recording, agent: Agent) -> list[str]:
     """Vehicles that a shipped policy, which refuses none, has not flown in its training."""
-    from swarm_envs import make
     from swarm_envs.agents.policy import PolicyAgent
     from swarm_envs.agents.registry import FILTER, SHIPPED
 
@@ -261,26 +250,20 @@ def _unmeasured(recording: Recording, agent: Agent) -> list[str]:
     name = recording.about.agent.removesuffix(FILTER)
     if name not in SHIPPED or not isinstance(policy, PolicyAgent) or policy.policy.note.types:
         return []
-    env = make(recording.about.task, num_drones=len(recording.team), physics="batch")
-    trained = {vehicle.token for vehicle in env.core.task.team}  # of the default team
-    env.close()
+    count = len(recording.team)
+    with closing(make(recording.about.task, num_drones=count, physics="batch")) as env:
+        trained = {vehicle.token for vehicle in env.core.task.team}  # of the default team
     return sorted({vehicle.token for vehicle in recording.team} - trained)
 
 
 def _write_json(path: Path, recording: Recording) -> None:
-    from swarm_envs import __version__
-    from swarm_envs.files import write_json
-    from swarm_envs.vehicles import team_string
     from swarm_envs.viewing.summary import events, outcome
 
     about = recording.about
     content = {
         "task": about.task,
         "team": team_string(recording.team),
-        "agent": about.agent,
-        "seed": about.seed,
-        "physics": about.physics,
-        "decision_rate": about.decision_rate,
+        **{n: getattr(about, n) for n in ("agent", "seed", "physics", "decision_rate")},
         "outcome": outcome(recording),
         "events": [
             {"time_s": event.time, "kind": event.kind, "drones": list(event.drones)}
@@ -293,8 +276,6 @@ def _write_json(path: Path, recording: Recording) -> None:
 
 
 def _write_video(path: Path, recording: Recording) -> None:
-    from tqdm import tqdm
-
     from swarm_envs.viewing.video import FPS, VideoError, count_frames, film, write_gif, write_video
 
     total = count_frames(recording)
@@ -310,15 +291,17 @@ def _write_files(files: Mapping[str, Path], recording: Recording) -> None:
     """Write a recording into files, by their options, and say so."""
     from swarm_envs.viewing import write_replay, write_trajectory
 
-    writers = {
-        "json": _write_json,
-        "trajectory": write_trajectory,
-        "replay": write_replay,
-        "video": _write_video,
-    }
     for option, path in files.items():
-        writers[option](path, recording)
-        print(f"wrote {path}", flush=True)
+        if option == "json":
+            _write_json(path, recording)
+        elif option == "trajectory":
+            write_trajectory(path, recording)
+        elif option == "replay":
+            write_replay(path, recording)
+        else:
+            _write_video(path, recording)
+        hint = "; open it in a browser" if option == "replay" else ""
+        print(f"wrote {path}{hint}", flush=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -343,12 +326,7 @@ def run_replay(options: ReplayOptions) -> None:
         check_file("--video", options.video, (".mp4", ".gif"))
         files["video"] = options.video
     _check_writers(files)
-    if not options.file.is_file():
-        fix = "`swarm-envs fly --trajectory FILE` records a flight"
-        kind = "there is a folder, not a" if options.file.is_dir() else "there is no"
-        raise Misuse(f"{kind} file {str(options.file)!r}; {fix}")
-    try:
+    need_recording(options.file)
+    with as_misuse():
         check_trajectory_path(options.file)
-    except ValueError as error:
-        raise Misuse(str(error)) from error
     _write_files(files, read_trajectory(options.file))

@@ -8,8 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs import __version__
 from swarm_envs.arguments import POSITIVE_S, Count, Range, Seed
-from swarm_envs.commands.checks import Misuse, command_options, need_file, output_files
+from swarm_envs.commands.checks import as_misuse, command_options, need_file, output_files
+from swarm_envs.errors import check_name
+from swarm_envs.files import claimed, write_json
 
 if TYPE_CHECKING:
     from swarm_envs.baselines.rth3d import GridInstance, GridPlan
@@ -86,21 +92,16 @@ _FILES = {
 
 def run_plan(options: PlanOptions) -> None:
     """Draw the instance, plan, print and write."""
-    from swarm_envs.files import claimed
-
     files = output_files(options, _FILES)
     instance = _instance(options)
     with nullcontext() if options.out is None else claimed(options.out):
         found = _plan(instance, options)
-        for line in summary_lines(found):
-            print(line)
+        print(*summary_lines(found), sep="\n")
         _write(files, found)
 
 
 def _write(files: Mapping[str, Path], found: GridPlan) -> None:
-    from swarm_envs import __version__
     from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
-    from swarm_envs.files import write_json
 
     for option, path in files.items():
         if option == "save":
@@ -113,14 +114,11 @@ def _write(files: Mapping[str, Path], found: GridPlan) -> None:
 
 
 def _instance(options: PlanOptions) -> GridInstance:
-    import numpy as np
-
     from swarm_envs.baselines.rth3d import FAMILIES, building_columns, make_instance, max_density
     from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark
     from swarm_envs.baselines.rth3d.grid import check_shape
-    from swarm_envs.errors import check_name
 
-    try:
+    with as_misuse(OSError):
         if options.map is not None and options.scen is not None:
             need_file("--map", options.map, "the grid with its obstacles")
             need_file("--scen", options.scen, "the robots' starts and goals on the map")
@@ -133,20 +131,13 @@ def _instance(options: PlanOptions) -> GridInstance:
             walls = building_columns(shape) if FAMILIES[options.family].buildings else None
             count = max(1, int(max_density(shape, walls) * float(np.prod(shape)) + 1e-6))
         return make_instance(options.family, shape, count, options.seed)
-    except (ValueError, OSError) as error:
-        raise Misuse(str(error)) from error
 
 
 def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
-    from tqdm import tqdm
-
     from swarm_envs.baselines.rth3d import METHODS, PlanNotFound, PlanTimeout, plan
-    from swarm_envs.errors import check_name
 
-    try:
+    with as_misuse():
         check_name("method", options.method, METHODS)
-    except ValueError as error:
-        raise Misuse(str(error)) from error
     with tqdm(desc="plan", unit="phase", mininterval=0.1) as bar:
 
         def watch(name: str) -> None:
@@ -171,21 +162,13 @@ def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
 
 def facts(found: GridPlan) -> dict[str, Any]:
     """What was measured, as JSON has it."""
+    names = "method winner seed makespan lower_bound ratio bound before_compaction valid seconds"
     return {
         "shape": list(found.shape),
         "robots": len(found.starts),
         "obstacles": int(found.obstacles.sum()),
         "labels": found.set_bound is None,
-        "method": found.method,
-        "winner": found.winner,
-        "seed": found.seed,
-        "makespan": found.makespan,
-        "lower_bound": found.lower_bound,
-        "ratio": found.ratio,
-        "bound": found.bound,
-        "before_compaction": found.before_compaction,
-        "valid": found.valid,
-        "seconds": found.seconds,
+        **{name: getattr(found, name) for name in names.split()},
         "phases": [vars(phase) for phase in found.phases],
     }
 

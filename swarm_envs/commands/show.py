@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from tqdm import tqdm
 
+from swarm_envs import __version__
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, OneOf, Range, Seed
-from swarm_envs.commands.checks import Misuse, check_file, command_options, output_files
+from swarm_envs.commands.checks import (
+    FlightBar,
+    as_misuse,
+    check_file,
+    command_options,
+    output_files,
+)
+from swarm_envs.files import claimed, write_json
 
 if TYPE_CHECKING:
     from swarm_envs.shows.planning import Show
@@ -89,7 +98,6 @@ _FILES = {
 
 def run_show(options: ShowOptions) -> None:
     """Plan, fly, print and write."""
-    from swarm_envs.files import claimed, write_json
     from swarm_envs.shows.skybrush import write_skyc
     from swarm_envs.viewing.trajectory import write_trajectory
 
@@ -113,22 +121,17 @@ def run_show(options: ShowOptions) -> None:
 
 
 def _plan(options: ShowOptions) -> tuple[Show, dict[str, Any]]:
-    from tqdm import tqdm
-
-    from swarm_envs import __version__
     from swarm_envs.shows.formations import Room, formations_of
     from swarm_envs.shows.outlines import spelled
     from swarm_envs.shows.planning import plan_show
     from swarm_envs.shows.transitions import Pace
 
-    try:
+    with as_misuse(OSError):
         room = Room(options.spacing_m, options.height_factor, options.lean_deg,
                     largest=options.largest_m)  # fmt: skip
         shapes = spelled(options.shapes)
         formations = formations_of(shapes, options.drones, options.colors, room)
         pace = Pace(options.speed, options.acceleration)
-    except (ValueError, OSError) as error:
-        raise Misuse(str(error)) from error
     with tqdm(total=len(formations) - 1, desc="plan", unit="shape", mininterval=0.1) as bar:
 
         def watch(name: str) -> None:
@@ -160,23 +163,11 @@ def _plan_lines(facts: Mapping[str, Any], spacing: float) -> list[str]:
 
 
 def _fly(show: Show, options: ShowOptions, facts: dict[str, Any]) -> Recording:
-    from tqdm import tqdm
-
     from swarm_envs.shows.flying import fly_show
 
-    bars: list[Any] = []  # made after the reset, so that compilation does not count
-    total = math.ceil(20 * show.paths.duration_s) + 1
-
-    def watch(_: object) -> None:
-        if not bars:
-            bars.append(tqdm(total=total, desc="flight", unit="decision", mininterval=0.5))
-        bars[0].update()
-
-    try:
-        flight, flown = fly_show(show.paths, options.world, options.seed, watch)
-    finally:
-        for bar in bars:
-            bar.close()
+    bar = FlightBar(math.ceil(20 * show.paths.duration_s) + 1)
+    with closing(bar):
+        flight, flown = fly_show(show.paths, options.world, options.seed, bar)
     facts["flight"] = {"world": options.world, **flown}
     print(
         f"flown in world {options.world!r}: {flown['contacts']} contacts, bodies at least "
@@ -189,8 +180,6 @@ def _fly(show: Show, options: ShowOptions, facts: dict[str, Any]) -> Recording:
 
 def _film(path: Path, show: Show, flight: Recording | None) -> Path:
     """Write the film; a GIF where there is no ffmpeg. The path that was written."""
-    from tqdm import tqdm
-
     from swarm_envs.shows.night import FPS, count_show_frames, film_lights
     from swarm_envs.viewing.video import write_gif, write_video_or_gif
 

@@ -6,7 +6,7 @@ import importlib.util
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.commands.checks import as_misuse, check_file, check_folder, check_inputs, need_torch
 from swarm_envs.commands.fly import find_task
 
 if TYPE_CHECKING:
@@ -20,16 +20,17 @@ def check_training(config: RlConfig) -> str:
         check_file("--json", config.json, (".json",))
     from swarm_envs.training.rl.recipes import with_recipe
 
-    try:
+    with as_misuse():
         task = find_task(config.task)
         with_recipe(config, task)
-    except ValueError as error:
-        raise Misuse(str(error)) from error
     return task
 
 
 def run_train(config: RlConfig) -> None:
     """Train, or say that it was done before; print what came out."""
+    task = check_training(config)
+    check_inputs(config)
+    need_torch()
     if importlib.util.find_spec("stable_baselines3") is None:
         raise ImportError(
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
@@ -37,7 +38,6 @@ def run_train(config: RlConfig) -> None:
     from swarm_envs.files import write_json
     from swarm_envs.training.rl.run import finished_report, train_policy
 
-    task = check_training(config)
     report = finished_report(config, task)
     if report is not None:
         print(f"the run in {config.out} was finished before, and stays as it is")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from tqdm import tqdm
 
 from swarm_envs import __version__
@@ -21,7 +22,13 @@ from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds, inter
 from swarm_envs.agents.policy import FILE, read_policy
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands import train
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import (
+    Misuse,
+    check_file,
+    check_folder,
+    command_options,
+    need_torch,
+)
 from swarm_envs.commands.mistakes import find_mistake
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -92,8 +99,6 @@ def train_arguments(settings: Sequence[str]) -> list[str]:
 
 def parse(arguments: Sequence[str]) -> RlConfig:
     """Read the arguments of one run as `swarm-envs train` does."""
-    import tyro
-
     mistake = find_mistake(RlConfig, arguments, prefixes=True)
     if mistake is not None:
         given = "--set and --compare take options of `swarm-envs train`"
@@ -154,6 +159,7 @@ def check_marker(path: Path, digest: str) -> None:
 
 def run_sweep(options: SweepOptions) -> int:
     """Train all, print and write; return how many runs failed."""
+    need_torch()
     check_folder("--out", options.out)
     if options.json is not None:
         check_file("--json", options.json, (".json",))

@@ -80,16 +80,10 @@ def aim(
     field_of_view_deg: float,
     margin_m: float,
 ) -> Lens:
-    """Place a camera so that it sees points, as near as that allows.
+    """Place a camera as near as possible to points (..., 3), m, with a margin around each.
 
-    Args:
-        points: (..., 3) m.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        azimuth_deg: where the camera stands seen from the points, counter-clockwise from x.
-        elevation_deg: how far above their horizon it stands.
-        field_of_view_deg: vertical.
-        margin_m: what must be seen around each point.
+    The azimuth is where it stands seen from the points, counter-clockwise from x; the field of view
+    is vertical; width and height are pixels.
     """
     flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     target = (flat.min(axis=0) + flat.max(axis=0)) / 2

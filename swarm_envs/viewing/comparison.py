@@ -56,15 +56,6 @@ def plot_comparisons(path: Path, comparisons: Sequence[Comparison], headline: st
     """Plot height error and force of the lowest drone over time, one column a comparison.
 
     Thin lines are flights, bold ones their median at each time. Drawn without a display.
-
-    Args:
-        path: PNG, PDF or SVG to write.
-        comparisons: one or more, each with at least one flight a side.
-        headline: stands above all.
-
-    Raises:
-        ValueError: there is nothing to plot.
-        OSError: the file cannot be written.
     """
     if not comparisons:
         raise ValueError("no comparison was given; plot at least one")

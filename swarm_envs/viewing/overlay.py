@@ -52,11 +52,7 @@ class Overlay(NamedTuple):
 
 
 def draw_behind(picture: Picture, lens: Lens, overlay: Overlay) -> Picture:
-    """Draw everything on a picture (height, width, 3) in which the drones are still missing.
-
-    Returns:
-        A new picture of the same size.
-    """
+    """Draw everything on a picture (height, width, 3) in which the drones are still missing."""
     from PIL import Image, ImageDraw
 
     canvas = Image.fromarray(picture)

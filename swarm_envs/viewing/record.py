@@ -182,13 +182,7 @@ class Recorder:
         rewards: Mapping[str, float] | None = None,
         infos: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        """Take a sample of the environment's truth, and of what its step returned.
-
-        Args:
-            env: just reset or stepped.
-            rewards: by agent, of that step.
-            infos: by agent, of that step.
-        """
+        """Take a sample of the environment's truth, and of what its step returned."""
         task, agents = env.core.task, env.possible_agents
         self._team, self._terms = env.view.team, task.reward_names
         by_drone = [(infos or {}).get(agent, {}) for agent in agents]
@@ -209,11 +203,7 @@ class Recorder:
         self._rows.append(row)
 
     def record(self) -> Recording:
-        """Everything so far.
-
-        Raises:
-            RuntimeError: nothing was recorded.
-        """
+        """Everything so far."""
         if self._about is None:
             raise RuntimeError("nothing was recorded; call the recorder after reset and steps")
         columns: dict[str, Any] = {

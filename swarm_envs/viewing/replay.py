@@ -95,13 +95,7 @@ def replay_page(recording: Recording, most_samples: int = MOST_SAMPLES) -> str:
 def page_data(
     recording: Recording, happened: Sequence[Event], most_samples: int = MOST_SAMPLES
 ) -> dict[str, Any]:
-    """What the page's script reads: flat arrays of integers, frame by frame, drone by drone.
-
-    Args:
-        recording: the episode.
-        happened: its events, near misses among them.
-        most_samples: drones times frames that are kept, besides those of events.
-    """
+    """What the page's script reads: flat arrays of integers, frame by frame, drone by drone."""
     frames = _frames(recording, happened, most_samples)
     place = {int(frame): k for k, frame in enumerate(frames)}
     types = list(dict.fromkeys(recording.team))

@@ -49,14 +49,7 @@ _STYLE: Any = {
 
 @contextmanager
 def picture(path: Path, width: float, height: float, headline: str) -> Iterator[Figure]:
-    """Give a figure to draw on, and write it whole to `path` at the end.
-
-    Args:
-        path: PNG, PDF or SVG.
-        width: inches.
-        height: inches.
-        headline: stands above all.
-    """
+    """Give a figure to draw on, and write it whole to `path` at the end."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

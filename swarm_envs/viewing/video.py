@@ -51,11 +51,7 @@ def count_frames(recording: Recording, fps: int | None = None) -> int:
 
 
 def film(recording: Recording, fps: int | None = None) -> Iterator[npt.NDArray[np.uint8]]:
-    """Frames (544, 768, 3) of an episode, 24 a second or `fps`; its end stands for another second.
-
-    Raises:
-        ImportError: pybullet is not installed.
-    """
+    """Frames (544, 768, 3) of an episode, 24 a second or `fps`; the last one stays for 1 s."""
     size = (_SMOOTH * WIDTH, _SMOOTH * (HEIGHT - _HEADER))
     camera = Camera(recording.team, *size)
     try:
@@ -134,16 +130,7 @@ def write_video(path: Path, frames: Iterable[Frame], fps: int) -> None:
 
 
 def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Frame]], fps: int) -> Path:
-    """Write an mp4, or a small GIF where ffmpeg does not work.
-
-    Args:
-        path: ends in `.mp4`.
-        frames: draws the frames; called again for the GIF.
-        fps: frames per second.
-
-    Returns:
-        The path that was written.
-    """
+    """Write an mp4, or a small GIF where ffmpeg does not work."""
     try:
         write_video(path, frames(), fps)
     except VideoError:
@@ -153,11 +140,7 @@ def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Frame]], fps: i
 
 
 def write_gif(path: Path, frames: Iterable[Frame], fps: int) -> None:
-    """Write a GIF with every second frame at half the size. Whole or not at all.
-
-    Raises:
-        ValueError: there is no frame.
-    """
+    """Write a GIF with every second frame at half the size. Whole or not at all."""
     from PIL import Image
 
     half = [
@@ -208,11 +191,7 @@ def _send(process: subprocess.Popen[bytes], frame: Frame) -> bool:
 
 
 def find_ffmpeg() -> str:
-    """The ffmpeg that imageio-ffmpeg carries.
-
-    Raises:
-        ImportError: it is not installed; the message says how to get it.
-    """
+    """The ffmpeg that imageio-ffmpeg carries."""
     try:
         import imageio_ffmpeg
     except ImportError as error:
