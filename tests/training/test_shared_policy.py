@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
+import swarm_envs.training
 from swarm_envs import TASKS, swap_v0
 from swarm_envs.agents.features import FEATURE_SETS, GOAL
 from swarm_envs.envs.joint import make_joint, make_solo
@@ -238,6 +240,17 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
         quick(render_mode="rgb_array")
     with pytest.raises(ValueError, match="unknown features 'goals'"):
         quick(features="goals")
+
+
+def test_without_stable_baselines3_it_says_what_to_install(monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == "stable_baselines3"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "swarm_envs.training.shared_policy")
+    with pytest.raises(ImportError, match=r"SharedPolicyVecEnv needs .* 'swarm-envs\[train\]'"):
+        swarm_envs.training.SharedPolicyVecEnv  # noqa: B018
+    with pytest.raises(AttributeError, match="has no attribute 'SharedPolicyEnv'"):
+        swarm_envs.training.SharedPolicyEnv  # noqa: B018
 
 
 def test_out_of_turn():
