@@ -241,8 +241,8 @@ class RlConfig(AirOptions, RunOptions):
         self._check_sizes()
 
     def _check_teams(self) -> None:
-        given = self.drones if isinstance(self.drones, tuple) else (self.drones,)
-        if self.team and given != (RunOptions.drones,) and {*given} != {*self.team_sizes}:
+        given = {*self._counts}
+        if self.team and given != {RunOptions.drones} and given != {*self.team_sizes}:
             raise ValueError(
                 f"--drones is {self.drones}, but --team {' '.join(self.team)} has "
                 f"{', '.join(map(str, self.team_sizes))}; give one of them"
@@ -311,14 +311,15 @@ class RlConfig(AirOptions, RunOptions):
         """Every team that learns, as options of its environments."""
         if self.team:
             return tuple({"team": team} for team in self.team)
-        counts = self.drones if isinstance(self.drones, tuple) else (self.drones,)
-        return tuple({"num_drones": count} for count in counts)
+        return tuple({"num_drones": count} for count in self._counts)
 
     @property
     def team_sizes(self) -> tuple[int, ...]:
         """Number of drones of every team."""
-        if self.team:
-            return tuple(len(parse_team(team)) for team in self.team)
+        return tuple(len(parse_team(team)) for team in self.team) or self._counts
+
+    @property
+    def _counts(self) -> tuple[int, ...]:
         return self.drones if isinstance(self.drones, tuple) else (self.drones,)
 
     @property
@@ -387,17 +388,9 @@ def _changed(settings: object) -> list[tuple[str, Any]]:
     return [(field.name, value) for field, value in given if value != field.default]
 
 
-_ON_POLICY = (
-    *(
-        "n_steps",
-        "batch_size",
-        "n_epochs",
-        "learning_rate",
-        "last_rate",
-        "gae_lambda",
-        "clip_range",
-    ),
-    *("ent_coef", "log_std_init", "second_stage", "second_rate", "second_deviation"),
+_ON_POLICY = tuple(
+    "n_steps batch_size n_epochs learning_rate last_rate gae_lambda clip_range ent_coef "
+    "log_std_init second_stage second_rate second_deviation".split()
 )
 _REWARDS = ("gamma", "proximity", "crash", "time_cost", "reward_scale")
 _FOREIGN = {
