@@ -200,7 +200,7 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         ("--algo sac --sac.batch-size 0", "--sac.batch-size"),
         ("--task crowd", "--layout all is learned by --algo dagger; name one layout"),
         ("--controller hover", "controller is 'hover', but must be a shipped agent with a con"),
-        ("--features raw", "--features"),
+        ("--features raw", "unknown features 'raw'; valid: 'full-1'"),
         ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
         ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
         ("--drones 4 0", "--drones is (4, 0)"),
