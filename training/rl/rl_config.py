@@ -388,8 +388,10 @@ def _changed(settings: object) -> list[tuple[str, Any]]:
     return [(field.name, value) for field, value in given if value != field.default]
 
 
-_ON_POLICY = tuple(
-    ["n_steps", "batch_size", "n_epochs", "learning_rate", "last_rate", "gae_lambda", "clip_range", "ent_coef", "log_std_init", "second_stage", "second_rate", "second_deviation"]
+_ON_POLICY = (
+    *("n_steps", "batch_size", "n_epochs", "learning_rate", "last_rate", "gae_lambda"),
+    *("clip_range", "ent_coef", "log_std_init", "second_stage", "second_rate"),
+    "second_deviation",
 )
 _REWARDS = ("gamma", "proximity", "crash", "time_cost", "reward_scale")
 _FOREIGN = {
