@@ -6,9 +6,9 @@
 | | |
 |---|---|
 | Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; see `on_contact` for their ends |
-| `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, in 5 m/s^2 |
-| `velocity` | 3 in [-1, 1]: velocity of a set-point along world x, y, z, in 2 m/s |
-| `ctbr` | 4 in [-1, 1]: collective thrust, from zero to the maximum; body rates, in 8, 8, 4 rad/s |
+| `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, times 5 m/s^2 |
+| `velocity` | 3 in [-1, 1]: velocity of a set-point along world x, y, z, times 2 m/s |
+| `ctbr` | 4 in [-1, 1]: collective thrust, from zero to the maximum; body rates times 8, 8, 4 rad/s |
 | `rotors` | 4 in [-1, 1]: thrust of each rotor, from zero to the maximum |
 | `setpoint` | 14, SI, world frame: position, velocity, acceleration, jerk, yaw, yaw rate |
 | Observations | float32 row; `env.observation_layout`: name, slice, unit and scale of each field |
@@ -20,12 +20,14 @@ most 2 m/s. Rotors: front right, back right, back left, front left; the first an
 counter-clockwise. Yaw in rad. An observed quantity is the number in the row times its field's
 scale.
 
-**Start.** `random`: starts at least 0.5 m apart, 0.5-2.0 m high; each drone's goal is the start of
-another drone; no reference. `circle`: evenly spaced on a circle of radius 1.5 m (larger where
-neighbours would be less than 0.3 m apart), at a height of 1.0 m; each goal is the opposite point.
-`stacked`, the flight test of Neural-Swarm2 (Sec. VII-E): on a circle of radius 0.5-0.75 m, in
-planes 0.2-0.3 m apart, the lowest at 0.8 m, the first drone of the team on top; the reference leads
-straight to the opposite side in 3-4 s, so that all drones are above each other half way.
+**Start.**
+
+- `random`: at least 0.5 m apart, 0.5-2.0 m high. Each drone's goal is the start of another drone.
+- `circle`: evenly spaced on a circle of radius 1.5 m (larger where neighbors would be less than
+  0.3 m apart), 1.0 m high. Each goal is the opposite point.
+- `stacked`, the flight test of Neural-Swarm2 (Sec. VII-E): on a circle of radius 0.5-0.75 m, in
+  planes 0.2-0.3 m apart, the lowest at 0.8 m, the first drone of the team on top. The reference
+  leads straight to the opposite side in 3-4 s, so that drones are above each other half way.
 
 **Success.** Every drone stays within 0.10 m of its goal for 0.5 s, without a collision.
 

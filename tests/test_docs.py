@@ -23,6 +23,7 @@ from swarm_envs import TASKS, make, task_family
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.cli import COMMANDS, main
 from swarm_envs.errors import unknown_name
+from tests.helpers.browsers import OVERFLOW, PATIENCE_MS, chromium
 from tests.helpers.imports import OUTER, ROOT, SOURCES, files_below
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
 from tests.helpers.vocabulary import EVERYWHERE, PAGES_ONLY, found_in, prose_of
@@ -192,21 +193,43 @@ class Resources(HTMLParser):
             self.loaded.append(str(given[names[tag]]))
 
 
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the site, built so that a warning is an error."""
     pytest.importorskip("sphinx")
+    folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q"]
-    command += ["-d", str(tmp_path / "trees"), str(DOCS), str(tmp_path / "site")]
+    command += ["-d", str(folder / "trees"), str(DOCS), str(folder / "html")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-4000:]
-    built = sorted((tmp_path / "site").rglob("*.html"))
+    return folder / "html"
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(site):
+    built = sorted(site.rglob("*.html"))
     assert len(built) >= len(PAGES)
     for page in built:
         reader = Resources()
         reader.feed(page.read_text(encoding="utf-8"))
         assert not [url for url in reader.loaded if re.match(r"(https?:)?//", url)], page.name
-    for style in (tmp_path / "site").rglob("*.css"):
+    for style in site.rglob("*.css"):
         assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1440, 390])
+def test_pages_fit_their_window_and_show_their_film(site, width):
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.set_default_timeout(PATIENCE_MS)
+        for name in ("index", "tasks/swap", "tasks/columns", "tasks/gates"):
+            page.goto((site / f"{name}.html").as_uri())
+            page.wait_for_function(FILM_LOADED)
+            assert page.evaluate(OVERFLOW) <= 0, name
+
+
+FILM_LOADED = "[...document.images].some((i) => i.src.endsWith('.webp') && i.naturalWidth > 400)"
 
 
 def test_every_grid_of_a_figure_has_its_row():

@@ -123,9 +123,18 @@ def _observations(env: SwarmParallelEnv) -> str:
     return "\n".join([text, "[Tasks](../tasks.md#observations) explains the fields.", "", *table])
 
 
+_UNITS = {
+    "of maximum": "fraction of maximum",
+    "of the weight": "fraction of weight",
+    "of a small drone": "mass of a small drone",
+    "of full": "fraction of full charge",
+    "of the clock": "fraction of time limit",
+}
+"""Units in full: trained policies depend on the words of the layout itself."""
+
+
 def _unit(unit: str) -> str:
-    """A field's unit; trained policies were saved with the old words for the time limit."""
-    return unit.replace("the clock", "the time limit")
+    return _UNITS.get(unit, unit)
 
 
 def _until(where: slice) -> str:
