@@ -8,8 +8,8 @@
 | Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; see `on_contact` for their ends |
 | `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, times 5 m/s^2 |
 | `velocity` | 3 in [-1, 1]: velocity of a set-point along world x, y, z, times 2 m/s |
-| `ctbr` | 4 in [-1, 1]: collective thrust, from zero to the maximum; body rates times 8, 8, 4 rad/s |
-| `rotors` | 4 in [-1, 1]: thrust of each rotor, from zero to the maximum |
+| `ctbr` | 4 in [-1, 1]: collective thrust, from zero to maximum; body rates times 8, 8, 4 rad/s |
+| `rotors` | 4 in [-1, 1]: thrust of each rotor, from zero to maximum |
 | `setpoint` | 14, SI, world frame: position, velocity, acceleration, jerk, yaw, yaw rate |
 | Observations | float32 row; `env.observation_layout`: name, slice, unit and scale of each field |
 | Arena | 4 x 4 x 2.5 m, grown with (N / 16)^(1/3) above 16 drones |
