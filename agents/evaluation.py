@@ -245,7 +245,7 @@ class EpisodeFile:
     Args:
         folder: where the file is, or will be.
         name: of the agent.
-        setting: everything that an episode depends on beside its seed, ready for JSON.
+        setting: everything that an episode depends on besides its seed, ready for JSON.
 
     Raises:
         ValueError: the file holds what no run of this class wrote.

@@ -398,7 +398,7 @@ def _obstacle(offset: Float32Array) -> tuple[Float32Array, Float32Array]:
 
 
 def _beside(seen: Float32Array, goal: Float32Array) -> Float32Array:
-    """(..., K, 5 or with load 8) of neighbours (..., K, width) beside a goal (..., 1, 3)."""
+    """(..., K, 5 or with load 8) of neighbors (..., K, width) relative to a goal (..., 1, 3)."""
     position, mask = seen[..., 0:3], seen[..., -1:]
     apart, _ = _direction(position + seen[..., 6:9] - goal, 2.0)
     flat = np.sqrt(np.square(position[..., :2]).sum(axis=-1, keepdims=True))

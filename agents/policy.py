@@ -59,7 +59,7 @@ __all__ = [
 FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
-"""Name of what a killed run resumes from, beside it."""
+"""Name of the file from which a killed run resumes."""
 FORMAT = "swarm-envs-policy-6"
 """What a file of a policy says it is."""
 _SENSES = {"num_obstacles", "observe_load", "observe_force", "controller"}
@@ -302,7 +302,7 @@ def read_policy(path: Path) -> Policy:
 
 
 def senses(obstacles: int, load: bool, force: bool, controller: str | None) -> dict[str, Any]:
-    """Options of an environment for what a policy observes beside neighbors, and is steered by."""
+    """Options of an environment for what a policy observes besides neighbors, and its actions."""
     found: dict[str, Any] = {"num_obstacles": obstacles, "observe_load": load}
     if force:
         found["observe_force"] = belief_of()

@@ -3,7 +3,7 @@
 The detour agent is a geometric baseline for any task and team. Every drone flies from rest to rest,
 all in the same time, along its straight way plus a bump: one vector that says how far from the
 straight way it is half way. Bumps are taken from a fixed family, one drone after another and again,
-each the cheapest given the others', until nobody changes: best responses in a game whose potential
+each the cheapest given the others', until none changes: best responses in a game whose potential
 is the sum of all costs, so this ends. What costs: to come close to another, farther off below or
 above it, where downwash is; to come close to an obstacle; length.
 """
@@ -74,7 +74,7 @@ class RandomAgent:
 
 
 class StraightLineAgent:
-    """Flies straight at its goal and avoids nobody: a PD law on what it observes of itself.
+    """Flies straight to its goal and avoids no drone: a PD law on what it observes of itself.
 
     What any policy that avoids others must beat. The acceleration asked for is
     4 / s^2 (goal - position) - 4 / s velocity, the way to the goal cut at 1 m.

@@ -39,7 +39,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     """E environments of N drones as E * N sub-environments: number e * N + i is drone i of e.
 
     All drones of an environment end together, and restart in the same step. A sub-environment's
-    info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: what
+    info has at the end `terminal_observation`, `TimeLimit.truncated` (time limit: what
     follows still has a value) and `episode_metrics`, of the environment.
 
     With `on_contact="end_pair"` a drone may end before its team: that is an end of the
@@ -337,7 +337,7 @@ def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
     if not found:
         raise ValueError("task is empty; give at least one blueprint")
     if options:
-        raise TypeError(f"{', '.join(options)}: give options to the blueprint, not beside it")
+        raise TypeError(f"{', '.join(options)}: give options to the blueprint alone")
     return tuple(found)
 
 

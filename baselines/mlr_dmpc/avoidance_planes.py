@@ -6,7 +6,7 @@ obstacle. The present plan, `margin` off or more at every sample, satisfies its 
 other drones, it stays feasible when it is shifted (Theorem 1 with planes in place of trajectories).
 
 Of obstacles nothing is checked between samples: at speed v a drone moves v T_c / 2 from the nearer
-one, so the margin should hold that beside the drone's own radius, or T_c be finer.
+one, so the margin should contain that in addition to the drone's radius, or T_c be finer.
 
 Half-spaces out of reach within the horizon are left out. Every plan that satisfies (13b)-(13e) lies
 in the boxes of `reachable_boxes` at the samples:

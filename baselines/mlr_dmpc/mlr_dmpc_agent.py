@@ -32,7 +32,7 @@ from swarm_envs.tasks.obstacles import obstacle_rows
 
 _TRACKING_M = 0.05  # what is kept free between a reference and walls beside the drone's radius, m
 _ROOM = 1.2
-"""Distance of starts and of goals over that of references: at the very limit nobody gets past."""
+"""Distance of starts and of goals over that of references: at the limit no drone gets past."""
 
 
 @typed

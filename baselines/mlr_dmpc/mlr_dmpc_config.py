@@ -98,7 +98,7 @@ class MlrDmpcConfig:
     detour_rounds: Count = 10
     """For how many rounds they make room."""
     detour_pause_rounds: Annotated[int, Range(0)] = 5
-    """For how many more rounds they then fly on, whoever waits."""
+    """For how many more rounds they then continue."""
     planes: Literal["fixed", "relinearised"] = "relinearised"
     """Where a plan keeps clear of drones that are not planned in the same round: `relinearised`
     around its own solution, again until that stays (Lemma 3 asks for the distance alone), or

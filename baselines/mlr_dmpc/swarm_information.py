@@ -47,7 +47,7 @@ _LEAST_SILENT_ROUNDS = 6
 class _Absences:
     """For how long each unit has been silent, weighed by how much else was lost meanwhile.
 
-    A round in which most messages were lost says little about a missing one; in a blackout nobody
+    A round in which most messages were lost says little about a missing one; in a blackout no unit
     is left out.
     """
 
@@ -230,7 +230,7 @@ class SwarmInformation:
         return self.membership.drones & ~self.membership.gone
 
     def ready(self) -> bool:
-        """Whether every drone was heard in the view, so that nobody can accept an older plan."""
+        """Whether every drone was heard in the view, so that no drone can accept an older plan."""
         located = self.trackers.located | ~self.membership.drones
         return bool(located.all()) and self.membership.member
 

@@ -52,7 +52,7 @@ _HOVER_SHARE = 1.2  # force bound over the force when hovering, where that is ab
 def load_belief(truth: str = "learned") -> InteractionModel:
     """The deep set of the compensated controller and the planner: fitted to simulated flights.
 
-    See `weights/MODEL_CARD.md` beside the weights for the flights and the errors.
+    See `weights/MODEL_CARD.md` for the flights and the errors.
 
     Args:
         truth: name of the environment's force model in whose flights it was fitted.

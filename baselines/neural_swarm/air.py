@@ -1,7 +1,7 @@
 """Agents for the tasks in which the air decides: one that ignores it, and one that knows it.
 
 Both follow the task's reference, with gains that were tuned on these tasks in the world `"hall"`.
-What the second knows beside the force model is who should stand on top.
+The second also decides which drone flies on top.
 """
 
 from __future__ import annotations

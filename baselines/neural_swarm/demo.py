@@ -190,7 +190,7 @@ def _notes(engine: str, video: bool, file: str | None) -> list[str]:
 
 
 def crashed_flights(summary: Mapping[str, Any]) -> int:
-    """Number of flights that ended before the clock: their error is not their worst."""
+    """Number of flights that ended early: their worst error is a lower bound."""
     entries = summary["scenarios"].values()
     return sum(int(entry[name]["crashed"]) for entry in entries for name in CONTROLLERS)
 

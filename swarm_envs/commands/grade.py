@@ -45,7 +45,7 @@ class GradeOptions:
     episodes: Count = 256
     """episodes that each flies"""
     seed: Seed = 0
-    """the episodes are drawn from it: the same for all; grade on one that nobody has seen"""
+    """random seed of the episodes, the same for all; use a secret one"""
     data: Path | None = None
     """for `force-model`: the rows.npz of a `swarm-envs collect`, whose validation rows grade"""
     limit_s: Annotated[float, POSITIVE_S] = 600.0

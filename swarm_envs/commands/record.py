@@ -44,7 +44,7 @@ _MOST_AT_ONCE = 64
 class RecordOptions(EpisodeOptions):
     """Fly episodes of an agent and write them as a dataset of Minari, for offline learning.
 
-    `minari.load_dataset(NAME)` loads it. Interrupted or killed, the same command resumes. The same
+    `minari.load_dataset(NAME)` loads it. Run again, an interrupted command resumes. The same
     options give the same flights.
     """
 

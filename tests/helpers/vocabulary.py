@@ -52,7 +52,7 @@ PAGES_ONLY = {
     r"\bpasses over\b": "epochs",
     r"\bstrangers?\b": "users, unknown types",
 }
-"""Phrases that are refused in pages as well."""
+"""Phrases that are refused in pages and help texts as well."""
 _PROOF = ROOT / "docs" / "mlr-dmpc" / "proof.md"  # its words are those of mathematics
 _FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 

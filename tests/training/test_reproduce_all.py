@@ -115,7 +115,7 @@ def test_a_spread_has_a_name():
 
 
 def test_a_study_is_remade_or_says_why_not():
-    with pytest.raises(ValueError, match="say how it is remade, or why it is not"):
+    with pytest.raises(ValueError, match="say how it is reproduced, or why not"):
         replace(MISSING, missing="")
     with pytest.raises(ValueError, match="say which claims"):
         replace(Runs().study("a"), claims=None)

@@ -41,7 +41,7 @@ def test_everything_that_was_found_stands_on_the_page(written):
     assert "no <script>alert(1)</script>" in text and "a <b>bold</b> thing & more" in text
     assert "differs, explained: calmer <air> & better models" in text
     assert "differs, unexplained" in text and "nothing to compare" in text
-    assert "Not remade: a photograph <here>." in text and "Not run yet." in text
+    assert "Not reproduced: a photograph <here>." in text and "Not run yet." in text
     assert "0.5 (0.4 to 0.6, quartiles)" in text
 
 

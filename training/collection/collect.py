@@ -124,7 +124,7 @@ class FlightBatch:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One name per flight, which is also its file's."""
+        """Name of each flight, and of its file."""
         token = self.team.replace("*", "x")  # file names without wildcards
         return tuple(f"{token}-{self.kind}-{index:03d}" for index in range(self.count))
 

@@ -1,4 +1,4 @@
-"""Figures and tables of the papers, remade with our models, the paper's value beside ours.
+"""Figures and tables of the papers, reproduced and compared with the papers' values.
 
 Each is a `Study` (`study`): a grid of cells, what is made of them, and the paper's claims. `papers`
 names the papers; `neural_swarm2`, `dmpc_figures` and `rth3d_figures` their options and studies;

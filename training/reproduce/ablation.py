@@ -185,7 +185,7 @@ def is_three_drones(scenario: str) -> bool:
 
 
 def _report(options: Any, cells: Mapping[str, Any]) -> Report:
-    """The table as JSON, CSV, text and bars, the paper's values beside ours."""
+    """The table with the paper's values as JSON, CSV, text and bars."""
     table = _ablation_table(options, dict(zip(_jobs(options), cells.values(), strict=True)))
     columns = (
         "cell", "paper_g2", "paper_deviation_g2", "ours_g2", "ours_deviation_g2", "three_drones_g2"
@@ -197,7 +197,7 @@ def _report(options: Any, cells: Mapping[str, Any]) -> Report:
         | {f"{name}_g2": row["scenarios_g2"].get(name) for name in names}
         for row in table["rows"]
     ]
-    lines = [("validation MSE (g^2)", "paper", "ours", "three drones", "runs")]
+    lines = [("validation MSE (g^2)", "paper", "result", "three drones", "runs")]
     for row in table["rows"]:
         spreads = [(row[f"{who}_g2"], row[f"{who}_deviation_g2"]) for who in ("paper", "ours")]
         said = map(_spread, (*spreads, (row["three_drones_g2"], None)))
@@ -228,7 +228,10 @@ def _plot(path: Path, table: Mapping[str, Any]) -> None:
 
 def _plot_cells(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     place = np.arange(len(rows))
-    drawn = (-0.19, "ours", _OURS_COLOR, "ours"), (0.19, "paper", _PAPER_COLOR, "Neural-Swarm2")
+    drawn = (
+        (-0.19, "ours", _OURS_COLOR, "swarm-envs"),
+        (0.19, "paper", _PAPER_COLOR, "Neural-Swarm2"),
+    )
     for offset, kind, color, label in drawn:
         values = [row[f"{kind}_g2"] for row in rows]
         spread = [row[f"{kind}_deviation_g2"] or np.nan for row in rows]
@@ -247,7 +250,7 @@ def _plot_cells(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     axis.set_xlabel("Mean squared error (g²); whiskers: one standard deviation of single runs")
     axis.margins(x=0.12)
     _legend(axis)
-    axis.set_title("Cells of Table III and beside it")
+    axis.set_title("Cells of Table III, and others")
     axis.grid(True, axis="x")
 
 
@@ -277,7 +280,7 @@ def _plot_scenarios(axis: Axes, both: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _legend(axis: Axes) -> None:
-    """Beside the title, where no bar can be."""
+    """Next to the title, where no bar can be."""
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=9, borderpad=0.0)
 
 

@@ -2,7 +2,7 @@
 
 A model error with known bounds is planted. On the plant that the theorem assumes, a point mass that
 feels f_d at once, the bound must hold, and the worst error must come close to it. The quadrotor,
-with attitude, rotor lag and limits, is outside of the theorem: its ball is reported beside, with
+with attitude, rotor lag and limits, is outside of the theorem: its ball is reported too, with
 the controller's clamp on the integral and without.
 """
 
@@ -113,7 +113,7 @@ def _settings(options: Any) -> dict[str, Any]:
 
 
 def _grid(options: Any) -> Cells:
-    """Errors planted on point mass and quadrotor with each set of gains, and what ships flown."""
+    """Errors planted on point mass and quadrotor with each set of gains; the included one flown."""
     own = (options.seed, options.episodes or _EPISODES)
     jobs: dict[str, Callable[[], Cell]] = {
         name: partial(measure_ball, name, *own) for name in GAINS

@@ -1,4 +1,4 @@
-"""A number of a paper beside ours: whether they agree, and if not, which known reason covers it."""
+"""A number of a paper and its reproduction: whether they agree, and if not, the known reason."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class Reason:
     text: str
     """A sentence."""
     explains: Between
-    """Numbers of ours that it explains."""
+    """Results that it explains."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One quantity, the paper's value and ours."""
+    """One quantity, the paper's value and the result."""
 
     quantity: str
     """What is measured, with its unit."""
@@ -78,14 +78,14 @@ class Claim:
     agrees: Between | None = None
     """Numbers that count as the paper's; None where the paper gives nothing to compare."""
     reasons: tuple[Reason, ...] = ()
-    """Why ours may differ."""
+    """Why the result may differ."""
     spread: tuple[float, float] | None = None
-    """From where to where ours scatters."""
+    """Range over which the result scatters."""
     spread_is: str = ""
     """What of: `quartiles`, `least and largest`, `standard deviation`; nothing without spread."""
 
     def __post_init__(self) -> None:
-        """Refuse a spread that nobody can read."""
+        """Refuse a spread without an order or a name."""
         if self.spread is None:
             object.__setattr__(self, "spread_is", "")
         elif not self.spread_is or self.spread[0] > self.spread[1]:
@@ -102,7 +102,7 @@ class Claim:
 
     @property
     def agreement(self) -> Agreement:
-        """How ours stands to the paper's."""
+        """Whether the result agrees with the paper."""
         if self.agrees is None:
             return "ours alone"
         if self.ours in self.agrees:

@@ -60,4 +60,4 @@ TABLE_2 = Study(
     pictures=(),
     numbers="flights.json",
 )
-"""Remade by `swarm-envs collect` alone."""
+"""Reproduced by `swarm-envs collect` alone."""

@@ -1,4 +1,4 @@
-"""The figures of DMPC-Swarm on the package's MLR-DMPC, and a sweep of messages lost beside them."""
+"""The figures of DMPC-Swarm on the package's MLR-DMPC, and a sweep of message loss."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _APART = Between(_APART_M)
 @partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class DmpcSwarmOptions(StudyOptions):
-    """Remake a figure of DMPC-Swarm, the public simulation's times beside ours.
+    """Reproduce a figure of DMPC-Swarm, with the times of the public simulation.
 
     `--figure 3a` draws the formations, `--figure 3b` flies through them with one, two and three
     compute units, `--figure 3c` with each trigger, `--figure 4` a circle while no compute unit
@@ -154,7 +154,7 @@ def _report(fly: _Fly, options: DmpcSwarmOptions, cells: Mapping[str, Cell]) -> 
 
 
 def _text(cells: Mapping[str, Cell]) -> str:
-    """The numbers as text, the public simulation's beside them."""
+    """The numbers as text, with those of the public simulation."""
     lines = [("", "arrived", "median s", "theirs s", "least scaled m", "crashes")]
     for name, cell in cells.items():
         times = median_total(cell), THEIRS.get(name)
@@ -230,7 +230,7 @@ def _total(cell: Cell) -> float:
 
 def _time_claim(name: str, cell: Cell) -> Claim:
     totals = [total for total in cell["total_s"] if total is not None]
-    faster = "their formations are others; and detours, deadlocks and selection are our own"
+    faster = "their formations are others; and detours, deadlocks and selection differ"
     several = len(totals) > 1
     return Claim(
         f"{name}: all four changes of formation, s",
@@ -299,7 +299,7 @@ def _trigger_claims(numbers: Any, extent: Extent) -> list[Claim]:
 
 
 def _jam_claims(numbers: Any, extent: Extent) -> list[Claim]:
-    """With recovery all arrive and nobody is near; without, references meet."""
+    """With recovery all arrive and keep their distance; without, references meet."""
     cells, jam = numbers["cells"], THEIRS["jam, paper's"]
     ours, theirs, none = (cells[f"jam, {name}"] for name in ("ours", "paper's", "none"))
     references = (

@@ -199,7 +199,7 @@ def plot_sequence(
         label_axis(left, "Dotted: all have arrived", "Time (s)", distance, legend=10)
         place = np.arange(len(cells))
         ours = [median_total(cell) or 0.0 for cell in cells.values()]
-        right.bar(place - 0.2, ours, 0.4, color=list(_COLORS[: len(cells)]), label="ours")
+        right.bar(place - 0.2, ours, 0.4, color=list(_COLORS[: len(cells)]), label="swarm-envs")
         known = [THEIRS.get(name, 0.0) for name in cells]
         right.bar(place + 0.2, known, 0.4, color="#C9CED4", label="public simulation")
         right.set_xticks(place, list(cells))

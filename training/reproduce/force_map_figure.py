@@ -204,8 +204,8 @@ def _report(options: Any, cells: Mapping[str, Any]) -> Report:
 
 
 def format_summary(summary: dict[str, Any]) -> str:
-    """The paper's readings beside ours, and the largest gaps, as text."""
-    rows = [("reading of Fig. 5 (g)", "paper", "its weights", "ours")]
+    """The paper's readings and the results, and the largest gaps, as text."""
+    rows = [("reading of Fig. 5 (g)", "paper", "its weights", "result")]
     for r in summary["readings"]:
         values = (r["paper_g"], r["published_weights_g"], r["ours_g"])
         rows.append((r["what"], *(f"{value:.1f}" for value in values)))

@@ -1,7 +1,7 @@
 """Heat maps of Neural-Swarm2's Fig. 5: who stands where, joint forces, and superposition gaps.
 
 The paper's text gives the drones of (a), (e) and (g), the speed in (d), and says that a small
-drone feels the force; the rest stands in the picture alone. Each case says what is whose.
+drone feels the force; the rest is in the picture alone. Each case says what is whose.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def force_map(model: InteractionModel, case: _MapCase, step_m: float = 0.01) -> 
 
 
 def summarise_maps(maps: list[_ForceMap], model: str) -> dict[str, Any]:
-    """Numbers of the eight maps with the paper's readings beside ours, ready for JSON."""
+    """Numbers of the eight maps and the paper's readings, ready for JSON."""
     by_letter = {m.case.letter: m for m in maps}
     ours = {
         "ground_effect": by_letter["a"].at(0.0, 0.05),

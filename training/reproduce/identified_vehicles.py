@@ -106,7 +106,7 @@ def fit_polynomial(
 
 
 def _identify(vehicle: Vehicle, seed: int) -> list[dict[str, Any]]:
-    """Every entry of Table I that can be measured, the printed one beside it."""
+    """Every entry of Table I that can be measured, with the printed one."""
     printed, (mass, thrust) = PAPER[vehicle.token], mass_and_thrust(vehicle)
     signal, voltage, force = _load_cell(vehicle, np.random.default_rng(seed))
     found, error = fit_polynomial(force, signal, voltage)
@@ -150,7 +150,7 @@ def _report(options: Any, cells: Mapping[str, Any]) -> Report:
     summary = {"seed": options.seed, "readings": _READINGS, "noise_g": _NOISE_G, "rows": rows}
     columns = ("vehicle", "quantity", "paper", "ours", "error")
     table = [{name: row[name] for name in columns} for row in rows]
-    lines = [("quantity", "paper", "ours", "±")]
+    lines = [("quantity", "paper", "result", "±")]
     for row in rows:
         error = f"{row['error']:.3f}" if row["error"] else ""
         values = (f"{row['paper']:.4g}", f"{row['ours']:.4g}", error)

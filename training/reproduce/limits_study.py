@@ -3,7 +3,7 @@
 Every point is stacked swaps flown by the baseline and by the compensating controller, which share
 swaps, gains and sensors. In the sweeps of imperfections the belief is the environment's own model,
 an oracle, spoiled in one way: what is lost is lost to that. In the others the belief that ships
-flies beside the oracle.
+flies together with the oracle.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def _settings(options: Any) -> dict[str, Any]:
 
 
 def _grid(options: Any) -> Cells:
-    """Every point of every sweep; points of one name are the same flights."""
+    """Every point of every sweep; points of the same name are the same flights."""
     seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
     points = [p for sweep in all_sweeps() for p in sweep.points]
     return {p.cell: partial(_measure, p, seeds) for p in points}
@@ -190,7 +190,7 @@ def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
 
 
 def sweep_rows(sweep: Sweep, cells: Mapping[str, Cell]) -> list[dict[str, Any]]:
-    """One row for each point with a belief, the baseline's numbers beside it."""
+    """One row for each point with a belief, with the baseline's numbers."""
     alone = {(p.case, p.value): cells[p.cell] for p in sweep.points if p.belief == "none"}
     return [
         {"sweep": sweep.name, **_row(point, cells[point.cell], alone[point.case, point.value])}

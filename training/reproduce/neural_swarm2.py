@@ -1,4 +1,4 @@
-"""What is remade of Neural-Swarm2: the options of the command, and every table and figure."""
+"""What is reproduced of Neural-Swarm2: the options of the command, and every table and figure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PAPER = "neural-swarm2"  # as `swarm-envs reproduce` names the paper
 @partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class NeuralSwarmOptions(StudyOptions):
-    """Remake a figure or a table of Neural-Swarm2, with the paper's values beside ours.
+    """Reproduce a figure or a table of Neural-Swarm2, with the paper's values.
 
     `--table 1` identifies both vehicles again.
     `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model.
@@ -60,7 +60,7 @@ class NeuralSwarmOptions(StudyOptions):
     """figures 1, 8 and 9: `ideal` or `hall`; both if not given"""
     belief: Path | None = None
     """flights: weights of the compensating controller's force model, such as those of `swarm-envs
-    curriculum`; what ships for `--truth` if not given"""
+    curriculum`; the included one for `--truth` if not given"""
     episodes: Count | None = None
     """flights: how many of each case by each controller; 20 if not given"""
     engine: Literal["bullet", "batch"] | None = None
@@ -124,4 +124,4 @@ STUDIES = (
     LIMITS,
     HALL,
 )
-"""Every numbered table and figure of the paper, and the studies beside them."""
+"""Every numbered table and figure of the paper, and other studies."""

@@ -17,7 +17,7 @@ _RANDOM = (
 
 def _place_of(air: Mapping[str, Any]) -> str:
     """Where a case was flown, as claims say it."""
-    return f"`{air['truth']['name']}` air" + (", hall" if air["world"] == "hall" else "")
+    return f"`{air['truth']['name']}` forces" + (", hall" if air["world"] == "hall" else "")
 
 
 def _compensation(

@@ -4,7 +4,7 @@ Fig. 8: stacked swaps. Its text names the notation (`SL2S`: small and large abov
 number of swaps (6), and one median; `S*` is a small drone with stronger motors, flown where the
 downwash was too much for a plain one: here wherever the lowest drone is a small one.
 
-Fig. 9 and 1: rings of 5 and 16. Radii, speeds and phases are not published; ours are those of
+Fig. 9 and 1: rings of 5 and 16. Radii, speeds and phases are not published; they are those of
 `ring_v0` (see `swarm_envs.tasks.ring`), whose phases are locked.
 """
 
@@ -100,7 +100,7 @@ def ring_case(figure: int, air: Air, engine: str) -> FlightCase:
 
 
 def _settings_of(case: FlightCase) -> dict[str, object]:
-    """What decides on a case's flights beside controllers, seeds and force: ready for JSON."""
+    """What decides on a case's flights besides controllers, seeds and force: ready for JSON."""
     task = case.test.task
     layout = task.layout if isinstance(task, RingTask) else getattr(task, "stacked", None)
     return {

@@ -1,4 +1,4 @@
-"""The papers whose figures and tables can be remade."""
+"""The papers whose figures and tables can be reproduced."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Paper:
-    """A paper of which something can be remade."""
+    """A paper of which something can be reproduced."""
 
     title: str
     """Of the paper."""
     summary: str
-    """What is remade, in a line."""
+    """What is reproduced, in a line."""
     module: str
     """Has `OPTIONS`, the command's dataclass of options, and `STUDIES`, everything it numbers."""
 

@@ -2,7 +2,7 @@
 
 Both planners have identical parameters; they differ in the model alone, which is none for the one
 that does not know. Their plans are flown (a) as published, on the planner's own model of the robots
-and the forces, tracked by a PID; (b) by quadrotors, in air that the planner does not know.
+and the forces, tracked by a PID; (b) by quadrotors, with forces that the planner does not know.
 
 As published (Sec. VII-D): "we also implement a PID controller, which uses the planned controls as
 feed-forward term", and forward propagate the dynamics with the learned model of f_a, whether the
@@ -238,7 +238,7 @@ class TrialSettings:
     bounds: PlanningBounds = PlanningBounds(
         force_g={token: PLANNED_SHARE * bound for token, bound in FORCE_BOUNDS_G.items()}
     )
-    """What every plan shall keep to, whoever makes it."""
+    """What every plan shall keep to."""
 
     def plan(self, swap: _PlannedSwap, planner: str, seed: int) -> SwarmPlan:
         """Plan a swap in the y-z plane, with everything equal but the model."""

@@ -31,7 +31,7 @@ from swarm_envs.training.reproduce.study import Study, StudyOptions, run_study
 __all__ = ["ReproduceAllOptions", "reproduce_all", "run_chosen"]
 
 _State = Literal["done", "failed", "not run", "not remade"]
-"""Of a study: remade, gone wrong, not asked for yet, and what no simulation remakes."""
+"""Of a study: reproduced, failed, not asked for yet, and what no simulation reproduces."""
 RECORD = "item.json"
 """Written last into a study's folder: it is complete, or has failed and says how."""
 _SETTINGS = "settings.json"  # what all studies of a folder share
@@ -39,7 +39,7 @@ _SETTINGS = "settings.json"  # what all studies of a folder share
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceAllOptions:
-    """Remake every table and figure of the three papers, and set ours beside the papers' values.
+    """Reproduce every table and figure of the three papers, and compare with the papers' values.
 
     Writes a folder for each item, `index.html` (all of it on one page, self-contained),
     `side_by_side.md` and `results.json`. Interrupted and run again it resumes; an item
@@ -96,13 +96,13 @@ class StudyOutcome:
     """What came of a study."""
 
     study: Study
-    """What was to be remade."""
+    """What was to be reproduced."""
     state: _State
     """How it stands."""
     commands: tuple[str, ...] = ()
     """What remakes it, as one types it."""
     claims: tuple[Claim, ...] = ()
-    """The paper's numbers and ours."""
+    """The paper's numbers and the results."""
     cpu_s: float = 0.0
     """CPU time that it took, s; of the last part, if it was interrupted."""
     error: str = ""
@@ -191,7 +191,7 @@ def _shell(words: Sequence[str]) -> str:
 
 
 def outcome_of(options: ReproduceAllOptions, study: Study) -> StudyOutcome:
-    """How a study stands in its folder, without running anything."""
+    """State of a study in its folder, without running anything."""
     if study.missing:
         return StudyOutcome(study, "not remade")
     commands = tuple(step.command for step in steps_of(options, study))
@@ -276,7 +276,7 @@ def run_many(
 def reproduce_all(options: ReproduceAllOptions) -> tuple[str, bool]:
     """Remake what was asked for.
 
-    Returns what to print, and whether everything that was asked for was remade.
+    Returns what to print, and whether everything that was asked for was done.
 
     Raises:
         ValueError: the folder holds a run of other settings.
@@ -287,7 +287,7 @@ def reproduce_all(options: ReproduceAllOptions) -> tuple[str, bool]:
         studies = numbered_studies()
         width, lines = max(map(len, studies)), list[str]()
         for key, study in studies.items():
-            why = f" [not remade: {study.missing}]" if study.missing else ""
+            why = f" [not reproduced: {study.missing}]" if study.missing else ""
             lines.append(f"{key.ljust(width)}  {study.shows}{why}")
         return "\n".join(lines), True
     with claimed(options.out):
@@ -347,7 +347,7 @@ def _about(quick: bool) -> tuple[str, ...]:
         else "Sizes and counts as in the papers, where the text gives them."
     )
     return (
-        f"Every table and figure of three papers, remade by `swarm-envs reproduce all"
+        f"Every table and figure of three papers, reproduced by `swarm-envs reproduce all"
         f"{' --quick' if quick else ''}` (swarm-envs {__version__}). {how}",
         "Each number has a range that counts as the paper's. What lies "
         "outside is explained only if a known reason covers it, in its direction and so far; else "

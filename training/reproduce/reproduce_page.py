@@ -1,4 +1,4 @@
-"""The page: every item with the paper's values, ours, the reason, our pictures, the command."""
+"""The page: every item with the paper's values, results, reasons, pictures and commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from swarm_envs.training.reproduce.reproduce_all import StudyOutcome
 
 _STYLE = Path(__file__).with_name("page") / "side_by_side.css"
-_HEADS = ("quantity", "paper", "ours", "agrees if", "difference")
+_HEADS = ("quantity", "paper", "result", "agrees if", "difference")
 _SAID: dict[Agreement, str] = {
     "agrees": "agrees",
     "explained": "differs, explained",
@@ -86,7 +86,7 @@ def _item(outcome: StudyOutcome, out: Path) -> Iterator[str]:
     yield f'<section class="item" id="{escape(_anchor(outcome))}">'
     yield f"<h3>{escape(study.label)}: {_text(study.shows)}</h3>"
     if study.missing:
-        yield f'<p class="soft">Not remade: {_text(study.missing)}.</p>'
+        yield f'<p class="soft">Not reproduced: {_text(study.missing)}.</p>'
     elif outcome.state == "failed":
         yield f'<p class="failed">Failed: {escape(outcome.error)}</p>'
     elif outcome.state == "not run":
@@ -98,12 +98,12 @@ def _item(outcome: StudyOutcome, out: Path) -> Iterator[str]:
     if outcome.state == "done":
         for name in study.pictures:
             data = base64.b64encode((out / study.key / name).read_bytes()).decode("ascii")
-            says = f'alt="{escape(study.label)}, ours"'
+            says = f'alt="{escape(study.label)}, swarm-envs"'
             yield f'<img loading="lazy" {says} src="data:image/png;base64,{data}">'
     if outcome.commands:
         spent = f", {outcome.cpu_s:.0f} s of CPU time" if outcome.state == "done" else ""
         lines = "\n".join(escape(command) for command in outcome.commands)
-        yield f"<details open><summary>Remade by{spent}</summary><pre>{lines}</pre></details>"
+        yield f"<details open><summary>Reproduced by{spent}</summary><pre>{lines}</pre></details>"
     yield "</section>"
 
 
@@ -122,7 +122,7 @@ def _table(claims: Sequence[Claim]) -> Iterator[str]:
 
 
 def _cells(claim: Claim) -> tuple[str, str, str, str, str]:
-    """A claim as text: quantity, the paper's, ours with its spread, tolerance, what it comes to."""
+    """A claim as text: quantity, paper, result with its spread, tolerance, difference."""
     ours = format_quantity(claim.ours)
     if claim.spread is not None:
         low, high = map(format_quantity, claim.spread)
@@ -135,13 +135,13 @@ def markdown_page(outcomes: Sequence[StudyOutcome], about: Sequence[str]) -> str
     """The same numbers as a page in Markdown, without pictures and commands."""
     head = [line for paragraph in about for line in (paragraph, "")]
     lines = ["# Side by side", "", *head, *_count(outcomes), ""]
-    lines += ["| item | quantity | paper | ours | difference |", "|---|---|---|---|---|"]
+    lines += ["| item | quantity | paper | result | difference |", "|---|---|---|---|---|"]
     for outcome in outcomes:
         study = outcome.study
         key = f"{study.paper}, {study.label}"
         if not outcome.claims:
             said = outcome.error or outcome.state
-            said = f"not remade: {study.missing}" if study.missing else said
+            said = f"not reproduced: {study.missing}" if study.missing else said
             lines.append(_line((key, study.shows, "", "", said)))
         for claim in outcome.claims:
             quantity, paper, ours, _, said = _cells(claim)

@@ -1,4 +1,4 @@
-"""The figures of RTH3D, remade with this package's planners, and what they should show."""
+"""The figures of RTH3D, reproduced with this package's planners, and what they should show."""
 
 from __future__ import annotations
 

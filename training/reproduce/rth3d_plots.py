@@ -206,7 +206,7 @@ def _colors(instance: GridInstance, parts: int) -> FloatArray:
 
 
 def _plane(instance: GridInstance, points: Coordinates, colors: FloatArray) -> FloatArray:
-    """(m1, m2, 3) the middle plane seen from above, white where nobody is."""
+    """(m1, m2, 3) the middle plane seen from above, white where no robot is."""
     seen = np.ones((*instance.shape[:2], 3))
     there = points[:, 2] == instance.shape[2] // 2
     seen[points[there, 0], points[there, 1]] = colors[there]

@@ -45,7 +45,7 @@ class Report(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """A numbered table or figure of a paper, or a study beside it."""
+    """A numbered table or figure of a paper, or another study."""
 
     paper: str
     """As `swarm-envs reproduce` names it."""
@@ -56,12 +56,12 @@ class Study:
     label: str = ""
     """As the paper names it; `Fig. 3b` for `figure-3b` if not given."""
     missing: str = ""
-    """Why it cannot be remade in simulation; empty if it can."""
+    """Why it cannot be reproduced in simulation; empty if it can."""
     file: str = ""
     """Name of its files without suffix; `figure_3b` for `figure-3b`, `lag` for `study-lag` if not
     given."""
     takes: tuple[str, ...] | None = None
-    """Options that have a meaning for it, beside those of `StudyOptions`; None for all."""
+    """Options that have a meaning for it, besides those of `StudyOptions`; None for all."""
     check: Callable[[Any], object] = lambda options: None
     """Raises ValueError for options that contradict each other."""
     needs_torch: bool = False
@@ -81,7 +81,7 @@ class Study:
     pictures: tuple[str, ...] = ("*.png",)
     """Pictures that the page of `reproduce all` shows; `*` stands for `file`."""
     note: str = ""
-    """What a reader of that page must know beside the claims."""
+    """What a reader of that page must know besides the claims."""
     full: Mapping[str, Any] = field(default_factory=dict)
     """Options in `reproduce all` that are not the defaults."""
     quick: Mapping[str, Any] = field(default_factory=dict)
@@ -93,7 +93,7 @@ class Study:
         """Refuse a study that is half declared."""
         remade = self.report is not None or self.collects is not None
         if remade == bool(self.missing):
-            raise ValueError(f"{self.key}: say how it is remade, or why it is not, and not both")
+            raise ValueError(f"{self.key}: say how it is reproduced, or why not; not both")
         if self.numbered and remade and self.claims is None:
             raise ValueError(f"{self.key}: say which claims of the paper it is held against")
         kind, _, number = self.name.partition("-")

@@ -1,7 +1,7 @@
 """The networks of `swarm_envs.agents.networks` in torch, for every algorithm: what flies is a twin.
 
 Where every type of vehicle has a policy of its own, each type's trunk fills its own columns, one of
-them with ones, and zeros stand in the others: the linear layer behind them, which gives actions or
+them with ones, and the others have zeros: the linear layer behind them, which gives actions or
 values, then has weights and a bias for each.
 """
 

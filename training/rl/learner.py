@@ -262,7 +262,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
 
 
 def senses_of(config: RlConfig) -> tuple[int, bool, bool]:
-    """What a run's policy observes beside neighbors: M, and whether loads and forces."""
+    """What a run's policy observes besides neighbors: M, and whether loads and forces."""
     return config.num_obstacles, bool(config.observe_load), config.observe_force
 
 

@@ -2,7 +2,7 @@
 
 Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games", 2022: PPO whose
 critic, used in training alone, looks at what no drone senses. Of its suggestions here: a state of
-the team as each drone stands in it; and values in units of their own spread.
+the team from each drone's view; and values in units of their own spread.
 """
 
 from __future__ import annotations

@@ -415,7 +415,7 @@ def evaluate_policy(
         task: versioned name.
         layouts: of the task.
         seeds: of the episodes, the same on each layout.
-        options: of the environments, beside what the policy requires.
+        options: of the environments, besides what the policy requires.
         teams: options of each team that flies; of several each has its own averages, such as
             `random_8_success` of eight drones. With none the other options say who flies.
     """

@@ -49,7 +49,7 @@ class SacConfig:
     tau: Rate = 0.02
     """share by which target critics follow the critics at each gradient step"""
     ent_coef: Rate = 0.002
-    """weight of entropy beside reward at the start; it is learned. Far above what a decision's
+    """weight of entropy relative to reward at the start; it is learned. Far above what a decision's
     reward is, the policy is rewarded for jitter"""
 
 
@@ -157,7 +157,7 @@ class RlConfig(AirOptions, RunOptions):
     activation: Literal["tanh", "relu"] = "tanh"
     """what follows every hidden layer of the actor"""
     encoder: Literal["mlp", "deep-set", "attention"] = "mlp"
-    """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each beside
+    """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each with
     the drone's own numbers through a small network, then pooled; `attention`, the same, pooled by
     weights that are learned"""
     pooling: Literal["mean", "max", "sum", "max-sum"] = "mean"
@@ -178,7 +178,7 @@ class RlConfig(AirOptions, RunOptions):
     """least standard deviation of actions at its start"""
 
     horizon_s: Annotated[float, Range(0.2, 1000.0, unit="s")] | None = None
-    """the clock of training, s; the recipe's if not given: shorter than the task's, since failures
+    """time limit of training, s; the recipe's if not given: shorter than the task's, since failures
     come early; the time-out is bootstrapped"""
     action: Literal["acceleration", "velocity", "ctbr", "rotors"] = "acceleration"
     """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust

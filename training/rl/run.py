@@ -43,7 +43,7 @@ _EARLIER = {
 
 @dataclass
 class _Progress:
-    """Where a run stands: what its checkpoint holds beside tensors."""
+    """State of a run: what its checkpoint holds besides tensors."""
 
     config: dict[str, Any]
     rollouts: int

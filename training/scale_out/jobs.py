@@ -1,8 +1,8 @@
 """Pieces of work that may be done anywhere and twice, and who does them on this machine.
 
 A job is a function by name and arguments that JSON can say, and so is what it gives: it crosses
-processes and machines without a pickle of ours, and is the same wherever it was done. Whoever runs
-jobs keeps their results alone, in one process; workers that die take nothing with them.
+processes and machines without a pickle, and is the same wherever it was done. Only the
+process that hands out jobs keeps results; workers that die take nothing with them.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ class _Process:
         return self._process.returncode is not None
 
     def kill(self) -> None:
-        """End the process whatever it does: whoever waits for its answer gets none."""
+        """End the process whatever it does: no answer comes."""
         self._process.kill()
 
     def end(self) -> None:

@@ -7,7 +7,7 @@ and why:
   derivative instead of being a state of its own: f_k = fbar_k + A_k (x_k - xbar_k);
 - a held acceleration moves a robot by p' = p + dt (v + v') / 2, which (14) rounds to p + dt v;
 - the half-space of a pair points from the neighbour to the robot, and is taken at the closest
-  approach of each step, not only at knots, so that nobody passes through anybody between knots;
+  approach of each step, not only at knots, so that robots do not collide between knots;
 - forces are bounded half way between knots too, since they peak there as often as not; the
   neighbour's force is bounded absolutely as well, as (6) demands;
 - the effort of the neighbours, part of the sum of (6), is linearised: a robot that pushes another
@@ -160,7 +160,7 @@ def _half_spaces(
 
 @dataclass(frozen=True)
 class PenaltyWeights:
-    """Penalties of missed goals and bounds, beside the effort, the sum of ||u||^2."""
+    """Penalties of missed goals and bounds, relative to the effort, the sum of ||u||^2."""
 
     goal: float = 1000.0
     """lambda_1: per largest component (m or m/s) by which the goal state is missed."""
@@ -180,7 +180,7 @@ class SolverSettings:
     max_iterations: int = 1000
     """After which an inexact solution is taken, and reported as one."""
     rho: float = 30.0
-    """OSQP's step, kept constant: OSQP adapts it by the clock, and results would vary."""
+    """OSQP's step, kept constant: OSQP adapts it by elapsed time, and results would vary."""
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def plot_plan(
     unaware: SwarmPlan | None = None,
     model: InteractionModel | None = None,
 ) -> None:
-    """Draw a plan after stage 1 and after stage 2, and beside them one made without forces.
+    """Draw a plan after stage 1 and after stage 2, and a plan made without forces.
 
     Args:
         path: PNG, PDF or SVG to write.

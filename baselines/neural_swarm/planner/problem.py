@@ -202,7 +202,7 @@ class PlanningProblem:
         limit = self.bounds.force_bounds(self.team)
         alone = [hover_force(self.model, p[None], [v]) for p, v in zip(places, self.team)]
         together = hover_force(self.model, places, self.team)
-        for how, force in (("alone", np.concatenate(alone)), ("beside the others", together)):
+        for how, force in (("alone", np.concatenate(alone)), ("with the others", together)):
             excess = np.abs(force) - limit
             i = int(excess.argmax())
             if excess[i] > 0.0:

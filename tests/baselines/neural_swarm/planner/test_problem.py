@@ -74,7 +74,7 @@ def test_starts_and_goals_in_another_wake_are_refused():
         "goals": [[0, -1, 1], [0, 1, 1]],
         "team": "SS",
     }
-    with pytest.raises(ValueError, match=r"drone 1 \(S\) hovering beside the others at its start"):
+    with pytest.raises(ValueError, match=r"drone 1 \(S\) hovering with the others at its start"):
         problem(**below, model=load("learned"))
     problem(**below, model=FREE)
 
