@@ -267,7 +267,8 @@ class ComputeUnit:
         least = config.sampled_distance_m - _CONTRADICTION
         owner, paths = info.trackers.candidates(others)
         theirs = all_positions_from(paths, start, config)
-        near = least_distances(positions_from(own, start, config), theirs, config) < least
+        path = positions_from(own, start, config)
+        near = least_distances(path, theirs, config.inverse_scaling) < least
         if near.any() and info.membership.joining[drone]:
             return None
         void = info.void(round_)

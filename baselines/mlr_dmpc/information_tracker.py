@@ -33,7 +33,8 @@ class InformationTrackers:
     """Candidates of N drones at one compute unit (D_iw), in rows of C slots.
 
     `covering`: the candidates contain the true one (Lemma 1). `sole`: and there is no other.
-    `up_to_date`: and all units of the view that are up to date hold the same (Lemma 2).
+    All units of the view that have also heard a drone in the last round hold the same of it (Lemma
+    2).
     """
 
     def __init__(self, num_drones: int) -> None:
@@ -58,10 +59,6 @@ class InformationTrackers:
     def covering(self) -> BoolArray:
         """(N,) whether the true trajectory is among the candidates (Lemma 1)."""
         return np.asarray(self.located & ~self.lacking.any(axis=1))
-
-    def up_to_date(self, round_: int) -> BoolArray:
-        """(N,) whether the drone was heard in the last round and nothing is missing."""
-        return np.asarray((self.confirmed == round_ - 1) & self.covering)
 
     def sole(self, drone: int) -> Trajectory | None:
         """The one trajectory that the drone can fly, if that is known."""

@@ -7,11 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.unit_planner import MEASURES, TRIGGERS
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
-
-_MOST_UNITS = 254
 
 
 def checked_points(
@@ -44,26 +41,6 @@ def checked_points(
             "move them apart"
         )
     return array
-
-
-def checked_options(
-    compute_units: int, num_drones: int, trigger: str, recovery: bool | str, measure: str, seed: int
-) -> None:
-    """Refuse options that are none."""
-    check_integer("compute_units", compute_units, 1)
-    check_integer("seed", seed, 0)
-    if not 1 <= compute_units <= min(num_drones, _MOST_UNITS):
-        raise ValueError(
-            f"compute_units is {compute_units!r}, but must be 1 to {min(num_drones, _MOST_UNITS)}: "
-            f"there are {num_drones} drones, and each unit plans for another one"
-        )
-    for name, value, allowed in (
-        ("trigger", trigger, TRIGGERS),
-        ("recovery", recovery, (True, False, "paper")),
-        ("measure", measure, MEASURES),
-    ):
-        if value not in allowed:
-            raise ValueError(f"{name} is {value!r}, but must be one of {list(allowed)}")
 
 
 def checked_indices(

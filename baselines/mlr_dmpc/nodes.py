@@ -155,9 +155,9 @@ class SwarmNodes(ABC):
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> Any:
         """A compute unit that starts, or is back, in a round, with what it then knows."""
 
-    @abstractmethod
     def message_bytes(self, message: Any) -> int:
         """Bytes of a message in a compute unit's slot."""
+        return len(self.codec.pack(message))
 
     def send(
         self, k: int, targets: FloatArray, alive: Collection[int], present: Collection[int]
@@ -266,7 +266,3 @@ class RecoveryNodes(SwarmNodes):
             unit, self._view, options.num_units, targets, options.config, since
         )
         return ComputeUnit(information, Planner(options), self.codec, since)
-
-    def message_bytes(self, message: UnitMessage) -> int:
-        """Bytes of a message in a compute unit's slot."""
-        return len(self.codec.pack(message))

@@ -77,9 +77,7 @@ class PaperMessage(NamedTuple):
 class PaperDrone(Drone):
     """A drone that accepts whatever is newer, and answers who asks."""
 
-    def __init__(self, *args: object, **kwargs: object) -> None:
-        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
-        self._asked: tuple[int, ...] = ()
+    _asked: tuple[int, ...] = ()
 
     def answers(self, round_: int) -> dict[int, PaperMessage]:
         """Its trajectory, in the slots of those who asked in the last round, by slot."""

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from swarm_envs.arguments import Range, typed
+from swarm_envs.arguments import Count, Range, Seed, typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach
 from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
-from swarm_envs.baselines.mlr_dmpc.input_checks import (
-    checked_indices,
-    checked_options,
-    checked_points,
-)
+from swarm_envs.baselines.mlr_dmpc.input_checks import checked_indices, checked_points
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.nodes import RecoveryNodes, SwarmNodes
 from swarm_envs.baselines.mlr_dmpc.paper_protocol import PaperNodes, TrustingNodes
@@ -27,6 +23,7 @@ from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcSwarm"]
 
+_MOST_UNITS = 254  # messages name units in a byte
 _DEAF_PLANS = 20
 _SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
 
@@ -125,13 +122,13 @@ class MlrDmpcSwarm:
         targets: FloatArray,
         *,
         config: MlrDmpcConfig | None = None,
-        compute_units: int = 3,
-        trigger: str = "WT",
+        compute_units: Count = 3,
+        trigger: Literal["WT", "HT", "RR", "DT"] = "WT",
         loss: float | str | LossModel = 0.0,
-        recovery: bool | str = True,
-        seed: int = 0,
-        solver: str = "daqp",
-        measure: str = "end",
+        recovery: bool | Literal["paper"] = True,
+        seed: Seed = 0,
+        solver: Literal["daqp", "quadprog", "osqp"] = "daqp",
+        measure: Literal["end", "next"] = "end",
         informed: bool = True,
         outages: Sequence[UnitOutage] = (),
         joins: Mapping[int, int] | None = None,
@@ -143,7 +140,12 @@ class MlrDmpcSwarm:
         self.config = given.for_swarm(len(starts))
         self.targets = checked_points("targets", targets, self.config, len(starts))
         """(N, 3) where the drones are to go, m."""
-        checked_options(compute_units, len(starts), trigger, recovery, measure, seed)
+        if compute_units > min(len(starts), _MOST_UNITS):
+            raise ValueError(
+                f"compute_units is {compute_units}, but must be at most "
+                f"{min(len(starts), _MOST_UNITS)}: there are {len(starts)} drones, and each unit "
+                "plans for another one"
+            )
         self.round = 0
         """The round that comes next."""
         announce_compilation(out_of_reach)

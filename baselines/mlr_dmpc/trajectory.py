@@ -166,13 +166,9 @@ def is_at_rest(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> bo
     return round_ - trajectory.identity.start_round >= config.horizon_rounds
 
 
-def least_distances(one: FloatArray, others: FloatArray, config: MlrDmpcConfig) -> FloatArray:
-    """Least scaled distances (C,) of positions (S, 3) from others (C, S, 3), m."""
-    return _least_distances(one, others, config.inverse_scaling)
-
-
 @kernel
-def _least_distances(one: FloatArray, others: FloatArray, shrink: FloatArray) -> FloatArray:
+def least_distances(one: FloatArray, others: FloatArray, shrink: FloatArray) -> FloatArray:
+    """Least distances (C,) of positions (S, 3) from others (C, S, 3), by axis times `shrink`, m."""
     out = np.empty(len(others))
     for c in range(len(others)):
         least = np.inf

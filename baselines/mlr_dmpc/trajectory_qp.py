@@ -265,11 +265,11 @@ def _best(task: _Task, around: _Solution | None = None) -> _Solution:
         chosen = np.arange(len(neighbors.drone))
     else:
         path = sampled_positions(task.own, task.start_round, config)
-        near = least_distances(path, neighbors.positions, config) < near_m
+        near = least_distances(path, neighbors.positions, config.inverse_scaling) < near_m
         chosen = np.flatnonzero(near | neighbors.concurrent)
     while True:
         found = _solve(task, chosen, around)
-        apart = least_distances(found.path, neighbors.positions, config)
+        apart = least_distances(found.path, neighbors.positions, config.inverse_scaling)
         near = apart < near_m
         near[chosen] = False
         others = np.flatnonzero(near)  # they had no rows: nothing has kept the plan off them

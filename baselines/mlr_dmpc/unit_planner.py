@@ -187,11 +187,6 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.maximum(length, 1e-9)
 
 
-TRIGGERS = ("WT", "HT", "RR", "DT")
-"""Rules of who is planned next: ours, weighted; the paper's: hybrid, round robin, distance."""
-MEASURES = ("end", "next")
-"""From where distances to the target count: the plan's end, or the next round's position."""
-
 JUST_PLANNED = 0
 """Priority of a drone that has just been planned: it wins over the maximum."""
 DEADLOCKED = 1

@@ -264,7 +264,8 @@ class Flight:
                             f"round {round_}: unit {info.unit} does not know that drone {drone} "
                             f"flies {flown.identity} (Lemma 1)"
                         )
-                if trackers.up_to_date(round_)[drone] and lock == info.view.id:
+                heard = trackers.confirmed[drone] == round_ - 1 and trackers.covering[drone]
+                if heard and lock == info.view.id:
                     self.up_to_date += 1
                     mine = [one.identity for one in candidates]
                     other, theirs = equal.setdefault((info.view.id, drone), (info.unit, mine))

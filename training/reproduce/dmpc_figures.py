@@ -157,8 +157,8 @@ def _text(cells: Mapping[str, Cell]) -> str:
     """The numbers as text, with those of the public simulation."""
     lines = [("", "arrived", "median s", "theirs s", "least scaled m", "crashes")]
     for name, cell in cells.items():
-        times = median_total(cell), THEIRS.get(name)
-        median, known = ("-" if value is None else f"{value:.1f}" for value in times)
+        times = median_total(cell), THEIRS.get(name, np.nan)
+        median, known = ("-" if np.isnan(value) else f"{value:.1f}" for value in times)
         arrived = f"{cell['arrived']}/{len(cell['total_s'])}"
         least = f"{min(cell['least_scaled_distance_m']):.4f}"
         lines.append((name, arrived, median, known, least, str(cell["crashes"])))
@@ -222,12 +222,6 @@ def _formation_claims(numbers: Any, extent: Extent) -> list[Claim]:
     )
 
 
-def _total(cell: Cell) -> float:
-    """Median time to the last arrival, s; NaN if most did not arrive."""
-    median = median_total(cell)
-    return float("nan") if median is None else median
-
-
 def _time_claim(name: str, cell: Cell) -> Claim:
     totals = [total for total in cell["total_s"] if total is not None]
     faster = "their formations are others; and detours, deadlocks and selection differ"
@@ -235,7 +229,7 @@ def _time_claim(name: str, cell: Cell) -> Claim:
     return Claim(
         f"{name}: all four changes of formation, s",
         f"({THEIRS[name]:g})",
-        _total(cell),
+        median_total(cell),
         about(THEIRS[name], 0.2),
         (Reason(faster, Between(20.0)),),
         spread=(min(totals), max(totals)) if several else None,
@@ -261,7 +255,7 @@ def _distance_claim(where: str, *cells: Cell) -> Claim:
 def _unit_claims(numbers: Any, extent: Extent) -> list[Claim]:
     """More compute units are faster, and the second is worth more than the third."""
     cells = numbers["cells"]
-    one, two, three = (_total(cells[name]) for name in ("1 CU", "2 CUs", "3 CUs"))
+    one, two, three = (median_total(cells[name]) for name in ("1 CU", "2 CUs", "3 CUs"))
     saved = (one - two) / (two - three) if two != three else float("inf")
     paper = "the most significant improvement is from one to two"
     second = "time that the second unit saves over what the third saves"
@@ -282,7 +276,7 @@ def _trigger_claims(numbers: Any, extent: Extent) -> list[Claim]:
         "the medians are 26.3 s and 32.8 s, a ratio of 0.80"
     )
     slowest = int((rr > np.maximum(dt, ht)).sum())
-    ratio = _total(cells["DT"]) / _total(cells["HT"])
+    ratio = median_total(cells["DT"]) / median_total(cells["HT"])
     known = Reason(faster, Between(0.7, 0.9))
     return [
         *(_time_claim(name, cell) for name, cell in cells.items()),
@@ -327,7 +321,7 @@ def _jam_claims(numbers: Any, extent: Extent) -> list[Claim]:
     return [
         _distance_claim("our recovery", ours),
         _distance_claim("the paper's recovery", theirs),
-        *claims_of(stated, (min(none["least_scaled_distance_m"]), *shares, _total(ours))),
+        *claims_of(stated, (min(none["least_scaled_distance_m"]), *shares, median_total(ours))),
     ]
 
 

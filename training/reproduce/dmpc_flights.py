@@ -161,11 +161,11 @@ JAM_S = 2.0
 _COLORS = ("#0072B2", "#D55E00", "#009E73")
 
 
-def median_total(cell: Cell) -> float | None:
-    """Median of the times to the last arrival, s, if at least half arrived."""
+def median_total(cell: Cell) -> float:
+    """Median of the times to the last arrival, s; NaN unless at least half arrived."""
     totals = sorted(float("inf") if t is None else float(t) for t in cell["total_s"])
     middle = totals[(len(totals) - 1) // 2]
-    return None if middle == float("inf") else middle
+    return float("nan") if middle == float("inf") else middle
 
 
 def plot_formations(path: Path, places: Mapping[str, Any], box: Any) -> None:
@@ -198,7 +198,7 @@ def plot_sequence(
         distance = "Mean distance to the targets (m)"
         label_axis(left, "Dotted: all have arrived", "Time (s)", distance, legend=10)
         place = np.arange(len(cells))
-        ours = [median_total(cell) or 0.0 for cell in cells.values()]
+        ours = np.nan_to_num([median_total(cell) for cell in cells.values()])
         right.bar(place - 0.2, ours, 0.4, color=list(_COLORS[: len(cells)]), label="swarm-envs")
         known = [THEIRS.get(name, 0.0) for name in cells]
         right.bar(place + 0.2, known, 0.4, color="#C9CED4", label="public simulation")
@@ -236,10 +236,8 @@ def plot_losses(path: Path, cells: Mapping[str, Cell]) -> None:
         place = np.arange(len(LOSSES))
         for mode, color in zip(MODES, _COLORS, strict=True):
             row = [cells[f"{100 * loss:g} %, {mode}"] for loss in LOSSES]
-            total = [median_total(cell) for cell in row]
             least = [min(cell["least_scaled_distance_m"]) for cell in row]
-            arrived = np.array([np.nan if t is None else t for t in total])
-            left.plot(place, arrived, "o-", color=color, label=mode)
+            left.plot(place, [median_total(cell) for cell in row], "o-", color=color, label=mode)
             right.plot(place, least, "o-", color=color, label=mode)
         left.set(ylabel="Median time to the last arrival (s)", ylim=(0.0, None))
         left.set_title("No point: half or more of the runs do not arrive")

@@ -190,25 +190,18 @@ def run_study(study: Study, options: Any, progress: bool = True) -> tuple[dict[s
         settings = None if study.settings is None else study.settings(options)
         cells = run_cells(jobs, path, settings, study.label, progress)
     report = study.report(options, cells)
-    kept = settings is not None and path == options.out / f"{study.file}.json"
-    written = _write_report(options.out, study.file, report, kept)
+    written = [options.out / f"{study.file}.json"]
+    if report.table:
+        written.append(options.out / f"{study.file}.csv")
+        write_table(written[-1], report.table)
+    for file, write in report.files.items():
+        written.append(options.out / file)
+        write(written[-1])
+    if settings is None or path != written[0]:  # else it holds the cells
+        write_json(written[0], report.summary)
     if options.json is not None:
         write_json(options.json, report.summary)
     return report.summary, f"{report.text}\nwrote {', '.join(map(str, written))}"
-
-
-def _write_report(out: Path, name: str, report: Report, kept: bool) -> list[Path]:
-    """Write what a report holds, and give the files; `kept`: the JSON file holds the cells."""
-    files = [out / f"{name}.json"]
-    if report.table:
-        files.append(out / f"{name}.csv")
-        write_table(files[-1], report.table)
-    for file, write in report.files.items():
-        files.append(out / file)
-        write(files[-1])
-    if not kept:
-        write_json(files[0], report.summary)
-    return files
 
 
 def run_cells(

@@ -68,7 +68,7 @@ class Tracker:
         return bool(self.all.covering[1])
 
     def up_to_date(self, round_: int) -> bool:
-        return bool(self.all.up_to_date(round_)[1])
+        return bool(self.all.confirmed[1] == round_ - 1 and self.all.covering[1])
 
     def newest(self) -> Trajectory | None:
         assert self.all.newest()[2] is None
