@@ -175,16 +175,6 @@ def test_the_settings_and_the_caches_of_others_are_left_alone(package, tmp_path)
     assert kernels(tmp_path / "__pycache__") == cached
 
 
-def test_a_chosen_folder_is_used(package: Path, tmp_path: Path) -> None:
-    chosen = tmp_path / "chosen"
-    (chosen / "of_another").mkdir(parents=True)
-    assert run(package, NUMBA_CACHE_DIR=str(chosen))[0] == "8 8 0"
-    assert kernels(chosen)
-    assert not kernels(package)
-    assert run(package, NUMBA_CACHE_DIR=str(chosen)) == ("8 8 1", "")
-    assert (chosen / "of_another").is_dir()
-
-
 def test_a_read_only_installation_caches_with_the_user(package: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()

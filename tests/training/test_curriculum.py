@@ -16,9 +16,7 @@ from swarm_envs.training.collection.table import CollectedFlight as Flight
 from swarm_envs.training.curriculum import Closeness, CurriculumConfig, next_clearance
 from swarm_envs.training.curriculum import run as run_module
 from swarm_envs.training.curriculum.curriculum_config import (
-    STAGES,
     Stage,
-    adds_drones,
     collection_config,
 )
 from swarm_envs.training.curriculum.curriculum_report import (
@@ -94,14 +92,6 @@ def test_gap_errors_are_a_quantile_of_the_swaps():
         synthetic(f"SS-swap-{k:03d}", np.full(120, 0.3 - 0.001 * k), 0.3, 0.0) for k in range(21)
     ]
     assert measure_closeness(flights, 1.0).gap_error_m == pytest.approx(0.019)
-
-
-def test_the_first_round_is_not_compensated_and_has_at_most_two_drones():
-    first, *later = STAGES
-    assert not first.compensated and max(map(len, first.teams)) == 2
-    assert all(stage.compensated for stage in later)
-    assert {len(team) for stage in later for team in stage.teams} == {2, 3}
-    assert [adds_drones(STAGES, k) for k in range(1, 6)] == [True, False, True, False, False]
 
 
 def test_swaps_keep_the_clearance_that_was_planned():

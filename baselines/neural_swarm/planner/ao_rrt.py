@@ -32,7 +32,6 @@ from swarm_envs.state import FloatArray
 
 Stop = Literal["iterations", "no improvement", "time limit"]
 """Why a search ended."""
-"""How a robot that arrived flies on to the common end of the plan."""
 
 _SHARE = Range(0.0, 1.0)
 _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early

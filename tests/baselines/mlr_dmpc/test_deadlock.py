@@ -136,9 +136,3 @@ def test_places_are_in_the_box_and_depend_on_the_seed_alone():
     assert np.array_equal(places[0], places[1]) and not np.array_equal(places[0], places[2])
     used = places[0][np.any(places[0] != 0.0, axis=1)]
     assert (used >= np.array(box[0])).all() and (used <= np.array(box[1])).all()
-
-
-def test_nobody_makes_room_where_all_can_fly():
-    swarm = snapshot([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]], [[1.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
-    detours = next_detours(no_detours(2), swarm, 20, CONFIG, np.random.default_rng(0))
-    assert (detours.for_whom == NOBODY).all()

@@ -227,12 +227,6 @@ def test_bursts_last_as_long_as_their_model_says():
     assert bad.sum() / len(starts) == pytest.approx(5.0, rel=0.2)
 
 
-def test_the_blackout_preset_makes_units_deaf_for_ten_rounds():
-    process = LossProcess(PRESETS["blackout"], 2, 2, seed=0)
-    assert not process.arrivals(9)[:2, 2:].any() and process.arrivals(9)[:, :2].all()
-    assert process.arrivals(10).all()
-
-
 @pytest.mark.parametrize(
     ("make", "reason"),
     [

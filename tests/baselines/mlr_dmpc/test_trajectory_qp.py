@@ -24,7 +24,6 @@ from tests.helpers.mlr_rounds import (
     arrival_time,
     keep_clear,
     neighbors_of,
-    no_neighbors,
     scattered,
     settled,
     situation,
@@ -197,14 +196,6 @@ def test_what_a_plan_breaks_is_named():
     assert with_jerk(np.full((15, 3), np.nan)) != ACCEPTED
 
 
-def test_a_drone_alone_arrives_and_stays():
-    target = np.array([0.4, 0.3, 1.2])
-    own = hover(np.array([-0.4, 0.0, 1.0]), 15, 0.2)
-    for k in range(12):
-        own = plan_trajectory(own, k + 1, 0, no_neighbors(CONFIG), target, CONFIG).trajectory
-    assert np.allclose(own.positions(np.array([3.0])), target, atol=1e-3)
-
-
 @pytest.mark.parametrize("offset", [0.0, 1e-3, -1e-3, 0.04, -0.04])
 def test_two_head_on_pass_each_other_on_the_right(offset):
     """Also if they begin a little to the left of each other."""
@@ -238,9 +229,3 @@ def test_none_of_200_random_swarms_ends_in_a_deadlock():
         if not arrival_time(swarm, 60.0, keep_clear) <= 60.0:
             late.append(seed)
     assert not late
-
-
-def test_finer_sampling_is_obeyed():
-    fine = replace(CONFIG, collision_sampling_s=0.05)
-    swarm = MlrDmpcSwarm(*circle_swap(4, 0.5, 1.0), config=fine, compute_units=2)
-    assert arrival_time(swarm, 15.0, keep_clear) < 15.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from swarm_envs.baselines.neural_swarm import PlanningBounds, SwarmPlan, plan_swarm
+from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories, plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
 from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
@@ -143,7 +143,6 @@ def test_out_of_time_is_the_best_so_far_and_says_so() -> None:
         ({"time_limit": 0.0}, "time_limit is 0"),
         ({"dt": 0.05}, "initial.dt is 0.1 s, but dt is 0.05"),
         ({"max_duration": 2.0}, "initial has 30 steps"),
-        ({"bounds": PlanningBounds(upper=(2.0, 0.5, 2.5))}, "outside the box"),
     ],
 )
 def test_bad_input_is_refused_before_planning(change: dict[str, object], said: str) -> None:
