@@ -31,9 +31,8 @@ terminated by success and truncated after 6 s in `stack` and 2 s in `sprint`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, Interval, OneOf, typed_options
 from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
@@ -57,10 +56,8 @@ class ColumnsOptions(AirTaskOptions):
     payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] | None = None
     """Range of the payload of half of each column's drones, kg; None: the layout's."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    """Weight of each reward term that is not given."""
-    task_type: ClassVar[type[ColumnsTask]] = ColumnsTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = ColumnsTask
 
     @property
     def vehicles(self) -> Team:

@@ -32,9 +32,8 @@ truncated after 30 s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
@@ -59,9 +58,8 @@ class CrowdOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    task_type: ClassVar[type[CrowdTask]] = CrowdTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = CrowdTask
 
 
 blueprint, parallel_env, env = task_views(CrowdOptions)

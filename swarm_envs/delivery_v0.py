@@ -31,9 +31,7 @@ terminated by success and truncated after 6.6 s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
@@ -50,10 +48,8 @@ class DeliveryOptions(AirTaskOptions):
     num_drones: NumDrones = 7
     """N drones, at most 9, if no team is given: three couriers, the others hover."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    """Weight of each reward term that is not given."""
-    task_type: ClassVar[type[DeliveryTask]] = DeliveryTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = DeliveryTask
 
     @property
     def vehicles(self) -> Team:

@@ -10,10 +10,8 @@ of the tracking controller is bounded by 0.05 m. Use this version to compare wit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import ClassVar
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import task_views
@@ -39,9 +37,7 @@ class FormationV0Options(FormationOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
-    default_weights: ClassVar[Mapping[str, float]] = MappingProxyType(
-        {**REWARD_WEIGHTS, "at_goal": 2.0}
-    )
+    default_weights = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
     task_type = FormationTaskV0
 
 

@@ -37,7 +37,7 @@ and rewards of release 0.1.0.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -75,7 +75,7 @@ class FormationOptions(TaskOptions):
     """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
     turned."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
+    default_weights = REWARD_WEIGHTS
     task_type: ClassVar[type[FormationTask]] = FormationTask
     """What `make_task` makes."""
 

@@ -33,9 +33,8 @@ terminated by success and truncated after 30 s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed_options
 from swarm_envs.envs.config import WORLDS
@@ -62,9 +61,8 @@ class GatesOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    task_type: ClassVar[type[GatesTask]] = GatesTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = GatesTask
 
     def make_task(self) -> Task:
         """Gates as these options say."""

@@ -30,9 +30,8 @@ truncated after 20 s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
@@ -59,9 +58,8 @@ class PursuitOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    task_type: ClassVar[type[PursuitTask]] = PursuitTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = PursuitTask
 
 
 blueprint, parallel_env, env = task_views(PursuitOptions)

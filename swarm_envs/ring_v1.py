@@ -32,9 +32,7 @@ and rewards of release 0.1.0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
@@ -57,9 +55,8 @@ class RingOptions(TaskOptions):
         """The team: as given, else that of the paper."""
         return ring_team(self.num_drones) if self.team is None else super().vehicles
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    task_type: ClassVar[type[RingTask]] = RingTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = RingTask
 
 
 blueprint, parallel_env, env = task_views(RingOptions)

@@ -44,9 +44,7 @@ and rewards of release 0.1.0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
@@ -67,9 +65,8 @@ class SwapOptions(TaskOptions):
     circle: CircleLayout | None = None
     """Size of the circle layout."""
 
-    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
-    task_type: ClassVar[type[SwapTask]] = SwapTask
-    """What `make_task` makes."""
+    default_weights = REWARD_WEIGHTS
+    task_type = SwapTask
 
 
 blueprint, parallel_env, env = task_views(SwapOptions)
