@@ -121,15 +121,14 @@ class PaperUnit:
 
     Ambiguities as in the public code: no match of metadata deprecates; an answer in a unit's slot
     counts as that unit's message; all units ask for the lowest number first.
-
-    It starts with candidates D_iw(0) by drone, empty where nothing is known, and targets (N, 3).
     """
 
     unit: int
     candidates: list[dict[Identity, Trajectory]]
+    """D_iw by drone, at the start empty where nothing is known."""
     targets: FloatArray
+    """(N, 3) m, as last heard."""
     planner: Planner
-    num_units: int
     report: UnitRound = field(init=False)
     """What the unit did in the last round."""
     state: _UnitState = _UnitState.REQUEST_TRAJECTORY
@@ -182,7 +181,7 @@ class PaperUnit:
                 self.candidates[drone] = {identity: match}
         if any(len(known) > 1 for known in self.candidates):
             self._deprecate_all()
-        if len(inbox.slots) != self.num_units:
+        if len(inbox.slots) != self.planner.options.num_units:
             self._deprecate_all()
         for message in inbox.slots.values():
             if message.trajectory is not None:
@@ -203,8 +202,8 @@ class PaperUnit:
         if heard:
             first = np.array(heard[0], dtype=np.int64)
             joint = consensus(first, [dict(enumerate(levels)) for levels in heard[1:]])
-        chosen = rank_by_priority(joint, round_)[: self.num_units]
-        drone = chosen[(round_ + self.unit) % self.num_units]
+        chosen = rank_by_priority(joint, round_)[: self.planner.options.num_units]
+        drone = chosen[(round_ + self.unit) % self.planner.options.num_units]
         if len(self.candidates[drone]) != 1:
             self.report.doing = "several own"
             return message
@@ -272,8 +271,7 @@ class PaperNodes(SwarmNodes):
         self, kind: type[PaperUnit], unit: int, targets: FloatArray, known: list[Trajectory]
     ) -> PaperUnit:
         candidates = [{one.identity: one} for one in known] or [{} for _ in targets]
-        planner = Planner(self.options)
-        return kind(unit, candidates, targets.copy(), planner, self.options.num_units)
+        return kind(unit, candidates, targets.copy(), Planner(self.options))
 
     def message_bytes(self, message: PaperMessage) -> int:
         """Bytes of a message in a compute unit's slot."""

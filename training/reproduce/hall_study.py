@@ -31,14 +31,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
-from swarm_envs.training.reproduce.study import (
-    Cell,
-    Cells,
-    Report,
-    Study,
-    draw_seeds,
-    error_cell,
-)
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
 from swarm_envs.viewing.style import picture
 
 TEAM, RING = "L2S", "ring of 5"
