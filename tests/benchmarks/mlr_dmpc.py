@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -36,7 +36,7 @@ def box_of(n: int, planes: Planes) -> MlrDmpcConfig:
     return MlrDmpcConfig(box=((-half, -half, 0.3), (half, half, 3.0)), planes=planes)
 
 
-def plan_row(n: int, plans: int, solver: str, planes: Planes) -> Row:
+def plan_row(n: int, plans: int, solver: Any, planes: Planes) -> Row:
     """Trajectories of n drones on their way between random places."""
     config, rng = box_of(n, planes), np.random.default_rng(n)
     starts, targets = scattered(n, config, rng), scattered(n, config, rng)

@@ -44,8 +44,8 @@ class Trouble:
     leaves: tuple[tuple[int, int], ...] = ()  # drones that leave, and when
     informed: bool = True
     rounds: int = 40
-    recovery: bool | str = True
-    trigger: str = "WT"
+    recovery: Any = True
+    trigger: Any = "WT"
 
     @staticmethod
     def drawn(seed: int, **changes: Any) -> Trouble:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = ["PlanColumn", "draw_columns"]
+
 _AXES = "xyz"
 _METRES_PER_GRAM = 0.03  # length of a force's arrow
 _VISIBLE_G = 0.5  # weaker forces get no arrow

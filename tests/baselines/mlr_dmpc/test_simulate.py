@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -45,7 +47,7 @@ def test_six_drones_change_places(trouble):
 def test_the_paper_needs_65_rounds_to_learn_sixteen_drones_and_this_one_a_round():
     points, targets = circle_swap(16, 1.5, 1.0)
 
-    def rounds_until_planned(recovery: bool | str) -> int:
+    def rounds_until_planned(recovery: Any) -> int:
         swarm = MlrDmpcSwarm(points, targets, recovery=recovery, informed=False)
         for k in range(80):
             if any(unit.planned for unit in swarm.run_round().units):
