@@ -26,7 +26,7 @@ from swarm_envs.errors import unknown_name
 from tests.helpers.browsers import OVERFLOW, PATIENCE_MS, chromium
 from tests.helpers.imports import OUTER, ROOT, SOURCES, files_below
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
-from tests.helpers.vocabulary import EVERYWHERE, PAGES_ONLY, found_in, prose_of
+from tests.helpers.vocabulary import EVERYWHERE, READ, found_in, prose_of
 
 WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
 _BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -270,7 +270,7 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
 def test_words_that_the_field_does_not_use_are_found_with_their_lines():
     text = "One line.\nThe run goes\non, and is\ndrawn anew.\n"
     assert [found[:2] for found in found_in(text, EVERYWHERE)] == [(3, "anew"), (1, "goes on")]
-    assert all(re.compile(phrase) and usual for phrase, usual in (EVERYWHERE | PAGES_ONLY).items())
+    assert all(re.compile(phrase) and usual for phrase, usual in (EVERYWHERE | READ).items())
 
 
 def test_code_on_pages_is_no_prose(tmp_path):

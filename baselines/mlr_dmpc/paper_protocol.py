@@ -1,6 +1,6 @@
 """The paper's own protocol: Algorithms 1 and 2 to the letter; and the one that ignores loss.
 
-Drones and compute units that speak one protocol: ours, or the paper's.
+Drones and compute units that use one protocol: this package's, or the paper's.
 """
 
 from __future__ import annotations

@@ -100,8 +100,8 @@ class MlrDmpcSwarm:
         compute_units: M, at most as many as drones.
         trigger: who is planned next: `WT`, or the published `HT`, `RR` or `DT` (Appendix A).
         loss: share of messages lost, a preset's name or a model.
-        recovery: True: ours; "paper": Algorithms 1 and 2 to the letter; False: loss is ignored, and
-            drones collide.
+        recovery: True: by trackers; "paper": Algorithms 1 and 2 to the letter; False: loss is
+            ignored, and drones collide.
         seed: of losses and detours: the same seed gives the same flight.
         solver: `daqp`, `quadprog` or `osqp`.
         measure: of priorities, `end` or `next` (A2).

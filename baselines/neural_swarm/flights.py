@@ -1,7 +1,7 @@
 """Flight tests: references, a controller and a force that it may not know; statistics of flights.
 
 `run_flights` flies one case for many seeds: the compiled engine all of them at once, Bullet one
-after another with the same result. A `FlightTest` says who flies, how close and in which forces,
+after another with the same result. A `FlightTest` has the team, its references and the forces,
 its `ControllerConfig` which force is compensated, with which gains and filters.
 
 Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.

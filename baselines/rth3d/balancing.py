@@ -3,7 +3,7 @@
 The robots are one flow over a few time steps ([51] of the paper): every vertex at every step is a
 node through which one unit may pass, and the slots at the last step are sinks. A maximum flow that
 takes in all robots is a plan whose makespan is the least there is. It depends on the *set* of
-starts alone, so that equal sets are balanced alike, whoever stands where.
+starts alone, so that equal sets are balanced alike.
 """
 
 from __future__ import annotations

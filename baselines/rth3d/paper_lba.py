@@ -4,8 +4,8 @@ Matchings: for one height after another, a perfect matching of columns and colou
 shift is the least among the items that are left (eq. 1); then the matchings are assigned to heights
 so that their largest shift is the least (eq. 2). Both are linear bottleneck assignments.
 
-Balancing: a flow of the least cost from robots to slots, an edge costing one. Whoever stands where
-it leads on follows it: robots have no labels here, and because the flow has no rings, none waits
+Balancing: a flow of the least cost from robots to slots, an edge costing one. Robots follow its
+edges from vertex to vertex: they have no labels here, and because the flow has no rings, none waits
 for ever (Yu and LaValle, "Distance Optimal Formation Control on Graphs with a Tight Convergence
 Time Guarantee", CDC 2012, [53] of the paper).
 """

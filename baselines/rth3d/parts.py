@@ -71,7 +71,7 @@ def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
         if len(wrong):
             shape = "line" if len(ends) else "ring"
             raise NoPlanExists(
-                f"no plan exists: on a {shape} of {len(line)} vertices nobody can pass anybody, "
+                f"no plan exists: on a {shape} of {len(line)} vertices robots cannot pass, "
                 f"but robots {first[wrong[0]]} and {last[wrong[0]]} would have to; give them goals "
                 "in the order of their starts"
             )

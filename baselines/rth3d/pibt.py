@@ -1,7 +1,7 @@
 """Priority inheritance with backtracking (PIBT), the priorities by slack.
 
 In every step each robot, the most urgent first, takes the neighbouring vertex nearest to its goal
-that nobody has taken; who stands there is asked to leave first, with the asker's priority, and
+that no robot has taken; a robot there is asked to leave first, with the asker's priority, and
 leaves to the side rather than along the asker's way. Urgent is who has far to go and has long not
 been at its goal. There is no guarantee that all ever arrive.
 """

@@ -8,7 +8,7 @@ The paper's grid is m1 >= m2 >= m3, each a multiple of 3. Here any axis may be t
 or the high one. The plane of the first two is cut into cells of 3 x 3 vertices; what is left over
 at the far edge of a side that is no multiple of 3 holds robots only before and after the shuffles.
 A *slot* is a vertex in the middle column (x = 3i + 1) of a cell, three to a cell and plane: robots
-between shuffles stand in slots, so that each has free lanes on both sides. Where an obstacle stands
+between shuffles are on slots, so that each has free lanes on both sides. With an obstacle
 in the middle of a cell, the whole row y = 3j + 1 has no slots.
 
 Where goals are the starts reflected (rings and mirrors, Sec. V-C), both sides are balanced alike,

@@ -215,7 +215,7 @@ def ring_team(num_drones: int) -> Team:
 @typed
 @dataclass(frozen=True)
 class RingTask(Task):
-    """Keep to a reference on intertwined rings. See the module for who flies where."""
+    """Keep to a reference on intertwined rings. See the module for teams and rings."""
 
     team: Team
     """The drones."""

@@ -161,7 +161,7 @@ class Recorder:
     """Records an episode: give it to `fly_episode` as `watch`, or call `take` yourself.
 
     Args:
-        agent: who flies, for the record.
+        agent: name of the agent, for the record.
         seed: of the episode, for the record.
     """
 

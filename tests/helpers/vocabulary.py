@@ -1,8 +1,9 @@
 """Words that the docs, docstrings and messages do not use, each with the usual term.
 
 `python -m tests.helpers.vocabulary`, part of `make lint`, prints every place and fails if there is
-one. A phrase in `EVERYWHERE` is refused in pages, docstrings and messages, one in `PAGES_ONLY` in
-pages.
+one. A phrase in `EVERYWHERE` is refused in all strings of the package, one in `READ` in what users
+read: pages with comments of their code, generated pages, model cards, assignments, messages, the
+help of commands, and docstrings of modules and of the names that they offer.
 """
 
 from __future__ import annotations
@@ -14,13 +15,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from tests.helpers.imports import ROOT, SOURCES
-from tests.helpers.pages import PAGES
+from tests.helpers.pages import GENERATED, PAGES
 
 EVERYWHERE = {
     r"\banew\b": "again, or a verb: resample, restart, rewrite",
     r"\b(?:goes|going|went) on\b": "continues; of a command: resumes",
     r"\bcalled again, it\b": "run again, it",
-    r"\bcompiled twin\b": "compiled engine",
     r"\b(?:trembl\w+)\b": "jitter",
     r"\bpaid for\b": "rewarded for, or penalized for",
     r"\bcounted by time\b": "multiplied by the step duration",
@@ -32,7 +32,7 @@ EVERYWHERE = {
     r"\bbooleans are none\b": "booleans are refused",
 }
 """Phrases that are refused everywhere, and what Gymnasium, Stable-Baselines3 or MuJoCo say."""
-PAGES_ONLY = {
+READ = {
     r"\bnobody\b": "no drone, no agent",
     r"\bwhoever\b": "the agent that, the user who",
     r"\bours\b": "swarm-envs, this package",
@@ -51,9 +51,21 @@ PAGES_ONLY = {
     r"\bthe clock\b": "the time limit",
     r"\bpasses over\b": "epochs",
     r"\bstrangers?\b": "users, unknown types",
+    r"\blest\b": "so that ... not",
+    r"\bwishe[sd]\b|\bwish\b": "request, set",
+    r"\bwho flies\b": "the agent",
+    r"\bcompiled twin\b|\btwin engine\b": "compiled engine",
 }
-"""Phrases that are refused in pages and help texts as well."""
-_PROOF = ROOT / "docs" / "mlr-dmpc" / "proof.md"  # its words are those of mathematics
+"""Phrases that are refused in what users read as well."""
+WRITTEN = [
+    *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")),
+    *(page for page in PAGES if page.name != "proof.md"),  # whose words are those of mathematics
+    *sorted(GENERATED.glob("*.md")),
+    *sorted(ROOT.glob("swarm_envs/*/weights/MODEL_CARD.md")),
+    *sorted(ROOT.glob("*/**/weights/MODEL_CARD.md")),
+    *sorted((ROOT / "swarm_envs" / "assignments").glob("*/README.md")),
+]
+"""Every text that users read; of the changelog, the versions from 0.2.0 on."""
 _FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -65,23 +77,55 @@ def found_in(text: str, words: Mapping[str, str]) -> Iterator[tuple[int, str, st
 
 
 def prose_of(page: Path) -> str:
-    """A page with its code blanked, so that lines keep their numbers."""
+    """A page with the code in its blocks blanked, but for comments; lines keep their numbers."""
     text = page.read_text(encoding="utf-8")
-    return _FENCE.sub(lambda block: "\n" * block[0].count("\n"), text)
+    return _FENCE.sub(lambda block: "\n".join(map(_comment, block[0].split("\n"))), text)
+
+
+def _comment(line: str) -> str:
+    found = re.search(r"(?:^|\s)#\s.*|\"\"\".*|/\*.*", line)
+    return found[0] if found else ""
+
+
+def read_by_users(file: Path) -> Iterator[tuple[int, str]]:
+    """Texts of a module that users read, with their first lines: its docstring and messages.
+
+    Those of names that it offers, and of options, which are the help of commands, too.
+    """
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    listed = {"__all__"}
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            listed |= set(ast.literal_eval(node.value))
+    for node in tree.body:
+        name = getattr(node, "name", "")
+        shown = name in listed or re.search("(Options|Fields|Config)$", name)
+        parts = [node] if node is tree.body[0] or shown else filter(_is_raise, ast.walk(node))
+        for part in parts:
+            for text in ast.walk(part):
+                if isinstance(text, ast.Constant) and " " in str(text.value):
+                    yield text.lineno, str(text.value)
+
+
+def _is_raise(node: ast.AST) -> bool:
+    return isinstance(node, ast.Raise)
 
 
 def places() -> Iterator[str]:
     """Every place in pages, docstrings and messages, as `file:line: 'phrase'; usual: term`."""
-    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES):
-        if page != _PROOF:
-            for line, phrase, usual in found_in(prose_of(page), EVERYWHERE | PAGES_ONLY):
-                yield f"{page.relative_to(ROOT)}:{line + 1}: {phrase!r}; usual: {usual}"
+    texts: list[tuple[Path, int, str, Mapping[str, str]]] = []
+    for page in WRITTEN:
+        text = prose_of(page)
+        text = text.partition("\n## 0.1.0")[0] if page.name == "CHANGELOG.md" else text
+        texts.append((page, 1, text, EVERYWHERE | READ))
     for file in SOURCES.values():
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                for line, phrase, usual in found_in(node.value, EVERYWHERE):
-                    where = f"{file.relative_to(ROOT)}:{node.lineno + line}"
-                    yield f"{where}: {phrase!r}; usual: {usual}"
+                texts.append((file, node.lineno, node.value, EVERYWHERE))
+        texts += ((file, first, text, READ) for first, text in read_by_users(file))
+    for file, first, text, words in texts:
+        for line, phrase, usual in found_in(text, words):
+            yield f"{file.relative_to(ROOT)}:{first + line}: {phrase!r}; usual: {usual}"
 
 
 def main() -> int:

@@ -47,7 +47,7 @@ class CollectionConfig:
     """A collection of flights. The same configuration gives the same logs, to the last bit."""
 
     teams: tuple[str, ...] = ("S", "L", "SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
-    """who flies together; each drone is in turn the one that feels the force, so that `SL` gives
+    """vehicles of each team; each drone is in turn the one that feels the force, so that `SL` gives
     the scenarios L2S and S2L"""
     walks: Flights = 5
     """flights per team that walk at random aloft"""

@@ -112,7 +112,7 @@ class CurriculumConfig:
     episodes: Count = 20
     """unseen swaps of each team on which the models are evaluated"""
     stages: tyro.conf.Suppress[tuple[Stage, ...]] = STAGES
-    """who flies in each round"""
+    """teams of each round"""
     unseen_teams: tyro.conf.Suppress[tuple[str, ...]] = UNSEEN_TEAMS
     """whose swaps the models are evaluated on"""
     label: Label = "differentiated"

@@ -411,13 +411,13 @@ def evaluate_policy(
     """Averages of the recipe's measures on each layout, such as `random_success`.
 
     Args:
-        policy: who flies.
+        policy: what is evaluated.
         task: versioned name.
         layouts: of the task.
         seeds: of the episodes, the same on each layout.
         options: of the environments, besides what the policy requires.
         teams: options of each team that flies; of several each has its own averages, such as
-            `random_8_success` of eight drones. With none the other options say who flies.
+            `random_8_success` of eight drones. With none the other options give the team.
     """
     agent, recipe, found = PolicyAgent(policy), recipe_of(task), {}
     for team, layout in product(teams or ({},), layouts):

@@ -1,4 +1,4 @@
-"""Episodes of agents, flown by whoever is there: each is kept once, and is as if flown here.
+"""Episodes of agents by any workers: each is kept once, and is as if flown here.
 
 Workers fly chunks of seeds and give their episodes back; only the driver keeps any. A chunk that
 takes long gives what it has, and the rest is handed out again, so that little is lost by a kill.
@@ -84,7 +84,7 @@ class EvaluationSpec:
     """An agent on a task: what is to be flown."""
 
     record: AgentEpisodes
-    """who flies; what comes out is in it"""
+    """the agent; the results are in it"""
     task: str
     """versioned name"""
     setting: Mapping[str, Any]
@@ -112,7 +112,7 @@ def evaluate_distributed(
 
     Args:
         specs: their agents are changed: what came out is in them. Begun in this order.
-        workers: who flies.
+        workers: what runs the jobs.
         on_episode: called with each new episode, once it is kept.
 
     Raises:

@@ -1,6 +1,6 @@
 """`scores.json` as the report reads it: agents on tasks, and what they add up to.
 
-`standings.scores_of` writes the file and says what stands in it. Agents, cells, aggregates and
+`standings.scores_of` writes the file and describes it. Agents, cells, aggregates and
 profiles are read as they stand there.
 """
 

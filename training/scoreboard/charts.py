@@ -1,6 +1,6 @@
 """The charts of the scoreboard's page: performance profiles, and score over compute.
 
-Matplotlib draws them as SVG that stands in the page. They need no JavaScript and have the page's
+Matplotlib draws them as SVG in the page. They need no JavaScript and have the page's
 own colours, light or dark. What belongs to an agent is in groups with its name, so that a script
 can bring it out.
 """

@@ -1,4 +1,4 @@
-"""What a benchmark's folder was made by: options, versions, machine; and whether they are ours."""
+"""What a benchmark's folder was made by: options, versions, machine; and whether they match."""
 
 from __future__ import annotations
 

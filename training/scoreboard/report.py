@@ -1,7 +1,7 @@
 """The scoreboard as one HTML page that needs no server and no network.
 
 It is whole without JavaScript: the script only sorts, filters, and puts one metric in the place
-of another, out of numbers that stand in the page. A policy in its head forbids it to fetch
+of another, out of numbers in the page. A policy in its head forbids it to fetch
 anything, and any script but its own to run.
 """
 

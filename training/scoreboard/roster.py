@@ -1,4 +1,4 @@
-"""Who flies in the benchmark: every agent that ships, and behind a safety filter who gains by it.
+"""Agents of the benchmark: every included one, and behind a safety filter who gains by it.
 
 How many of a task's episodes an agent flies follows from what it costs, and is frozen here: all
 agents on all tasks take less than an hour on two processors.

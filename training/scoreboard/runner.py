@@ -2,7 +2,7 @@
 
 `fly_benchmark` flies what is missing and writes `manifest.json`, `episodes.parquet`,
 `timing.parquet` and `scores.json` into a folder. But for times, the results follow from the config
-alone, however often the run was killed and whoever flew: `episodes.parquet` is the same to the
+alone, however often the run was killed, and on any workers: `episodes.parquet` is the same to the
 byte.
 """
 

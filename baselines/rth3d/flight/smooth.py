@@ -315,7 +315,7 @@ class SmoothingConfig:
     rounds: Count = 5
     """How often."""
     jerk_weight: Annotated[float, NOT_NEGATIVE] = 1.0
-    """Of squared third differences, beside squared second differences."""
+    """Of squared third differences, relative to squared second differences."""
     speed: Annotated[float, POSITIVE] = 2.0
     """Largest speed by axis for the time a step takes at the end, m/s."""
     acceleration: Annotated[float, POSITIVE] = 5.0

@@ -1,4 +1,4 @@
-"""What ships, recognised in a work: by its weights, its source, and by what it does."""
+"""Included agents, recognised in a submission: by its weights, its source, and by what it does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strangers' words in the grader's output: short, without control characters, no formulas."""
+"""Submissions' messages in the grader's output: short, without control characters, no formulas."""
 
 from __future__ import annotations
 
