@@ -30,6 +30,7 @@ def test_what_a_changed_model_made_is_stale_and_so_is_what_that_made(record):
     found = stale.stale()
     assert found["belief"] == [stale.LEARNED]
     assert stale.BELIEF in found["figure-8"]  # the belief itself is stale
+    assert {stale.LEARNED, stale.BELIEF} == {*found["benchmark"]} - {*stale.POLICIES}
     assert "belief-wake" not in found
     stale.record(list(found))
     assert stale.stale() == {}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v0, swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.features import goal_features
 from swarm_envs.agents.networks import plain
@@ -22,7 +23,7 @@ import torch
 from ray.tune.registry import register_env
 
 from examples import rllib_ppo
-from examples.rllib_ppo import RllibConfig
+from examples.rllib_ppo import FeatureEnv, RllibConfig
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
@@ -47,8 +48,22 @@ def tiny(out: Path) -> RllibConfig:
     )
 
 
-def test_our_trainer_leaves_a_policy_that_evaluate_flies(cluster, tmp_path):
+@pytest.mark.parametrize("on_contact", ["end_team", "end_pair"])
+def test_our_trainer_leaves_a_policy_that_evaluate_flies(
+    cluster, tmp_path, monkeypatch, on_contact
+):
+    step, alone = FeatureEnv.step, []
+
+    def watched(env, actions):
+        given = step(env, actions)
+        alone.append(len(env.agents) == 1)
+        return given
+
+    made = partial(swap_v1.parallel_env, on_contact=on_contact)
+    monkeypatch.setattr(swap_v1, "parallel_env", made)
+    monkeypatch.setattr(FeatureEnv, "step", watched)
     report = rllib_ppo.train_with_rllib(tiny(tmp_path / "run"))
+    assert any(alone) == (on_contact == "end_pair")
     assert report["steps"] >= 300 and 0.0 <= report["chosen"]["random_success"] <= 1.0
     agent = load(str(tmp_path / "run"))
     assert isinstance(agent, PolicyAgent)

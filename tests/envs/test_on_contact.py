@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test
+from stable_baselines3 import PPO
 
 from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.protocol import fly_batch
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.viewing.record import Recorder
@@ -132,21 +133,25 @@ def test_actions_of_those_who_have_left_are_not_used():
     env.close()
 
 
-def test_vectors_mask_who_has_ended():
-    envs = make_vector(
-        "swap_v1",
-        2,
-        "Disabled",
-        num_drones=3,
-        action="velocity",
-        on_contact="end_pair",
-        horizon_s=2.0,
-    )
-    envs.reset(seed=0, options={"start": START, "goal": GOAL})
-    ended = None
-    while True:
+OPTIONS: dict[str, Any] = {"num_drones": 3, "action": "velocity", "on_contact": "end_pair"}
+PLACED = {"start": START, "goal": GOAL}
+
+
+def test_teams_in_one_row_mask_who_has_ended():
+    """One team, and two in a batch: the same rows and rewards."""
+    envs = make_vector("swap_v1", 2, "Disabled", horizon_s=2.0, **OPTIONS)
+    one = make_joint("swap_v1", physics="batch", horizon_s=2.0, **OPTIONS)
+    rows, _ = envs.reset(seed=0, options=PLACED)
+    row, _ = one.reset(seed=0, options=PLACED)
+    ended, over = None, False
+    while not over:
+        np.testing.assert_array_equal(row, rows[0])
         rows, rewards, terminated, truncated, infos = envs.step(np.tile(MEET.reshape(-1), (2, 1)))
+        row, reward, end, over, info = one.step(MEET.reshape(-1))
         np.testing.assert_allclose(rewards, infos["rewards"].mean(axis=1))
+        assert reward == pytest.approx(rewards[0], abs=1e-12) and not end
+        for name in ("rewards", "active"):
+            np.testing.assert_array_equal(info[name], infos[name][0])
         if ended is not None:
             assert infos["active"].tolist() == [[False, False, True]] * 2
             assert not infos["rewards"][:, :2].any()
@@ -154,18 +159,35 @@ def test_vectors_mask_who_has_ended():
         elif infos["rewards"].min() < -0.9:
             ended = infos
             assert infos["active"].all() and not terminated.any()
-        if truncated.any():
-            break
     assert ended is not None and truncated.all()
     assert infos["episode_metrics"]["collided_drones"].tolist() == [2, 2]
+    assert info["episode_metrics"]["collided_drones"] == 2
     envs.close()
+    one.close()
+
+
+def test_stable_baselines3_learns_while_drones_fall_one_after_another():
+    given = OPTIONS | {"action": "rotors"}
+    env = SharedPolicyVecEnv("swap_v1", 2, horizon_s=1.0, **given)
+    waiting = []
+
+    def watch(seen: dict[str, Any], _: Any) -> bool:
+        waiting.append(sum(not info["active"] for info in seen["infos"]))
+        return True
+
+    model = PPO("MlpPolicy", env, n_steps=48, batch_size=144, n_epochs=1, seed=0, device="cpu")
+    before = [weights.detach().clone() for weights in model.policy.parameters()]
+    model.learn(288, callback=watch)
+    after = [*model.policy.parameters()]
+    assert 0 < max(waiting) < 6
+    assert all(weights.isfinite().all() for weights in after)
+    assert any(not old.equal(new) for old, new in zip(before, after, strict=True))
+    env.close()
 
 
 def test_the_shared_policy_waits_for_its_team():
-    env = SharedPolicyVecEnv(
-        "swap_v1", 2, num_drones=3, action="velocity", on_contact="end_pair", horizon_s=2.0
-    )
-    env.set_options({"start": START, "goal": GOAL})
+    env = SharedPolicyVecEnv("swap_v1", 2, horizon_s=2.0, **OPTIONS)
+    env.set_options(PLACED)
     env.reset()
     seen: list[Any] = []
     while not seen or not seen[-1][2]:
@@ -186,23 +208,15 @@ def test_the_shared_policy_waits_for_its_team():
 
 
 def test_solo_ends_with_its_drone():
-    env = gymnasium.make(
-        "swarm_envs/SwapSolo-v1",
-        num_drones=3,
-        action="velocity",
-        drone=2,
-        physics="batch",
-        on_contact="end_pair",
-        disable_env_checker=True,
-    )
-    env.reset(seed=0, options={"start": START, "goal": GOAL})
+    env = make_solo("swap_v1", drone=2, physics="batch", **OPTIONS)
+    env.reset(seed=0, options=PLACED)
     over = False
     while not over:
         _, _, over, cut, info = env.step(np.array([0.0, 0.0, -1.0], np.float32))
         assert not cut
     assert info["contact"]["floor"] and info["episode_metrics"]["collided_floor"] == 1
     with pytest.raises(RuntimeError, match="ended"):
-        env.unwrapped.step(GO)
+        env.step(GO)
     env.close()
 
 

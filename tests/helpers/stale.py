@@ -17,11 +17,13 @@ from typing import NamedTuple
 from tests.helpers.imports import ROOT
 
 RECORD = Path(__file__).with_name("made_from.json")
+WEIGHTS = ROOT / "agents" / "weights"
 LEARNED = "swarm_envs/interactions/weights/learned.safetensors"
 LEARNED_V0 = "swarm_envs/interactions/weights/learned-v0.safetensors"
 WAKE = "swarm_envs/interactions/weights/wake.json"
 BELIEF = "baselines/neural_swarm/weights/belief.safetensors"
 BELIEF_WAKE = "baselines/neural_swarm/weights/belief_wake.safetensors"
+POLICIES = tuple(f"agents/weights/{p.name}" for p in sorted(WEIGHTS.glob("*.safetensors")))
 _PAPER = "swarm-envs reproduce neural-swarm2"
 
 
@@ -103,12 +105,8 @@ PRODUCTS = {
         "the commands in agents/weights/MODEL_CARD.md",
     ),
     "benchmark": Product(
-        ("docs/benchmark.png", "docs/generated/benchmark.md"),
-        (
-            LEARNED_V0,
-            "agents/weights/swap-ppo.safetensors",
-            "agents/weights/swap-ppo-8.safetensors",
-        ),
+        ("docs/benchmark.png", "docs/generated/benchmark.md", "agents/recommended.json"),
+        (LEARNED, WAKE, BELIEF, *POLICIES),
         "swarm-envs benchmark --out DIR",
     ),
 }
