@@ -38,7 +38,6 @@ from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, Interval, OneOf, type
 from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.columns import COLUMN_LAYOUTS, ColumnsTask, column_team
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
 
 
@@ -56,7 +55,6 @@ class ColumnsOptions(AirTaskOptions):
     payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] | None = None
     """Range of the payload of half of each column's drones, kg; None: the layout's."""
 
-    default_weights = REWARD_WEIGHTS
     task_type = ColumnsTask
 
     @property

@@ -38,7 +38,7 @@ from typing import Annotated
 from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.physics.contact import ON_CONTACT
-from swarm_envs.tasks.crowd import REWARD_WEIGHTS, CrowdTask, Layout
+from swarm_envs.tasks.crowd import CrowdTask, Layout
 
 
 @typed_options
@@ -58,7 +58,6 @@ class CrowdOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
-    default_weights = REWARD_WEIGHTS
     task_type = CrowdTask
 
 

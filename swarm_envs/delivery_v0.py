@@ -36,7 +36,6 @@ from dataclasses import dataclass
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
 from swarm_envs.tasks.delivery import DeliveryTask, delivery_team
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
 
 
@@ -48,7 +47,6 @@ class DeliveryOptions(AirTaskOptions):
     num_drones: NumDrones = 7
     """N drones, at most 9, if no team is given: three couriers, the others hover."""
 
-    default_weights = REWARD_WEIGHTS
     task_type = DeliveryTask
 
     @property

@@ -26,6 +26,7 @@ class FormationTaskV0(FormationTask):
     """Version 0 of the task."""
 
     name = "formation_v0"
+    default_weights = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
     velocity_integral_limit = 0.05
     old_filter = True
     write_reward_terms = staticmethod(write_terms_v0)
@@ -37,7 +38,6 @@ class FormationV0Options(FormationOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
-    default_weights = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
     task_type = FormationTaskV0
 
 

@@ -44,7 +44,6 @@ from typing import Annotated, Any, ClassVar
 from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.tasks.formation import LABELS, LAYOUTS, STARTS, FormationTask, shapes_of
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 
 
 @typed_options
@@ -75,7 +74,6 @@ class FormationOptions(TaskOptions):
     """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
     turned."""
 
-    default_weights = REWARD_WEIGHTS
     task_type: ClassVar[type[FormationTask]] = FormationTask
     """What `make_task` makes."""
 

@@ -42,7 +42,7 @@ from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.hall import Hall
 from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.tasks.base import ByScore, Task
-from swarm_envs.tasks.gates import REWARD_WEIGHTS, GatesTask
+from swarm_envs.tasks.gates import GatesTask
 
 
 @typed_options
@@ -61,7 +61,6 @@ class GatesOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
-    default_weights = REWARD_WEIGHTS
     task_type = GatesTask
 
     def make_task(self) -> Task:

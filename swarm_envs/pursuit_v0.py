@@ -36,7 +36,7 @@ from typing import Annotated
 from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.physics.contact import ON_CONTACT
-from swarm_envs.tasks.pursuit import REWARD_WEIGHTS, Layout, PursuitTask
+from swarm_envs.tasks.pursuit import Layout, PursuitTask
 
 
 @typed_options
@@ -58,7 +58,6 @@ class PursuitOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
-    default_weights = REWARD_WEIGHTS
     task_type = PursuitTask
 
 

@@ -25,6 +25,7 @@ class RingTaskV0(RingTask):
     """Version 0 of the task."""
 
     name = "ring_v0"
+    default_weights = MappingProxyType({**REWARD_WEIGHTS, "tracking": 3.0})
     velocity_integral_limit = 0.05
     old_filter = True
     write_reward_terms = staticmethod(write_terms_v0)
@@ -36,7 +37,6 @@ class RingV0Options(RingOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
-    default_weights = MappingProxyType({**REWARD_WEIGHTS, "tracking": 3.0})
     task_type = RingTaskV0
 
 

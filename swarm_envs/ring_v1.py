@@ -36,7 +36,7 @@ from dataclasses import dataclass
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.ring import REWARD_WEIGHTS, RingLayout, RingTask, ring_team
+from swarm_envs.tasks.ring import RingLayout, RingTask, ring_team
 from swarm_envs.vehicles import Team
 
 
@@ -55,7 +55,6 @@ class RingOptions(TaskOptions):
         """The team: as given, else that of the paper."""
         return ring_team(self.num_drones) if self.team is None else super().vehicles
 
-    default_weights = REWARD_WEIGHTS
     task_type = RingTask
 
 

@@ -25,6 +25,7 @@ class SwapTaskV0(SwapTask):
     """Version 0 of the task."""
 
     name = "swap_v0"
+    default_weights = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
     velocity_integral_limit = 0.05
     old_filter = True
     write_reward_terms = staticmethod(write_terms_v0)
@@ -36,7 +37,6 @@ class SwapV0Options(SwapOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
-    default_weights = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
     task_type = SwapTaskV0
 
 

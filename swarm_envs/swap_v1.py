@@ -48,7 +48,7 @@ from dataclasses import dataclass
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, Layout, StackedLayout, SwapTask
+from swarm_envs.tasks.swap import CircleLayout, Layout, StackedLayout, SwapTask
 
 
 @typed_options
@@ -65,7 +65,6 @@ class SwapOptions(TaskOptions):
     circle: CircleLayout | None = None
     """Size of the circle layout."""
 
-    default_weights = REWARD_WEIGHTS
     task_type = SwapTask
 
 

@@ -15,6 +15,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
 from swarm_envs.arguments import OneOf, Option, Range, options_of
+from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import MOST_OBSERVED, WORLDS, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_name
@@ -60,12 +61,12 @@ class TaskOptions(EnvConfig, ABC):
     """Weight of each reward term; terms left out keep their default."""
     render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
     """`rgb_array` (pictures), `human` (a page in the browser) or None."""
+    controller: ControllerConfig | str | None = None  # type: ignore[assignment]  # or its name
+    """The tracking controller between actions and rotors, or the shipped agent that requires it,
+    such as `air-aware`; None for the default."""
 
     learned: ClassVar[str] = "learned"
     """The force model that `interactions="learned"` means in this version of the task."""
-    default_weights: ClassVar[Mapping[str, float]]
-    """Weight of each reward term that is not given."""
-
     task_type: ClassVar[type[Task]]
     """What `make_task` makes: a dataclass."""
 
@@ -99,7 +100,7 @@ class TaskOptions(EnvConfig, ABC):
     @property
     def weights(self) -> dict[str, float]:
         """Weight of each reward term."""
-        return {**self.default_weights, **(self.reward_weights or {})}
+        return {**self.task_type.default_weights, **(self.reward_weights or {})}
 
     @property
     def vehicles(self) -> Team:
@@ -115,6 +116,9 @@ class TaskOptions(EnvConfig, ABC):
         given = {field.name: getattr(self, field.name) for field in fields(EnvConfig)}
         if self.interactions == "learned":
             given["interactions"] = self.learned
+        if isinstance(self.controller, str):
+            registry = importlib.import_module("swarm_envs.agents.registry")  # a higher layer
+            given["controller"] = registry.controller_of(self.controller)
         config = EnvConfig(**given)
         return Blueprint(self.make_task(), config, self.render_mode)
 

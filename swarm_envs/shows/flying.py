@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,8 @@ from swarm_envs.shows.choreography import Choreography
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.motion import Motion
-from swarm_envs.tasks.obstacles import Obstacle
-from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
-from swarm_envs.vehicles import Team, parse_team
+from swarm_envs.vehicles import parse_team
 from swarm_envs.viewing.record import Recording
 
 __all__ = ["fly_show"]
@@ -32,17 +30,12 @@ _MARGIN_M = 2.0
 class ShowTask(Task):
     """The paths of a show; its goals are where it ends."""
 
-    team: Team
-    """The drones."""
     paths: Choreography
     """Where they should be at any time."""
     success: Success = Success()
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    obstacles: tuple[Obstacle, ...] = ()
 
     name = "show"
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
+    default_weights = REWARD_WEIGHTS
 
     @property
     def arena(self) -> FloatArray:

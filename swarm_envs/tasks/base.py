@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, typed
 from swarm_envs.control.config import INTEGRAL_LIMIT
 from swarm_envs.errors import check_array
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
-from swarm_envs.tasks.motion import WRITERS, Motion, reference_of
+from swarm_envs.tasks.motion import (
+    ACCELERATION_LIMIT,
+    SPEED_LIMIT,
+    WRITERS,
+    Motion,
+    reference_of,
+)
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
@@ -89,10 +97,6 @@ def world_of(placement: Placement) -> World:
     return world
 
 
-SPEED_LIMIT = 2.0
-"""Largest speed that actions ask for, m/s, the same for every type."""
-ACCELERATION_LIMIT = 5.0
-"""Largest acceleration that actions ask for, m/s^2, the same for every type."""
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
 _DRAWS = 200
@@ -135,24 +139,40 @@ class ByScore:
     """The score, in the task's own unit, from which the episode is a success."""
 
 
-class Task(ABC):
+Given = FloatArray | None
+"""Starts or goals (N, 3), m, that a reset was given; None if they are drawn."""
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """Fields of every task."""
+
+    team: Team
+    """The drones, in the order of the agents."""
+    reward_weights: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+    """Weight of each reward term; a term left out has none. If empty, `default_weights`."""
+    obstacles: tuple[Obstacle, ...] = field(default=(), kw_only=True)
+    """Static obstacles, the same in every episode."""
+
+
+class Task(_Flown, ABC):
     """A task for a team. Stateless: what changes over an episode lives in the `World`."""
 
     name: str
     """Versioned name, such as `swap_v0`."""
-    team: Team
-    """The drones, in the order of the agents."""
     success: Success | TrackingSuccess | ByScore
     """When the team has done a stage, or the task."""
-    obstacles: tuple[Obstacle, ...]
-    """Static obstacles, the same in every episode."""
-    reward_weights: Mapping[str, float]
-    """Weight of each reward term; a term left out has none."""
-    reward_names: tuple[str, ...]
+    default_weights: Mapping[str, float] = {}
+    """Weight of each reward term, unless others are given."""
+    reward_names: tuple[str, ...] = REWARD_NAMES
     """Names of the T reward terms."""
+    goals_are: str = ""
+    """What goals are, in a task that takes none."""
     velocity_integral_limit: float = INTEGRAL_LIMIT
     """Of controllers that leave theirs to the task, m; see `ControllerConfig`."""
-    write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
+    write_reward_terms: Callable[[Records, Records, Records, FloatArray], None] = staticmethod(
+        write_terms
+    )
     """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
     old_filter: bool = False
@@ -165,13 +185,19 @@ class Task(ABC):
     goals, settings)`. These are the environments (E,) that made one; records (E, N) and (E,); goals
     (E, S, N, 3) of every stage or row, m; and one record (1,) of the rules."""
 
+    def __post_init__(self) -> None:
+        """Complete the weights of rewards; refuse those of unknown terms."""
+        if not self.reward_weights:
+            object.__setattr__(self, "reward_weights", dict(self.default_weights))
+        check_reward_weights(self.reward_weights, self.reward_names)
+
     def with_team(self, team: Team) -> Self:
         """The same task for another team.
 
         Raises:
             ValueError: the team cannot fly it; the message says why.
         """
-        same: Self = replace(self, team=team)  # type: ignore[type-var]  # every task is a dataclass
+        same: Self = replace(self, team=team)
         return same
 
     @property
@@ -220,24 +246,14 @@ class Task(ABC):
         """Time limit, unless an environment is given another, s."""
 
     @abstractmethod
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw an episode, obstacles apart; a start or goal (N, 3) that is given is kept.
 
         Raises:
-            ValueError: what is given has no meaning in this task.
+            RuntimeError: no room for the drones was found within a bounded number of draws.
         """
 
-    def place(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
+    def place(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw an episode whose starts, goals and reference are free of obstacles.
 
         Args:
@@ -246,9 +262,15 @@ class Task(ABC):
             goal: (N, 3) given goals, m.
 
         Raises:
-            ValueError: what is given lies outside the arena, in an obstacle, or drones touch.
+            ValueError: what is given lies outside the arena, in an obstacle, or drones touch; or
+                the task takes no goal.
             RuntimeError: no placement was found within a bounded number of draws.
         """
+        if goal is not None and self.goals_are:
+            family = self.name.partition("_")[0]
+            raise ValueError(
+                f"a goal is given, but in {family} goals are {self.goals_are}; leave it out"
+            )
         rows, radius, arena = self._kept
         for name, points in (("start", start), ("goal", goal)):
             if points is not None:

@@ -15,18 +15,17 @@ own, so that straight ways within a column do not meet, with any assignment of p
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, POSITIVE_S, Interval, typed
-from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.state import IntArray
+from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, Motion
-from swarm_envs.tasks.obstacles import Obstacle
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
@@ -91,18 +90,14 @@ class ColumnsTask(Task):
     """When the team has gathered."""
     episode_s: Annotated[float, POSITIVE_S] = 6.0
     """Time limit, s."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles."""
 
     name = "columns_v0"
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
+    default_weights = REWARD_WEIGHTS
+    goals_are = "the places of the columns"
 
     def __post_init__(self) -> None:
         """Refuse teams and gaps of which no columns can be made."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         size, widest = len(in_columns(len(self.team))[0]), max(v.radius for v in self.team)
         if self.gap_m[0] <= 2.0 * widest:
             raise ValueError(
@@ -122,19 +117,8 @@ class ColumnsTask(Task):
         """Straight lines to the places."""
         return Motion(LINES, RAMP)
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw gap, turn, who starts where, who carries the payload, and how much that is.
-
-        Raises:
-            ValueError: a goal is given: goals are the places of the columns.
-        """
-        if goal is not None:
-            raise ValueError("a goal is given, but in columns goals are places; give a start")
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Draw gap, turn, who starts where, who carries the payload, and how much that is."""
         n, team = len(self.team), list(self.team)
         gap, turn = rng.uniform(*self.gap_m), rng.uniform(0.0, 2 * np.pi)
         payload = rng.uniform(*self.payload_kg)

@@ -7,19 +7,20 @@ one of them at a time; when it reaches it, another free one is sampled.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed
 from swarm_envs.compiled import kernel, part
 from swarm_envs.noise import even_number
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
-from swarm_envs.tasks.base import ByScore, Placement, Task
+from swarm_envs.tasks.base import ByScore, Given, Placement, Task
 from swarm_envs.tasks.motion import Motion
 from swarm_envs.tasks.obstacles import Column, Obstacle, buildings
 from swarm_envs.tasks.placing import (
@@ -29,9 +30,8 @@ from swarm_envs.tasks.placing import (
     arena_of,
     draw_apart,
 )
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score, send_to
-from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "CrowdTask", "Layout"]
 
@@ -155,8 +155,6 @@ def write_crowd_terms(
 class CrowdTask(Task):
     """Reach goal after goal among others."""
 
-    team: Team
-    """The drones."""
     layout: Layout = "forest"
     """`open`, `forest` or `buildings`: what is added to `obstacles`."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.5
@@ -165,12 +163,9 @@ class CrowdTask(Task):
     """How far from the drone its next goal is, where one is free there, m."""
     success: ByScore = ByScore(radius=0.15, least=16.0)
     """How near a goal counts as reached, and the throughput that is a success, goals a minute."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles in addition to those of the layout."""
 
     name = "crowd_v0"
+    default_weights = REWARD_WEIGHTS
     episode_s = 30.0
     """Time limit, s."""
     score_names = ("throughput_per_min", "goals_reached")
@@ -180,7 +175,7 @@ class CrowdTask(Task):
 
     def __post_init__(self) -> None:
         """Add the layout's obstacles; refuse weights of unknown terms."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         stands = crowd_obstacles(self.layout, len(self.team))
         given = tuple(o for o in self.obstacles if o not in stands)
         object.__setattr__(self, "obstacles", (*stands, *given))
@@ -208,12 +203,7 @@ class CrowdTask(Task):
         low, top = np.array([-edge, -edge, _LOWEST]), np.array([edge, edge, high])
         return low, top, OBSTACLE_MARGIN + float(self.radius.max())
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw sites, of which the first goals and the starts are some; what is given is kept.
 
         Raises:

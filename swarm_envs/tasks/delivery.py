@@ -8,19 +8,16 @@ correction is of no use. Goals of the others are where they hover.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, Range, typed
-from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.columns import RAMP
 from swarm_envs.tasks.motion import LINES, Motion
-from swarm_envs.tasks.obstacles import Obstacle
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
@@ -60,18 +57,14 @@ class DeliveryTask(Task):
     """Time in which the reference gets to a dock, s."""
     success: Success = Success(0.02, 0.4)
     """When all have docked, and those that hover are where they should be."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles."""
 
     name = "delivery_v0"
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
+    default_weights = REWARD_WEIGHTS
+    goals_are = "the docks"
 
     def __post_init__(self) -> None:
         """Refuse teams for which there are no docks, and ways that take longer than a stage."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         if len(self.team) > 3 * DOCKS:
             raise ValueError(
                 f"delivery has {len(self.team)} drones, but room for {DOCKS} couriers and two "
@@ -97,19 +90,8 @@ class DeliveryTask(Task):
         """A time for each stage, s."""
         return self.stages * self.stage_s
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw docks, heights, which docks have drones above, and who docks where.
-
-        Raises:
-            ValueError: a goal is given: goals are the docks.
-        """
-        if goal is not None:
-            raise ValueError("a goal is given, but in delivery goals are docks; give a start")
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Draw docks, heights, which docks have drones above, and who docks where."""
         n, height, above = len(self.team), rng.uniform(*self.height_m), rng.uniform(*self.above_m)
         angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(DOCKS) / DOCKS
         round_about = np.stack([np.cos(angle), np.sin(angle), np.zeros(DOCKS)], axis=1)

@@ -17,23 +17,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed
 from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
-from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
-from swarm_envs.vehicles import Team
 
 __all__ = ["LABELS", "LAYOUTS", "STARTS", "FormationTask", "nearest_places", "shapes_of"]
 
@@ -66,8 +64,6 @@ _RAMP = 0.5
 class FormationTask(Task):
     """Fly one shape after another. See the module for who goes where."""
 
-    team: Team
-    """The drones."""
     shapes: tuple[str, ...] = SHAPES
     """Names of the shapes, in order; `letter:A` and the like write."""
     labels: Annotated[str, OneOf(LABELS)] = "nearest"
@@ -85,18 +81,14 @@ class FormationTask(Task):
     """Range from which the turn of all shapes about the vertical is drawn, rad."""
     success: Success = Success()
     """When the team has reached a shape."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles."""
 
     name = "formation_v1"
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
+    default_weights = REWARD_WEIGHTS
+    goals_are = "those of shapes=(...)"
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other, and shapes that do not fit the arena."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         if self.travel_s > self.shape_s:
             raise ValueError(
                 f"travel_s is {self.travel_s}, but must not exceed shape_s, {self.shape_s}"
@@ -167,21 +159,8 @@ class FormationTask(Task):
         n = len(self.team)
         return tuple(middle + shape_points(name, n, self.spacing) for name in self.shapes)
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw the turn of the shapes, who starts where, and who goes where.
-
-        Raises:
-            ValueError: a goal is given: goals are the shapes'.
-        """
-        if goal is not None:
-            raise ValueError(
-                "a goal is given, but in formation goals are the shapes'; use shapes=(...)"
-            )
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Draw the turn of the shapes, who starts where, and who goes where."""
         n = len(self.team)
         turn, order = rng.uniform(*self.turn_rad), rng.permutation(n)
         places = [_turned(points, turn) for points in self.places]

@@ -7,22 +7,21 @@ be in a column at the same moment; between gates they may fly as they like.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import POSITIVE_M, Interval, typed
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
-from swarm_envs.tasks.base import ByScore, Placement, Task
+from swarm_envs.tasks.base import ByScore, Given, Placement, Task
 from swarm_envs.tasks.motion import OWN_GOALS, Motion
-from swarm_envs.tasks.obstacles import Column, Obstacle
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, send_to
-from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "GatesTask"]
 
@@ -84,30 +83,24 @@ def pass_gates(
 class GatesTask(Task):
     """Fly a slalom in vertical formation, there and back."""
 
-    team: Team
-    """The drones."""
     gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.3, 0.4)
     """Range from which the vertical distance of neighbours in the column is drawn, m."""
     lowest_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.4, 0.8)
     """Range from which the height of the lowest is drawn, for each gate, m."""
     success: ByScore = ByScore(radius=0.05, least=0.0)
     """How near to their places all must be at once; success is to have passed every gate."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles in addition to the gates' posts."""
 
     name = "gates_v0"
+    default_weights = REWARD_WEIGHTS
+    goals_are = "the gates"
     episode_s = 30.0
     """Time limit, s."""
     score_names = ("gates_per_min", "places_passed")
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
     advance = staticmethod(pass_gates)
 
     def __post_init__(self) -> None:
         """Add the posts; refuse columns that do not fit, and weights of unknown terms."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         top = self.lowest_m[1] + self.gap_m[1] * (len(self.team) - 1)
         if top > _CEILING:
             raise ValueError(
@@ -129,19 +122,8 @@ class GatesTask(Task):
         """Rest at the places in the next gate."""
         return Motion(OWN_GOALS)
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw the column, the heights of the gates, and the end from which it starts.
-
-        Raises:
-            ValueError: a goal is given: goals are the gates.
-        """
-        if goal is not None:
-            raise ValueError("a goal is given, but in gates goals are the gates; leave it out")
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Draw the column, the heights of the gates, and the end from which it starts."""
         n, side = len(self.team), rng.choice([-1.0, 1.0])
         slots = rng.uniform(*self.gap_m) * rng.permutation(n)
         heights = rng.uniform(*self.lowest_m, len(_GATES) + 1)

@@ -18,6 +18,9 @@ from swarm_envs.trajectories import Reference
 
 __all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of"]
 
+SPEED_LIMIT, ACCELERATION_LIMIT = 2.0, 5.0
+"""Largest speed and acceleration that actions ask for, m/s and m/s^2, the same for every type."""
+
 REST, LINES, ORBITS, OWN_GOALS, PURSUIT = 0, 1, 2, 3, 4
 """Kinds of motion."""
 _ROUNDING = 1e-9

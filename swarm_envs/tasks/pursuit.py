@@ -8,23 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
-from swarm_envs.tasks.base import ByScore, Orbit, Placement, Task
+from swarm_envs.tasks.base import ByScore, Given, Orbit, Placement, Task
 from swarm_envs.tasks.motion import PURSUIT, REST, Motion
-from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import ARENA_HEIGHT, WALL_MARGIN, derangement, draw_apart
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score
-from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "Layout", "PursuitTask"]
 
@@ -82,8 +80,6 @@ def score_pursuit(
 class PursuitTask(Task):
     """Stay at goals that do not stay. See the module for the layouts."""
 
-    team: Team
-    """The drones."""
     layout: Layout = "moving"
     """`moving`, `swap-goals` or `chase`."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.4
@@ -94,22 +90,17 @@ class PursuitTask(Task):
     """Time after which goals are swapped, s."""
     success: ByScore | None = None  # type: ignore[assignment]  # set below
     """How near a goal counts, and the share of time there that is a success; None: the layout's."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles."""
 
     name = "pursuit_v0"
+    default_weights = REWARD_WEIGHTS
     episode_s = 20.0
     """Time limit, s."""
     score_names = ("share_on_goal",)
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
     advance = staticmethod(score_pursuit)
 
     def __post_init__(self) -> None:
         """Refuse weights of unknown terms, and set the layout's success."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         if self.success is None:
             object.__setattr__(self, "success", ByScore(_RADIUS, _LEAST[self.layout]))
 
@@ -125,12 +116,7 @@ class PursuitTask(Task):
             return Motion(REST, stage_s=self.change_s)
         return Motion(PURSUIT, _STARTUP_S)
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw an episode; a start that is given is flown from, goals in `swap-goals` are kept.
 
         Raises:

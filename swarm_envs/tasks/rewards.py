@@ -14,7 +14,7 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
-from swarm_envs.tasks.base import SPEED_LIMIT
+from swarm_envs.tasks.motion import SPEED_LIMIT
 
 __all__ = ["REWARD_NAMES", "weigh", "write_terms"]
 

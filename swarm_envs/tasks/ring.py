@@ -19,20 +19,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import FINITE, POSITIVE_M, POSITIVE_S, Interval, Range, check_value, typed
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Orbit, Placement, Task, TrackingSuccess
+from swarm_envs.tasks.base import Given, Orbit, Placement, Task, TrackingSuccess
 from swarm_envs.tasks.motion import ORBITS, Motion
-from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import WALL_MARGIN
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
 __all__ = ["REWARD_WEIGHTS", "RingLayout", "RingTask", "ring_team"]
@@ -217,26 +216,20 @@ def ring_team(num_drones: int) -> Team:
 class RingTask(Task):
     """Keep to a reference on intertwined rings. See the module for teams and rings."""
 
-    team: Team
-    """The drones."""
     rings: RingLayout | None = None
     """Sizes, speed and phases; None: those of the paper for 5 or 16 drones, whichever fits."""
     success: TrackingSuccess = TrackingSuccess()
     """When the team has done its task. Its `settle_s` is also the time of the smooth start-up."""
     scored_s: Annotated[float, POSITIVE_S] = 10.0
     """Seconds flown after the start-up."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles."""
 
     name = "ring_v1"
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
+    default_weights = REWARD_WEIGHTS
+    goals_are = "where the reference is"
 
     def __post_init__(self) -> None:
         """Refuse rings that do not fit, on which drones would collide, or that are too fast."""
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
         check_value("settle_s", self.success.settle_s, Annotated[float, POSITIVE_S])
         check_speed(self.orbit, self.team)
         self._check_arena()
@@ -268,21 +261,8 @@ class RingTask(Task):
         """Start-up and scored flight, s."""
         return self.success.settle_s + self.scored_s
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw how far the team is ahead; a start that is given is flown from to the rings.
-
-        Raises:
-            ValueError: a goal is given: here goals are wherever the reference is.
-        """
-        if goal is not None:
-            raise ValueError(
-                "a goal is given, but in ring goals are where the reference is; leave it out"
-            )
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Draw how far the team is ahead; a start that is given is flown from to the rings."""
         lead = rng.uniform(*self.layout.lead_s)
         orbit = self.orbit._replace(phase=self.orbit.phase + self.orbit.rate * lead)
         on_ring = points_at(orbit, orbit.phase)

@@ -14,19 +14,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
+from numpy.random import Generator
 
 from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
-from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import (
     ARENA_HEIGHT,
     OBSTACLE_MARGIN,
@@ -34,7 +34,6 @@ from swarm_envs.tasks.placing import (
     derangement,
     draw_apart,
 )
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.vehicles import Team
 
 __all__ = [
@@ -120,16 +119,11 @@ class SwapTask(Task):
     """Lowest and highest start in the random layout, m; the highest grows with the arena."""
     success: Success = Success()
     """When the team has swapped."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
-    """Weight of each reward term."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Static obstacles."""
 
     name = "swap_v1"
+    default_weights = REWARD_WEIGHTS
     episode_s = 8.0
     """Time limit, s."""
-    reward_names = REWARD_NAMES
-    write_reward_terms = staticmethod(write_terms)
 
     def __post_init__(self) -> None:
         """Refuse layouts that do not fit the team, and weights of unknown terms."""
@@ -137,7 +131,7 @@ class SwapTask(Task):
             self._check_stack()
         if self.layout == "circle":
             self._check_circle()
-        check_reward_weights(self.reward_weights, self.reward_names)
+        super().__post_init__()
 
     def _check_stack(self) -> None:
         ranges, ceiling = self.stacked, self.arena[1, 2] - max(v.radius for v in self.team)
@@ -176,12 +170,7 @@ class SwapTask(Task):
         """Straight lines at constant speed with smooth ramps if `stacked`; else rest at goals."""
         return Motion(LINES if self.layout == "stacked" else REST, _RAMP)
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw an episode; what is given is kept, and goals follow from a start that is given.
 
         Raises:

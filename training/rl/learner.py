@@ -257,7 +257,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         weights = dict(flown.reward_weights)
         whole = recipe.reward_weights.keys() & {"at_goal", "tracking"}
         weights |= {name: weights[name] / clock for name in whole}
-        flown = replace(flown, reward_weights=weights)  # type: ignore[type-var]  # a dataclass
+        flown = replace(flown, reward_weights=weights)
     return found._replace(task=flown)
 
 
