@@ -33,11 +33,13 @@ class Metric:
     name: str
     """In the files, with its unit."""
     label: str
+    """Short name."""
     unit: str
     """`%` for fractions in [0, 1]; empty for counts."""
     better: Literal["higher", "lower", "neither"]
     """Which values are."""
     help: str
+    """Explanation."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class TaskInfo:
     task: str
     """Its family: `swap`, `ring`, `formation`."""
     label: str
+    """Short name."""
     options: Mapping[str, Any]
     """Of `swarm_envs.make`, beside what an agent requires."""
     episodes: int
@@ -56,6 +59,7 @@ class TaskInfo:
     environment: str | None = None
     """First argument of `swarm_envs.make`; the first version of the task where there is none."""
     help: str = ""
+    """Description."""
 
 
 class Board:

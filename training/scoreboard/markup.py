@@ -79,11 +79,3 @@ def format_duration(seconds: float) -> str:
         if seconds >= size:
             return f"{seconds / size:.1f}".removesuffix(".0") + f" {unit}"
     return f"{seconds:.3g} s"
-
-
-def format_micros(value: float) -> str:
-    """A time in microseconds, with the unit that reads best."""
-    for size, unit in ((1e6, "s"), (1e3, "ms")):
-        if value >= size:
-            return f"{value / size:.3g} {unit}"
-    return f"{value:.3g} µs"

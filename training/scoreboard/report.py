@@ -11,7 +11,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -69,7 +69,6 @@ def _page(board: Board, linked: Callable[[str], bool]) -> str:
         "not_flown": _not_flown(board),
         "legend": _legend(board, colors),
         "profiles": _profiles(board, colors),
-        "compute": _compute(board, colors),
         "numbers": tables.every_number(),
         "reproduce": _reproduce(board),
         "glossary": _glossary(board),
@@ -217,23 +216,6 @@ def _profiles(board: Board, colors: Palette) -> list[Element]:
         for family in board.families
         if family in board.profiles
     ]
-
-
-def _compute(board: Board, colors: Palette) -> list[Element]:
-    def figure(name: str, points: Sequence[charts.ComputePoint], what: str) -> list[Element]:
-        if not points:
-            return []
-        said, unit = f"{what} over compute, {name}", f"{what.lower()}, %"
-        chart = charts.compute_chart(board, colors, points, said, unit)
-        return [tag("figure", tag("figcaption", name), chart)]
-
-    figures = [figure(f, charts.family_points(board, f), "Score") for f in board.families]
-    single = [
-        figure(f"{task.task} {short_label(task)}", charts.task_points(board, task), "Success")
-        for task in board.tasks
-    ]
-    fold = tag("summary", "Task by task: success rate"), tag("div", single, class_="cards")
-    return [tag("div", figures, class_="cards"), tag("details", *fold)]
 
 
 def _reproduce(board: Board) -> list[Element]:

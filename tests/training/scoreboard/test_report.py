@@ -16,7 +16,6 @@ from swarm_envs.training.scoreboard.board import Metric, read
 from swarm_envs.training.scoreboard.charts import palette
 from swarm_envs.training.scoreboard.markup import (
     format_interval,
-    format_micros,
     format_value,
     html,
     tag,
@@ -198,34 +197,6 @@ def test_lines_of_a_profile_are_its_numbers(folder):
         np.testing.assert_allclose(threshold, board.profiles["ring"]["thresholds"], atol=3e-4)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_names_in_a_chart_are_told_from_each_other(folder, seed):
-    """Those of the same place find places of their own, or none; each stands in the legend."""
-    board, rng = read(folder), np.random.default_rng(seed)
-    colors = palette(board)
-    points = [
-        charts.ComputePoint(name, micros, 3 * micros, rng.uniform(), None)
-        for name, micros in zip(colors, 10 ** rng.uniform(1, 2, 8), strict=True)
-    ]
-    drawn = charts.compute_chart(board, colors, points, "A chart", "score, %")
-    names = [g for g in drawn.iter("g") if g.get("class", "").startswith("name ")]
-    boxes = []
-    for group in names:
-        (text,) = group.iter("text")
-        anchor = re.search(r"text-anchor: (\w+)", text.attrib["style"])
-        width = 5.0 * len(text.text or "")  # narrower than any letters are
-        shift = {"start": 0.0, "middle": width / 2, "end": width}[anchor[1] if anchor else "start"]
-        x, y = float(text.attrib["x"]) - shift, float(text.attrib["y"])
-        boxes.append((x, y - 8, x + width, y))
-        assert x > 0
-        assert x + width < WIDTH
-    assert len(boxes) > 3
-    for k, one in enumerate(boxes):
-        for other in boxes[k + 1 :]:
-            apart = one[2] < other[0] or other[2] < one[0]
-            assert apart or one[3] < other[1] or other[3] < one[1]
-
-
 def test_numbers_as_people_read_them():
     given = {0.0: "0", 0.03124: "0.0312", 1.5: "1.5", 12.345: "12.3", 12345.6: "12\u202f346"}
     assert {value: format_value(value) for value in given} == given
@@ -233,7 +204,6 @@ def test_numbers_as_people_read_them():
     assert format_value(-0.5) == "-0.5"
     assert format_interval((0.25, 0.75), "%") == "25.0–75.0"
     assert format_interval(None) == ""
-    assert [format_micros(t) for t in (12.0, 3400.0, 2.5e6)] == ["12 µs", "3.4 ms", "2.5 s"]
 
 
 @pytest.mark.parametrize(
