@@ -9,9 +9,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from swarm_envs.agents import load
+from swarm_envs import TASKS, task_family
+from swarm_envs.agents import load, recommended
 from swarm_envs.cli import main
 from swarm_envs.commands import record
+from swarm_envs.commands.fly import find_task
 
 minari = pytest.importorskip("minari", reason="the extra `minari`")
 pytest.importorskip("h5py")
@@ -53,20 +55,53 @@ def test_what_minari_loads_is_what_its_environment_flies(tmp_path, monkeypatch, 
     check_flights(dataset, dataset.recover_environment())
 
 
-def test_an_agent_that_sees_the_truth_and_brings_its_controller(tmp_path):
-    """Minari cannot keep the controller; whoever has it makes the environment."""
-    assert main(command(tmp_path, "--agent", "detour", "--horizon-s", "3")) == 0
-    given = {"num_drones": 3, "physics": "batch", "horizon_s": 3.0, **load("detour").requires}
-    check_flights(loaded(tmp_path), gymnasium.make("swarm_envs/Swap-v1", **given))
+def test_a_controller_is_recovered_by_the_agent_that_requires_it(tmp_path):
+    assert main(command(tmp_path, "--agent", "air-aware", "--horizon-s", "3")) == 0
+    dataset = loaded(tmp_path)
+    env = dataset.recover_environment()
+    assert env.unwrapped.parallel.core.config.controller == load("air-aware").requires["controller"]
+    check_flights(dataset, env)
+
+
+def test_a_controller_of_one_s_own_leaves_no_environment(tmp_path):
+    """Minari cannot keep it; whoever has it makes the environment."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from swarm_envs.agents.scripted import DetourAgent\n"
+        "from swarm_envs.control.config import ControllerConfig, Indi\n"
+        "def mine(): return DetourAgent(ControllerConfig(adaptation=Indi()))\n"
+    )
+    mine = f"{file}:mine"
+    assert main(command(tmp_path / "out", "--agent", mine, "--horizon-s", "3")) == 0
+    dataset = loaded(tmp_path / "out")
+    given = {"num_drones": 3, "physics": "batch", "horizon_s": 3.0, **load(mine).requires}
+    check_flights(dataset, gymnasium.make("swarm_envs/Swap-v1", **given))
     with pytest.raises((ValueError, AttributeError, AssertionError)):
-        loaded(tmp_path).recover_environment()
+        dataset.recover_environment()
 
 
-def check_flights(dataset: Any, env: Any) -> None:
+FAMILIES = sorted({task_family(task) for task in TASKS})
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_task_has_a_dataset_of_its_best_agent(tmp_path, monkeypatch, family):
+    given = ["record", "--task", family, "--flights", "1", "--out", str(tmp_path)]
+    assert main([*given, "--horizon-s", "0.5", "--name", f"{family}-v0"]) == 0
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    dataset = minari.load_dataset(f"{family}-v0")
+    env = dataset.recover_environment()
+    drones = len(env.unwrapped.parallel.possible_agents)
+    best = recommended(find_task(family), num_drones=drones)
+    assert dataset.storage.metadata["algorithm_name"] == best
+    check_flights(dataset, env, flights=1)
+
+
+def check_flights(dataset: Any, env: Any, flights: int = 4) -> None:
     """Fly all actions again."""
     assert env.observation_space == dataset.observation_space
     assert env.action_space == dataset.action_space
-    for episode, about in zip(dataset, dataset.storage.get_episode_metadata(range(4)), strict=True):
+    told = dataset.storage.get_episode_metadata(range(flights))
+    for episode, about in zip(dataset, told, strict=True):
         seen, _ = env.reset(seed=int(about["seed"]))
         np.testing.assert_array_equal(seen, episode.observations[0])
         for t, action in enumerate(episode.actions):

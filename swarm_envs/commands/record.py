@@ -12,7 +12,7 @@ import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,7 +20,13 @@ import numpy as np
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_folder, command_options
-from swarm_envs.commands.fly import EpisodeOptions, check_flies, find_task, prepare
+from swarm_envs.commands.fly import (
+    EpisodeOptions,
+    best_agent,
+    check_flies,
+    find_task,
+    prepare,
+)
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
@@ -29,9 +35,10 @@ if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
-Flight = dict[str, np.ndarray[Any, Any]]
-"""A flight of T decisions: `rows` (T + 1, N, width), `actions` (T, N, width), `rewards`, `active`
-and `ended` (T, N), and `seed`, `success` and `truncated` of the team."""
+Part = dict[str, Any]
+"""E flights of T decisions at most: `rows` (T + 1, E, N, width), `actions` (T, E, N, width),
+`rewards`, `active` and `ended` (T, E, N), `running` (T, E): which flights made a decision; and
+`seed`, `success` and `truncated` (E,) of their teams."""
 _ROOT = "MINARI_DATASETS_PATH"
 """Minari's variable for the folder of its datasets."""
 _ROWS_AT_ONCE = 200_000
@@ -48,8 +55,9 @@ class RecordOptions(EpisodeOptions):
     options give the same flights.
     """
 
-    agent: str = "roundabout"
-    """the agent: a name as of `fly`, the folder of a trained policy, or path/to/file.py:Class"""
+    agent: str | None = None
+    """the agent, by default the best for the task by the benchmark: a name as of `fly`, the folder
+    of a trained policy, or path/to/file.py:Class"""
     flights: Count = 64
     """number of flights"""
     seed: Seed = 0
@@ -85,6 +93,8 @@ def run_record(options: RecordOptions) -> None:
 
     try:
         task = find_task(options.task)
+        options = replace(options, agent=options.agent or best_agent(options, task))
+        assert options.agent is not None
         agent, env = prepare(options.agent, options, task)
         name = options.name or f"{task.partition('_')[0]}-{Path(options.agent).stem}-v0"
         parse_dataset_id(name := name.replace("+", "-"))
@@ -112,8 +122,11 @@ def _fly_parts(
 
     from swarm_envs import __version__
     from swarm_envs.agents.evaluation import frozen_seeds, source_digest
-    from swarm_envs.files import parse_note, write_json
+    from swarm_envs.agents.protocol import flies_batches
+    from swarm_envs.envs.core import SwarmCore
+    from swarm_envs.files import parse_note, write_json, written_whole
 
+    assert options.agent is not None
     setting = {**options.setting(), "agent": options.agent, "source": source_digest(agent)}
     about = {"task": env.core.task.name, **setting, "seed": options.seed, "version": __version__}
     note = folder / "about.json"
@@ -123,15 +136,17 @@ def _fly_parts(
         )
     write_json(note, about)
     seeds = frozen_seeds(options.seed, options.flights)
-    size = _at_once(env)
-    chunks = [seeds[first : first + size] for first in range(0, len(seeds), size)]
-    files = [folder / f"{first * size:06}.npz" for first in range(len(chunks))]
-    core: SwarmCore | None = None
+    size = min(_at_once(env), len(seeds)) if flies_batches(env, agent) else 1
+    files, core = [], env.core
     with tqdm(total=len(seeds), desc=options.agent[-30:], unit="flight", mininterval=0.5) as bar:
-        for file, chunk in zip(files, chunks, strict=True):
-            if not file.exists() or len(_loaded(file, "seed")["seed"]) != len(chunk):
-                core = core or _core(env, agent, seeds[0], size)
-                _save(file, _fly(env, agent, core, chunk))
+        for first in range(0, len(seeds), size):
+            chunk = seeds[first : first + size]
+            files.append(file := folder / f"{first:06}-{len(chunk)}.npz")
+            if not file.exists():
+                if size > 1 and core is env.core:
+                    core = SwarmCore(env.core.task, env.core.config, size)
+                with written_whole(file) as partial:
+                    np.savez(partial, **_fly(env, agent, core, chunk))
             bar.update(len(chunk))
     return files
 
@@ -142,95 +157,31 @@ def _at_once(env: SwarmParallelEnv) -> int:
     return int(np.clip(_ROWS_AT_ONCE // (decisions * env.core.num_drones), 1, _MOST_AT_ONCE))
 
 
-def _core(env: SwarmParallelEnv, agent: Agent, seed: int, size: int) -> SwarmCore:
-    """What flies: many environments if the agent acts on arrays, else the environment itself."""
-    from swarm_envs.agents.protocol import flies_batches
-    from swarm_envs.envs.core import SwarmCore
-
-    if not flies_batches(env, agent):
-        return env.core
-    env.reset(seed=seed)
-    agent.reset(env, seed)
-    return SwarmCore(env.core.task, env.core.config, size)
-
-
-def _fly(
-    env: SwarmParallelEnv, agent: Any, core: SwarmCore, seeds: Sequence[int]
-) -> Iterator[Flight]:
-    """Fly these seeds, as many at once as the core has environments."""
-    for first in range(0, len(seeds), core.num_envs):
-        chunk = [*seeds[first : first + core.num_envs]]
-        if core is env.core:
-            env.reset(seed=chunk[0])
-            agent.reset(env, chunk[0])
-        else:
-            idle = core.num_envs - len(chunk)
-            core.reset([*chunk, *[None] * idle], np.arange(core.num_envs) < len(chunk))
-        steps = [*_steps(env, agent, core)]
-        for e, seed in enumerate(chunk):
-            yield _flight(core, e, seed, steps)
-
-
-def _steps(env: SwarmParallelEnv, agent: Any, core: SwarmCore) -> Iterator[Flight]:
-    """Decisions of all environments until none flies: what was seen, done and given."""
-    shape = (core.num_envs, core.num_drones, core.mode.width)
+def _fly(env: SwarmParallelEnv, agent: Any, core: SwarmCore, seeds: Sequence[int]) -> Part:
+    """Fly these seeds: one in the environment itself, or all of them at once in a larger core."""
+    env.reset(seed=seeds[0])
+    agent.reset(env, seeds[0])
+    count = len(seeds)
+    if core is not env.core:
+        idle = core.num_envs - count
+        core.reset([*seeds, *[None] * idle], np.arange(core.num_envs) < count)
+    steps: list[Part] = []
     while core.running.any():
         rows, running = core.rows.copy(), core.running.copy()
-        actions = np.zeros(shape, np.float32)  # what is flown is what the dataset has
+        actions = np.zeros((*rows.shape[:2], core.mode.width), np.float32)
         if core is env.core:
             view = env.view if agent.privileged else None
             actions[0] = np.stack([*agent.act(env.split(rows), view).values()])
         else:
             actions[running] = agent.act_batch(rows[running])
-        flown = core.step(actions)
-        after = core.rows.copy()
+        flown = core.step(actions)  # what is flown is what the dataset has
         given = {"rewards": flown.rewards, "active": flown.active, "ended": flown.ended}
-        yield {"rows": rows, "after": after, "actions": actions, "running": running, **given}
-
-
-def _flight(core: SwarmCore, e: int, seed: int, steps: Sequence[Flight]) -> Flight:
-    """What environment `e` has flown."""
-    mine = [step for step in steps if step["running"][e]]
-    names = ("actions", "rewards", "active", "ended")
-    flight = {name: np.stack([step[name][e] for step in mine]) for name in names}
-    rows = [*(step["rows"][e] for step in mine), mine[-1]["after"][e]]
-    about = {"seed": np.array(seed), "success": np.array(core.metrics(e)["success"])}
-    truncated = np.array(core.world.environments["truncated"][e])
-    return {**flight, "rows": np.stack(rows), **about, "truncated": truncated}
-
-
-def _save(file: Path, flights: Iterator[Flight]) -> None:
-    """Write flights into one file, one after another, whole or not at all."""
-    from swarm_envs.files import written_whole
-
-    found = [*flights]
-    content: dict[str, Any] = {
-        name: np.stack([f[name] for f in found])
-        if found[0][name].ndim == 0
-        else np.concatenate([f[name] for f in found])
-        for name in found[0]
-    }
-    lengths = np.array([len(flight["actions"]) for flight in found])
-    with written_whole(file) as partial:
-        np.savez(partial, **content, lengths=lengths)
-
-
-def _loaded(file: Path, *names: str) -> Flight:
-    with np.load(file, allow_pickle=False) as content:
-        return {name: content[name] for name in names or content.files}
-
-
-def _flights(file: Path) -> Iterator[Flight]:
-    """The flights of a part."""
-    held = _loaded(file)
-    ends = np.cumsum(held["lengths"])
-    for k, (end, length) in enumerate(zip(ends, held["lengths"], strict=True)):
-        steps, rows = slice(end - length, end), slice(end - length + k, end + k + 1)
-        flight = {n: held[n][steps] for n in ("actions", "rewards", "active", "ended")}
-        yield {**flight, "rows": held["rows"][rows], **{n: held[n][k] for n in _OF_TEAM}}
-
-
-_OF_TEAM = ("seed", "success", "truncated")
+        steps.append({"rows": rows, "actions": actions, "running": running, **given})
+    made = {name: np.stack([step[name][:count] for step in steps]) for name in steps[0]}
+    made["rows"] = np.concatenate([made["rows"], core.rows[None, :count]])
+    success = np.array([core.metrics(e)["success"] for e in range(count)])
+    truncated = core.world.environments["truncated"][:count].copy()
+    return {**made, "seed": np.array(seeds), "success": success, "truncated": truncated}
 
 
 def _assemble(
@@ -250,10 +201,10 @@ def _assemble(
     kind = "" if options.rows == "team" else "Solo"
     family, _, version = find_task(options.task).partition("_")
     task = f"swarm_envs/{family.capitalize()}{kind}-{version}"
+    given = {**setting, "controller": options.agent} if "controller" in setting else setting
     env = gymnasium.make(task, disable_env_checker=True, **setting)
-    plain = all(isinstance(value, str | int | float | list) for value in setting.values())
     about = {
-        "env": env if plain else None,  # JSON does not hold a controller, which some agents require
+        "env": _recoverable(task, given, env),
         "observation_space": env.observation_space,
         "action_space": env.action_space,
         "algorithm_name": options.agent,
@@ -264,7 +215,8 @@ def _assemble(
     with warnings.catch_warnings(), _minari_in(folder / "whole"), bar:
         warnings.filterwarnings("ignore", module="minari")  # it would like an author's address
         for part in parts:
-            episodes = [e for flight in _flights(part) for e in _episodes(flight, options.rows)]
+            with np.load(part, allow_pickle=False) as held:
+                episodes = [*_episodes(dict(held), options.rows)]
             if made is None:
                 made = minari.create_dataset_from_buffers(name, episodes, **about)
             else:
@@ -285,26 +237,41 @@ def _minari_in(folder: Path) -> Iterator[None]:
             os.environ[_ROOT] = before
 
 
-def _episodes(flight: Flight, rows: str) -> Iterator[EpisodeBuffer]:
-    """The episodes of a flight: of each drone, or of the team."""
-    count, drones, _ = flight["actions"].shape
-    if rows == "team":
-        joint = {n: flight[n].reshape(len(flight[n]), -1) for n in ("rows", "actions")}
-        ended = np.zeros(count, np.bool_)
-        ended[-1] = not flight["truncated"]
-        yield _episode(flight, joint, flight["rewards"].mean(axis=1), ended)
-        return
-    for i in range(drones):
-        lived = int(flight["active"][:, i].sum())
-        own = {"rows": flight["rows"][: lived + 1, i], "actions": flight["actions"][:lived, i]}
-        yield _episode(flight, own, flight["rewards"][:lived, i], flight["ended"][:lived, i])
+def _recoverable(task: str, given: Mapping[str, Any], env: Any) -> Any:
+    """The environment with options that JSON holds, if they make the same; None if none do.
+
+    JSON does not hold a controller, but the name of the shipped agent that requires it.
+    """
+    import gymnasium
+
+    if not all(isinstance(value, str | int | float | list) for value in given.values()):
+        return None
+    try:
+        found: Any = gymnasium.make(task, disable_env_checker=True, **given)
+    except ValueError:  # an agent that does not ship
+        return None
+    ours, theirs = (made.unwrapped.parallel.core.config.controller for made in (env, found))
+    return found if ours == theirs else None
+
+
+def _episodes(part: Part, rows: str) -> Iterator[EpisodeBuffer]:
+    """The episodes of each flight: of each of its drones, or of its team."""
+    for e, count in enumerate(part["running"].sum(axis=0).tolist()):
+        seen, acts, given = part["rows"][:, e], part["actions"][:, e], part["rewards"][:, e]
+        about = int(part["seed"][e]), bool(part["success"][e])
+        if rows == "team":
+            ended = np.zeros(count, np.bool_)
+            ended[-1] = not part["truncated"][e]
+            joint = seen[: count + 1].reshape(count + 1, -1), acts[:count].reshape(count, -1)
+            yield _episode(*joint, given[:count].mean(axis=1), ended, *about)
+            continue
+        for i, lived in enumerate(part["active"][:count, e].sum(axis=0).tolist()):
+            own = seen[: lived + 1, i], acts[:lived, i], given[:lived, i]
+            yield _episode(*own, part["ended"][:lived, e, i], *about)
 
 
 def _episode(
-    flight: Flight,
-    seen: Flight,
-    rewards: np.ndarray[Any, Any],
-    ended: np.ndarray[Any, Any],
+    seen: Any, acts: Any, rewards: Any, ended: Any, seed: int, success: bool
 ) -> EpisodeBuffer:
     """One episode as Minari takes it."""
     from minari.data_collector import EpisodeBuffer
@@ -312,11 +279,11 @@ def _episode(
     cut = np.zeros(len(ended), np.bool_)
     cut[-1] = not ended[-1]
     return EpisodeBuffer(
-        seed=int(flight["seed"]),
-        observations=seen["rows"],
-        actions=seen["actions"],
-        rewards=list(rewards),
-        terminations=list(ended),
-        truncations=list(cut),
-        infos={"success": np.full(len(ended) + 1, flight["success"])},
+        seed=seed,
+        observations=seen,
+        actions=acts,
+        rewards=rewards.tolist(),
+        terminations=ended.tolist(),
+        truncations=cut.tolist(),
+        infos={"success": np.full(len(ended) + 1, success)},
     )
