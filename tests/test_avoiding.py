@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 
 from examples import tune_agents
-from examples.tune_agents import TuneOptions, neighbor_of, numbers_of, tune_agent
+from examples.tune_agents import (
+    TUNED,
+    Case,
+    TuneOptions,
+    neighbor_of,
+    numbers_of,
+    tune_agent,
+    with_numbers,
+)
 from swarm_envs import crowd_v0, swap_v1
 from swarm_envs.agents import SafetyFilter, fly_episode, load
-from swarm_envs.agents.avoiding import TUNED, CruiseAgent, RoundaboutAgent
+from swarm_envs.agents.avoiding import CruiseAgent, RoundaboutAgent
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 
 NAMES = ("fast-line", "orca", "roundabout")
@@ -114,8 +122,23 @@ def test_a_tuning_that_was_killed_goes_on_and_ends_the_same(tmp_path, monkeypatc
 
 
 def test_a_candidate_is_measured_by_flights():
-    value = tune_agents.value_of(TUNED["fast-line"], frozen_seeds(5, 4), [("circle", 2)])
+    def circle(drones: int) -> list[Case]:
+        setting = {"layout": "circle", "num_drones": drones, "physics": "batch", "horizon_s": 12.0}
+        return [Case("circle", "swap_v1", setting)]
+
+    line, seeds = TUNED["fast-line"], frozen_seeds(5, 4)
+    value = tune_agents.value_of(line, seeds, circle(2))
     assert 0.7 < value < 1.0  # all succeed, in two or three seconds; some may be near misses
-    assert tune_agents.value_of(TUNED["fast-line"], [1], [("circle", 16)]) < 0.0  # refused
-    other = neighbor_of(TUNED["roundabout"], np.random.default_rng(1))
-    assert numbers_of(other) != numbers_of(TUNED["roundabout"])
+    assert tune_agents.value_of(line, [1], circle(16)) == pytest.approx(-0.24)  # refused
+    (sprint,) = tune_agents.cases_of("air-aware", ["air-sprint-6-v2"])
+    assert 0.9 < tune_agents.value_of(TUNED["air-aware"], [1], [sprint]) < 1.0
+
+
+@pytest.mark.parametrize("name", TUNED)
+def test_a_neighbor_has_other_numbers_and_the_same_rules(name):
+    candidate, rng = TUNED[name], np.random.default_rng(1)
+    other = neighbor_of(candidate, rng)
+    assert type(other) is type(candidate)
+    assert numbers_of(other) != numbers_of(candidate)
+    assert with_numbers(candidate, numbers_of(candidate)) == candidate
+    assert with_numbers(candidate, numbers_of(other)) == other

@@ -1,77 +1,159 @@
-"""Agents for the tasks in which the air decides: one that ignores it, and one that knows it.
+"""Agents for the tasks in which the air decides, those that ignore it and those that know it.
 
-Both follow the task's reference, with gains that were tuned on these tasks in the world `"hall"`.
-The second also decides which drone flies on top.
+All fly from rest to rest to their goals, or follow the reference where goals move, and differ in
+their controllers and in who takes which place. The numbers are tuned on these tasks, on seeds
+apart: `python -m examples.tune_agents`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Annotated
+
 import numpy as np
 
 from swarm_envs.agents import Actions, Observations
+from swarm_envs.arguments import POSITIVE, POSITIVE_S, Range, typed
 from swarm_envs.baselines.neural_swarm.agent import TrackingAgent, load_belief
 from swarm_envs.control.config import ControllerConfig, Indi, PositionGains
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.state import FloatArray
+from swarm_envs.tasks.motion import LINES
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team
 
-__all__: list[str] = []
+__all__ = ["TUNED", "AirNumbers"]
 
 _INTEGRAL_LIMIT = 3.0
 """Holds the largest force of these tasks, m."""
-TRAVEL_S = 2.5
-"""Time in which drones fly to the places that they choose, s."""
+_PEAK = 7.5132
+"""Largest acceleration from rest to rest over a distance of 1 m in 1 s, m/s^2."""
 
 
-def air_blind() -> TrackingAgent:
-    """Follows the reference with stiff gains and an integrator, and knows of no air."""
-    gains = PositionGains(5.0, 7.5, 2.5)
-    return TrackingAgent(ControllerConfig(gains, velocity_integral_limit=_INTEGRAL_LIMIT))
+@typed
+@dataclass(frozen=True, kw_only=True)
+class AirNumbers:
+    """Every number of an agent of these tasks, and what it knows."""
+
+    position: Annotated[float, POSITIVE]
+    """As of `PositionGains`, 1/s."""
+    velocity: Annotated[float, POSITIVE]
+    """As of `PositionGains`, 1/s."""
+    integral: Annotated[float, POSITIVE]
+    """As of `PositionGains`, 1/s."""
+    attitude: Annotated[float, POSITIVE] = 20.0
+    """`attitude_tilt` of `ControllerConfig`, 1/s. Where it is softer, noise costs less thrust."""
+    rate: Annotated[float, POSITIVE] = 25.0
+    """`rate_tilt` of `ControllerConfig`, 1/s."""
+    cutoff_hz: Annotated[float, Range(0.0, 20.0, unit="Hz")] = 0.0
+    """Of `Indi`, which estimates the force in flight; 0 for no estimate."""
+    acceleration: Annotated[float, POSITIVE] = 4.6
+    """Largest acceleration on the way to a goal, m/s^2."""
+    travel_s: Annotated[float, POSITIVE_S] = 1.6
+    """Time of the way to a place that any may take, s."""
+    believes: bool = False
+    """Whether it feeds `load_belief()` forward."""
+    chooses: bool = False
+    """Whether those with little thrust to spare go on top, where any may take any place."""
+
+    def controller(self) -> ControllerConfig:
+        """The tracking loop with these numbers."""
+        return ControllerConfig(
+            gains=PositionGains(self.position, self.velocity, self.integral),
+            feedforward=load_belief() if self.believes else None,
+            adaptation=Indi(self.cutoff_hz) if self.cutoff_hz else None,
+            attitude_tilt=self.attitude,
+            rate_tilt=self.rate,
+            velocity_integral_limit=_INTEGRAL_LIMIT,
+        )
+
+    def agent(self) -> AirAgent:
+        """An agent with these numbers."""
+        return AirAgent(self)
 
 
-def air_blind_adaptive() -> TrackingAgent:
-    """The same, but estimates the force in flight, by `Indi`, which suits softer gains."""
-    return TrackingAgent(_controller(knows=False))
+class AirAgent(TrackingAgent):
+    """Flies from rest to rest to its goals, or follows the reference where goals move.
 
+    Args:
+        numbers: of its controller and its ways, and what it knows.
+    """
 
-def _controller(knows: bool) -> ControllerConfig:
-    return ControllerConfig(
-        gains=PositionGains(4.5, 7.0, 2.0),
-        feedforward=load_belief() if knows else None,
-        adaptation=Indi(3.5),
-        velocity_integral_limit=_INTEGRAL_LIMIT,
-    )
-
-
-class AirAwareAgent(TrackingAgent):
-    """Feeds `load_belief()` forward; where any drone may take any place, the heavy go on top."""
-
-    def __init__(self) -> None:
-        super().__init__(_controller(knows=True))
-        self._places: FloatArray | None = None
-        self._start: FloatArray = np.zeros((0, 3))
+    def __init__(self, numbers: AirNumbers) -> None:
+        super().__init__(numbers.controller())
+        self._numbers = numbers
+        self._named = self._follows = True
+        self._goals: FloatArray | None = None
+        self._way = np.zeros((0, 3)), np.zeros((0, 3)), 1.0, 0.0
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Choose places, if there is a choice; nothing here is random."""
+        """Note what the task is like; nothing here is random."""
         super().reset(env, seed)
-        view, success = env.view, getattr(env.core.task, "success", None)
-        self._start, self._places = np.array(view.state.position), None
-        if not getattr(success, "named", True):
-            self._places = heavy_on_top(np.array(view.goals), view.team)
+        task = env.core.task
+        self._follows = not task.motion.rests and task.motion.kind != LINES
+        self._named, self._goals = getattr(task.success, "named", True), None
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk on the way; no yaw."""
-        if self._places is None or view is None:
+        """Position, velocity, acceleration and jerk on the way; no yaw.
+
+        Raises:
+            ValueError: there is no view: goals and reference are part of it.
+        """
+        if view is None or self._follows:
             return super().act(observations, view)
-        way = rest_to_rest(self._start, self._places, TRAVEL_S, view.time)
-        rows = np.concatenate([*way, np.zeros((len(self._start), 2))], axis=1)
+        if self._goals is None or (self._named and not np.array_equal(view.goals, self._goals)):
+            self._plan(view)
+        start, places, duration, began = self._way
+        way = rest_to_rest(start, places, duration, view.time - began)
+        rows = np.concatenate([*way, np.zeros((len(start), 2))], axis=1)
         return dict(zip(self._agents, rows, strict=True))
+
+    def _plan(self, view: View) -> None:
+        """The way from the set-points of this moment to the goals, or to better places."""
+        places = self._goals = np.array(view.goals)
+        if self._numbers.chooses and not self._named:
+            places = heavy_on_top(places, view.team)
+        start, duration = np.array(view.setpoint.position), self._numbers.travel_s
+        if self._named:
+            longest = float(np.linalg.norm(places - start, axis=1).max())
+            duration = max(0.1, (_PEAK * longest / self._numbers.acceleration) ** 0.5)
+        self._way = start, places, duration, view.time
+
+
+_PRECISE = AirNumbers(
+    position=6.0, velocity=10.0, integral=1.5, attitude=16.0, rate=16.5, cutoff_hz=4.8
+)
+_SPARING = AirNumbers(
+    position=0.87, velocity=4.6, integral=1.4, attitude=11.0, rate=4.8, cutoff_hz=2.9, believes=True
+)
+TUNED: Mapping[str, AirNumbers] = MappingProxyType(
+    {
+        "air-blind": AirNumbers(position=5.0, velocity=7.5, integral=2.5),
+        "air-blind-adaptive": _PRECISE,
+        "air-aware": replace(_PRECISE, believes=True, chooses=True),
+        "air-nearest": _SPARING,
+        "air-on-top": replace(_SPARING, chooses=True),
+    }
+)
+"""The agents that ship, by name, with their numbers."""
+
+
+air_blind, air_blind_adaptive, air_aware, air_nearest, air_on_top = (
+    numbers.agent for numbers in TUNED.values()
+)
+"""Make the agents of these names."""
 
 
 def heavy_on_top(places: FloatArray, team: Team) -> FloatArray:
-    """The same places (N, 3), changed in each column: who has little thrust to spare goes up."""
+    """(N, 3) the same places, changed within each column: who has little thrust to spare goes up.
+
+    Args:
+        places: (N, 3) of the drones, m.
+        team: N vehicles.
+    """
     spare, chosen = np.array([v.thrust_to_weight for v in team]), np.empty_like(places)
     columns = np.unique(places[:, :2].round(6), axis=0, return_inverse=True)[1].ravel()
     for column in range(columns.max() + 1):

@@ -14,18 +14,11 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import make_joint
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.base import Success
 from swarm_envs.tasks.columns import ColumnsTask, column_team
 from swarm_envs.tasks.delivery import DOCKS, DeliveryTask, delivery_team
+from swarm_envs.training.scoreboard.tasks import TASKS, make_scored
 from swarm_envs.vehicles import SMALL, parse_team, team_string
-
-EACH: list[tuple[str, dict[str, Any]]] = [
-    ("columns_v0", {}),
-    ("columns_v0", {"layout": "sprint"}),
-    ("delivery_v0", {}),
-]
-each = pytest.mark.parametrize(("task", "options"), EACH)
 
 
 def make(task: str, **options: Any) -> SwarmParallelEnv:
@@ -88,44 +81,6 @@ def test_docks_are_drawn():
         assert np.all((above[::2, 2] - docked[0, 0, 2] >= 0.28) & (above[1::2, 2] < 0.82))
         covered.append(int(below[0].argmax()))
     assert set(covered) == {0, 1, 2}
-
-
-@each
-def test_the_same_seed_gives_the_same_bytes(task, options):
-    flights = []
-    for _ in range(2):
-        env = make(task, action="ctbr", **options)
-        rows = [env.reset(seed=4)[0]]
-        rng = np.random.default_rng(0)
-        while len(rows) < 20 and env.agents:
-            acts = {a: rng.uniform(-0.3, 0.3, 4).astype(np.float32) for a in env.agents}
-            observed, rewards, *_ = env.step(acts)
-            assert np.isfinite(list(rewards.values())).all()
-            rows.append(observed)
-        flights.append(b"".join(row.tobytes() for each in rows for row in each.values()))
-    assert flights[0] == flights[1]
-
-
-@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
-@pytest.mark.parametrize("action", ["acceleration", "ctbr", "rotors"])
-@each
-def test_both_engines_fly_the_same(task, options, action):
-    """With another payload in each episode."""
-    envs = [make(task, physics=p, action=action, **options) for p in ("batch", "bullet")]
-    for seed in (3, 5):
-        for env in envs:
-            env.reset(seed=seed)
-            width = env.core.mode.width
-            hover = np.zeros(width) if width == 3 else np.full(width, -0.1 if width == 4 else 0.0)
-            for _ in range(12):
-                assert env.agents
-                env.step({a: hover.astype(np.float32) for a in env.agents})
-        ours, theirs = (env.view for env in envs)
-        assert ours.team == theirs.team
-        np.testing.assert_allclose(ours.state.position, theirs.state.position, atol=1e-9)
-        np.testing.assert_allclose(ours.goals, theirs.goals, atol=0)
-    for env in envs:
-        env.close()
 
 
 def test_payloads_are_flown_and_leave_with_their_episode():
@@ -246,16 +201,18 @@ def test_teams_of_one_fly_in_every_interface():
         assert joint.observation_space.contains(rows)
 
 
-def rate(agent: str, task: str, options: dict[str, Any], air: str, episodes: int) -> float:
-    flown = load(agent)
-    env = make(task, interactions=air, **options, **flown.requires)
-    return float(np.mean([fly_episode(env, flown, seed)["success"] for seed in range(episodes)]))
-
-
 @pytest.mark.slow
-@each
-def test_the_air_decides(task, options):
+@pytest.mark.parametrize("name", ["air-stack-8-v3", "air-sprint-8-v3", "air-delivery-7-v2"])
+def test_the_air_decides(name):
     """Of 8 episodes each; docs/tasks/columns.md has those of many more."""
-    assert rate("air-blind", task, options, "none", 8) >= 0.75
-    assert rate("air-blind", task, options, "learned", 8) <= 0.5
-    assert rate("air-aware", task, options, "learned", 8) >= 0.75
+
+    def rate(agent: str, air: str) -> float:
+        task, flown = TASKS[name], load(agent)
+        setting = {**task.setting, "interactions": air, **flown.requires}
+        env = make_scored(task.environment, setting)
+        return float(np.mean([fly_episode(env, flown, seed)["success"] for seed in range(8)]))
+
+    aware = "air-on-top" if "stack" in name else "air-aware"
+    assert rate("air-blind", "none") >= 0.75
+    assert rate("air-blind", "learned") <= 0.5
+    assert rate(aware, "learned") >= 0.75

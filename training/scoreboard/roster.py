@@ -63,6 +63,8 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "air-blind": Place("air, blind", "Stiff gains and an integrator; it knows of no air.", 2),
         "air-blind-adaptive": Place("air, blind and adaptive", _ADAPTIVE, 2),
         "air-aware": Place("air, aware", "It knows the force, and who should be on top.", 2),
+        "air-nearest": Place("air, nearest", "It knows the force, and saves thrust.", 2),
+        "air-on-top": Place("air, on top", "The same, with the heavy drones on top.", 2),
         "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
         "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
         "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of four."),
