@@ -41,3 +41,11 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no measured data beside the checkout (../shared)")
     return folder
+
+
+@pytest.fixture(params=["batch", "bullet"])
+def engine(request: pytest.FixtureRequest) -> str:
+    """Name of a physics engine; without pybullet, of the compiled one alone."""
+    if request.param == "bullet":
+        pytest.importorskip("pybullet")
+    return request.param

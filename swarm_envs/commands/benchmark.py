@@ -8,13 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from swarm_envs.arguments import Count, Seed
-from swarm_envs.commands.checks import (
-    Misuse,
-    as_misuse,
-    check_file,
-    check_folder,
-    command_options,
-)
+from swarm_envs.commands.checks import Misuse, as_misuse, check_file, check_folder, command_options
 from swarm_envs.envs.setting import CrewOptions
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.scale_out.options import ScaleOptions

@@ -20,13 +20,7 @@ import numpy as np
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_folder, command_options
-from swarm_envs.commands.fly import (
-    EpisodeOptions,
-    best_agent,
-    check_flies,
-    find_task,
-    prepare,
-)
+from swarm_envs.commands.fly import EpisodeOptions, best_agent, check_flies, find_task, prepare
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer

@@ -11,14 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import (
-    POSITIVE_S,
-    Divides,
-    OneOf,
-    Range,
-    check_value,
-    typed_options,
-)
+from swarm_envs.arguments import POSITIVE_S, Divides, OneOf, Range, check_value, typed_options
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import FORMS

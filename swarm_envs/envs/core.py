@@ -19,12 +19,7 @@ from swarm_envs.compiled import compilation, entry_point
 from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_actions
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
 from swarm_envs.envs.judge import judge, metrics, success_rules
-from swarm_envs.envs.observation import (
-    Float32Array,
-    observation_width,
-    sense,
-    write_observations,
-)
+from swarm_envs.envs.observation import Float32Array, observation_width, sense, write_observations
 from swarm_envs.envs.randomization import draw_vehicles
 from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel, load

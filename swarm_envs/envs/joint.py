@@ -29,10 +29,7 @@ class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
     def __init__(self, task: Task, config: EnvConfig, render_mode: str | None) -> None:
         self.parallel = SwarmParallelEnv(task, config, render_mode)
         self.render_mode = render_mode
-        self.metadata = {
-            "render_modes": list(RENDER_MODES),
-            "render_fps": config.decision_rate,
-        }
+        self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": config.decision_rate}
 
     def render(self) -> Any:
         """A picture of the swarm; see `SwarmParallelEnv.render`."""

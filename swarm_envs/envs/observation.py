@@ -79,10 +79,7 @@ _LOAD: _Entries = (
     ("battery", 1, "of full", 1.0),
 )
 _FORCE: _Entries = (("force", 3, "of the weight", 1.0),)
-_OBSTACLE: _Entries = (
-    ("offset", 3, "m", 1.0),
-    ("mask", 1, "", 1.0),
-)
+_OBSTACLE: _Entries = (("offset", 3, "m", 1.0), ("mask", 1, "", 1.0))
 _TASK: _Entries = (
     ("goal", 3, "m", 1.0),
     ("reference_position", 3, "m", 1.0),

@@ -16,13 +16,7 @@ from swarm_envs.control.config import INTEGRAL_LIMIT
 from swarm_envs.errors import check_array
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
-from swarm_envs.tasks.motion import (
-    ACCELERATION_LIMIT,
-    SPEED_LIMIT,
-    WRITERS,
-    Motion,
-    reference_of,
-)
+from swarm_envs.tasks.motion import ACCELERATION_LIMIT, SPEED_LIMIT, WRITERS, Motion, reference_of
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms

@@ -103,11 +103,7 @@ def next_site(
 
 @kernel
 def give_next_goals(
-    flown: BoolArray,
-    drones: Records,
-    environments: Records,
-    goals: FloatArray,
-    settings: Records,
+    flown: BoolArray, drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
     """Count the goals that were reached in this decision, and give their drones others.
 

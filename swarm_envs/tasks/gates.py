@@ -39,11 +39,7 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "succe
 
 @kernel
 def pass_gates(
-    flown: BoolArray,
-    drones: Records,
-    environments: Records,
-    goals: FloatArray,
-    settings: Records,
+    flown: BoolArray, drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
     """Send teams of which all drones are in a gate to the next one; the last one ends the episode.
 

@@ -92,12 +92,7 @@ def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, 
         s, d2 = full - s, -d2
     else:
         s, d1, d2, d3 = ramped_time(u, ramp)
-    return (
-        s / full,
-        d1 / (full * duration),
-        d2 / (full * duration**2),
-        d3 / (full * duration**3),
-    )
+    return (s / full, d1 / (full * duration), d2 / (full * duration**2), d3 / (full * duration**3))
 
 
 @kernel

@@ -47,11 +47,7 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "at_go
 
 @kernel
 def score_pursuit(
-    flown: BoolArray,
-    drones: Records,
-    environments: Records,
-    goals: FloatArray,
-    settings: Records,
+    flown: BoolArray, drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
     """Count the time that drones spend near their goals.
 

@@ -36,13 +36,7 @@ from swarm_envs.tasks.placing import (
 )
 from swarm_envs.vehicles import Team
 
-__all__ = [
-    "REWARD_WEIGHTS",
-    "CircleLayout",
-    "Layout",
-    "StackedLayout",
-    "SwapTask",
-]
+__all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
 
 LAYOUTS = ("stacked", "circle", "random")
 """Every layout by name."""

@@ -1,4 +1,4 @@
-"""What the tests of environments share: `engine`, either engine, and `face`, every interface."""
+"""What the tests of environments share: `face`, every interface."""
 
 from __future__ import annotations
 
@@ -6,16 +6,7 @@ import importlib.util
 
 import pytest
 
-from swarm_envs.physics import bullet_available
 from tests.helpers.faces import FACES, Face
-
-
-@pytest.fixture(params=["batch", "bullet"])
-def engine(request: pytest.FixtureRequest) -> str:
-    """Name of a physics engine; without pybullet, of the compiled one alone."""
-    if request.param == "bullet" and not bullet_available():
-        pytest.skip("pybullet is not installed")
-    return request.param
 
 
 @pytest.fixture(params=FACES, ids=lambda face: face.name)

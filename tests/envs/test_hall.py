@@ -115,11 +115,9 @@ def test_the_residual_pushes_and_grows_with_the_modelled_force():
     np.testing.assert_allclose(pushed[..., 0], 0.5 * size * residual[0, ..., 0], atol=1e-10)
 
 
-@pytest.mark.parametrize(("drones", "engine"), [(4, "batch"), (30, "batch"), (4, "bullet")])
+@pytest.mark.parametrize("drones", [4, 30])
 def test_company_is_whoever_is_in_the_interaction_volume(drones, engine):
     """For few drones and for many, also where forces are evaluated every fifth step only."""
-    if engine == "bullet" and not bullet_available():
-        pytest.skip("pybullet is not installed")
     made = (BulletPhysics if engine == "bullet" else BatchPhysics)(
         "S" * drones, 6, "wake", force_rate=48, hall=hall()
     )
@@ -138,10 +136,7 @@ def test_company_is_whoever_is_in_the_interaction_volume(drones, engine):
     made.close()
 
 
-@pytest.mark.parametrize("engine", ["batch", "bullet"])
 def test_offsets_and_thrust_errors_are_constant_accelerations(engine):
-    if engine == "bullet" and not bullet_available():
-        pytest.skip("pybullet is not installed")
     for world in (hall(offset=(0.05, 0.05)), hall(thrust_error=0.05)):
         made = core(world, physics=engine, action="rotors")
         drones = made.world.drones
@@ -323,10 +318,7 @@ def test_same_seed_same_bytes_for_any_number_of_environments_and_threads():
     assert alone != flight(core("ideal", 1))
 
 
-@pytest.mark.parametrize("engine", ["batch", "bullet"])
 def test_a_snapshot_goes_on_byte_for_byte(engine):
-    if engine == "bullet" and not bullet_available():
-        pytest.skip("pybullet is not installed")
     first = core("hall", 2, physics=engine)
     flight(first, 7)
     kept = first.get_state()

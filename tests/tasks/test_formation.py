@@ -180,10 +180,7 @@ def test_a_missed_shape_is_no_success():
         ({"labels": "blocks"}, r"labels='blocks' needs shapes=\('blocks', ...\)"),
         ({"travel_s": 7.0}, r"travel_s is 7.0, but must not exceed shape_s, 6.0"),
         ({"spacing_m": 0.1}, r"places are 0.100 m apart, but must be 0.170 m apart"),
-        (
-            {"spacing_m": 2.0},
-            r"shape 'pyramid' of 9 drones 2.0 m apart does not fit .* spacing_m",
-        ),
+        ({"spacing_m": 2.0}, r"shape 'pyramid' of 9 drones 2.0 m apart does not fit .* spacing_m"),
     ],
 )
 def test_impossible_options(options, message):
@@ -193,7 +190,7 @@ def test_impossible_options(options, message):
 
 def test_a_goal_is_refused():
     env = formation_v0.parallel_env(num_drones=2, physics="batch")
-    with pytest.raises(ValueError, match=r"in formation goals are the shapes'; use shapes="):
+    with pytest.raises(ValueError, match=r"in formation goals are those of shapes="):
         env.reset(options={"goal": [[0, 0, 1], [1, 0, 1]]})
     env.reset(options={"start": [[0, 0, 1], [1, 0, 1]]})
     np.testing.assert_array_equal(env.view.state.position, [[0, 0, 1], [1, 0, 1]])

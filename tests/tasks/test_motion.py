@@ -10,15 +10,7 @@ from swarm_envs import trajectories
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import SETTINGS_TYPE, World
 from swarm_envs.tasks.base import Orbit, Placement, world_of
-from swarm_envs.tasks.motion import (
-    LINES,
-    ORBITS,
-    REST,
-    WRITERS,
-    Motion,
-    reference_of,
-    stage_at,
-)
+from swarm_envs.tasks.motion import LINES, ORBITS, REST, WRITERS, Motion, reference_of, stage_at
 from swarm_envs.trajectories import Reference
 
 _RAMP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 2.5, -3.0, 1.0])

@@ -14,13 +14,7 @@ from swarm_envs import swap_v0
 from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
 from swarm_envs.physics.contact import nearest_point
 from swarm_envs.state import hover_state
-from swarm_envs.tasks.obstacles import (
-    Box,
-    Column,
-    buildings,
-    obstacle_distances,
-    obstacle_rows,
-)
+from swarm_envs.tasks.obstacles import Box, Column, buildings, obstacle_distances, obstacle_rows
 from swarm_envs.vehicles import SMALL, parse_team
 
 BLOCK = Box((0.0, -0.5, 0.0), (0.4, 0.5, 1.5))

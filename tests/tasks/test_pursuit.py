@@ -10,7 +10,6 @@ import pytest
 import swarm_envs
 from swarm_envs.agents import load
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.physics import bullet_available
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.pursuit import PURSUIT_LAYOUTS, PursuitTask
@@ -156,13 +155,3 @@ def test_swapped_goals_are_always_anothers():
     assert changes.all(axis=1).nonzero()[0].tolist() == [95, 191, 287]
     with pytest.raises(ValueError, match="in 'chase' goals move; leave it out"):
         PursuitTask(parse_team("S"), layout="chase").place(np.random.default_rng(0), goal=start[:1])
-
-
-@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
-@every_layout
-def test_engines_agree_while_goals_move(layout):
-    options = {"num_drones": 2, "horizon_s": 3.0, "change_s": 1.5}
-    ours, theirs = (flown(layout, 1, physics=engine, **options) for engine in ("batch", "bullet"))
-    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-9)
-    np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9)
-    assert ours[2]["share_on_goal"] == pytest.approx(theirs[2]["share_on_goal"], abs=1e-3)

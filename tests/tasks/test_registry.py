@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from docs.extensions.task_pages import observation_table, sections
+from docs.extensions.task_pages import _unit, observation_table, sections
 from swarm_envs import TASKS, task_family
-from swarm_envs.agents import fly_episode
+from swarm_envs.agents import fly_episode, load
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.commands.fly import find_task
 from swarm_envs.envs.observation import observation_layout
@@ -37,7 +37,7 @@ EACH: list[tuple[str, dict[str, Any]]] = [
     ("gates_v0", {"num_drones": 2}),
     ("columns_v0", {}),
     ("columns_v0", {"layout": "sprint"}),
-    ("delivery_v0", {}),
+    ("delivery_v0", {"horizon_s": 2.0}),  # its first stage
 ]
 every_layout = pytest.mark.parametrize(("task", "options"), EACH)
 
@@ -73,8 +73,8 @@ def test_the_documented_observation_table_is_the_layout():
     rows = re.findall(r"^\| `(\w+\.\w+)` \| (\d+) \| (.*?) \| (\d+) \|$", page, re.MULTILINE)
     documented = [(name, int(n), unit.strip(), float(scale)) for name, n, unit, scale in rows]
     layout = [
-        (field.name.replace("_0.", "_k."), field.where.stop - field.where.start, *field[2:])
-        for field in observation_layout(1, 1)
+        (f.name.replace("_0.", "_k."), f.where.stop - f.where.start, _unit(f.unit), f.scale)
+        for f in observation_layout(1, 1)
     ]
     assert documented == layout
 
@@ -101,6 +101,33 @@ def test_both_engines_fly_the_same(task, options, action):
         np.testing.assert_allclose(ours.goals, theirs.goals, atol=1e-9)
     for env in envs:
         env.close()
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        ("gates_v0", {"world": "ideal", "horizon_s": 8.0}),
+        ("crowd_v0", {"layout": "open", "horizon_s": 7.0}),
+        ("pursuit_v0", {"layout": "moving", "horizon_s": 3.0}),
+        ("pursuit_v0", {"layout": "swap-goals", "horizon_s": 3.0, "change_s": 1.5}),
+        ("pursuit_v0", {"layout": "chase", "horizon_s": 3.0}),
+    ],
+)
+def test_engines_agree_across_goals(task, options):
+    agent = load("tracking" if task == "pursuit_v0" else "straight-line")
+    flights = []
+    for engine in ("batch", "bullet"):
+        env = make(task, **{**options, "num_drones": 2, "physics": engine, **agent.requires})
+        metrics = fly_episode(env, agent, 1)
+        flights.append((env.view.state.position.copy(), env.view.goals.copy(), metrics))
+        env.close()
+    for ours, theirs in zip(flights[0][:2], flights[1][:2], strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    least = {"places_passed": 4, "goals_reached": 3, "share_on_goal": 1e-3}
+    for name in env.core.task.score_names:
+        found, same = (metrics[name] for *_, metrics in flights)
+        assert found == pytest.approx(same, abs=1e-3) and found >= least.get(name, 0.0)
 
 
 @every_layout

@@ -14,13 +14,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import TrackingSuccess, world_of
-from swarm_envs.tasks.ring import (
-    RingLayout,
-    RingTask,
-    num_upright,
-    perimeter,
-    ring_team,
-)
+from swarm_envs.tasks.ring import RingLayout, RingTask, num_upright, perimeter, ring_team
 from swarm_envs.vehicles import parse_team, team_string
 
 G = 9.80665

@@ -20,13 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm_envs.agents import Agent
-from swarm_envs.agents.evaluation import (
-    TIMED,
-    Episode,
-    EpisodeFile,
-    evaluate_agent,
-    source_digest,
-)
+from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate_agent, source_digest
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.protocol import AT_ONCE
 from swarm_envs.agents.registry import FILTER, SHIPPED, load_agent

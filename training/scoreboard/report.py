@@ -22,13 +22,7 @@ from swarm_envs.files import written_whole
 from swarm_envs.training.scoreboard import charts
 from swarm_envs.training.scoreboard.board import Board, Entry, read
 from swarm_envs.training.scoreboard.charts import Palette, color_class, palette, swatch
-from swarm_envs.training.scoreboard.markup import (
-    Content,
-    format_duration,
-    format_value,
-    html,
-    tag,
-)
+from swarm_envs.training.scoreboard.markup import Content, format_duration, format_value, html, tag
 from swarm_envs.training.scoreboard.tables import PRIVILEGED, Tables, short_label
 
 __all__ = ["write"]

@@ -19,12 +19,7 @@ from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds, source_digest
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.training.scoreboard.board import FILE, Board
-from swarm_envs.training.scoreboard.metrics import (
-    METRICS,
-    fastest_times,
-    row_of,
-    value_of_metric,
-)
+from swarm_envs.training.scoreboard.metrics import METRICS, fastest_times, row_of, value_of_metric
 from swarm_envs.training.scoreboard.roster import episodes_of
 from swarm_envs.training.scoreboard.standings import RESULTS, Reached, families_of
 from swarm_envs.training.scoreboard.tasks import SEED, TASKS, digest, make_scored

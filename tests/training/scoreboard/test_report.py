@@ -14,12 +14,7 @@ import pytest
 from swarm_envs.training.scoreboard import charts, report
 from swarm_envs.training.scoreboard.board import Metric, read
 from swarm_envs.training.scoreboard.charts import palette
-from swarm_envs.training.scoreboard.markup import (
-    format_interval,
-    format_value,
-    html,
-    tag,
-)
+from swarm_envs.training.scoreboard.markup import format_interval, format_value, html, tag
 from swarm_envs.training.scoreboard.tables import goodness
 from tests.helpers.browsers import PageReader
 from tests.helpers.scoreboards import AGENTS, EVIL, scores, write_scores
