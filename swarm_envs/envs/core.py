@@ -227,9 +227,8 @@ class SwarmCore:
         Args:
             seeds: one per environment; None continues with that environment's generator.
             mask: (E,) which to reset; None for all.
-            options: for these episodes alone. What the task allows of `start` and `goal`, (N, 3)
-                m, fixes what would be drawn; `team`, N vehicles or their string, flies in place of
-                the constructor's.
+            options: for these episodes alone: `start`, `goal` and `team`, as of
+                `SwarmParallelEnv.reset`.
 
         Returns:
             (E, N, width) observations.
@@ -246,11 +245,10 @@ class SwarmCore:
             drawn = placement.team
             self._fly_task(e, task if drawn is None else task.with_team(drawn))
             place(self.world, e, placement)
-        if self.ranges is not None:
-            for e in begun.tolist():
+        for e in begun.tolist():
+            if self.ranges is not None:
                 draw_vehicles(self.generators[e], self.ranges, e, self.world)
-        if self.physics.hall is not None:
-            for e in begun.tolist():
+            if self.physics.hall is not None:
                 self.physics.hall.draw(self.generators[e], e, self.world)
         self.physics.begin(begun)
         self._kernels.refer(*self.world, self.settings)
