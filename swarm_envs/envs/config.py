@@ -128,6 +128,11 @@ class EnvConfig:
                 f"Randomization.battery is {ranges.battery}, but these batteries never "
                 "empty; give battery=BatteryModel() too"
             )
+        if ranges is not None and ranges.hall != SAME and self.hall is None:
+            raise ValueError(
+                f'Randomization.hall is {ranges.hall}, but the world is ideal; give world="hall" '
+                "or a Hall too"
+            )
         if ranges is not None and ranges.noisy and self.hall is not None:
             raise ValueError(
                 f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "

@@ -55,6 +55,9 @@ class Randomization:
     """factor of the largest rotor thrust"""
     force_scale: Factor = SAME
     """factor of the interaction force, its drag included, one for a whole environment"""
+    hall: Factor = SAME
+    """factor of the random force, force offsets and thrust errors of `world="hall"`, one for a
+    whole environment"""
     battery: Annotated[tuple[float, float], Interval(Range(0.0, 1.0, above=True))] = SAME
     """charge at the start, each drone's own; needs batteries that empty"""
     gust_acceleration: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -137,3 +140,11 @@ def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world
     drones["charge"][e] = rng.uniform(*ranges.battery, drones.shape[1])
     gust_key, noise_key = rng.integers(2**63, size=2)
     environments["gust_key"][e], environments["noise_key"][e] = gust_key, noise_key
+
+
+def scale_hall(rng: np.random.Generator, ranges: Randomization, e: int, world: World) -> None:
+    """Multiply what the hall has drawn for an episode of environment `e` by a factor, `hall`."""
+    factor, drones = rng.uniform(*ranges.hall), world.drones[e]
+    for name in ("residual_quiet", "residual_more", "residual_alone", "force_offset"):
+        drones[name] *= factor
+    drones["thrust_gain"] = 1.0 + factor * (drones["thrust_gain"] - 1.0)

@@ -76,12 +76,12 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
     return row | spread([b / a for a, b in zip(one, two, strict=True)]) | {"unit": "times"}
 
 
-def hall_row(force_rate: int, repetitions: int) -> Row:
+def hall_row(force_rate: int, forces: str, repetitions: int) -> Row:
     """How much longer a decision takes in the world "hall", measured in turn."""
-    worlds = ("ideal", "hall")
-    cores = [make_core(*BATCH, force_rate=force_rate, threads=1, world=w) for w in worlds]
+    options: dict[str, object] = {"force_rate": force_rate, "interactions": forces, "threads": 1}
+    cores = [make_core(*BATCH, world=world, **options) for world in ("ideal", "hall")]
     ideal, hall = rates_of(cores, 10 * repetitions)
-    row = _row("hall over ideal world, random", cores[0])
+    row = _row(f"hall over ideal world, random, {forces}", cores[0])
     return row | spread([a / b for a, b in zip(ideal, hall, strict=True)]) | {"unit": "times"}
 
 
@@ -132,7 +132,8 @@ def measure(options: argparse.Namespace) -> Iterator[Row]:
                 yield batch_row(start, force_rate, precision, repetitions)
     for force_rate in (240, 48):
         yield thread_row(force_rate, repetitions)
-        yield hall_row(force_rate, repetitions)
+        for forces in ("learned", "wake", "none"):
+            yield hall_row(force_rate, forces, repetitions)
     for rates in RATES:
         yield batch_peer_row(options.peers, rates, *BATCH, repetitions)
     yield from scale_rows([(envs, BATCH[1]) for envs in ENVIRONMENTS], repetitions)

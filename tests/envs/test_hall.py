@@ -171,6 +171,21 @@ def test_what_is_drawn_for_an_episode_has_the_spread_that_it_says():
     assert not (made.world.drones["force_offset"] == first).any()
 
 
+def test_a_factor_of_the_hall_scales_what_it_has_drawn():
+    plain = core("hall", 200, randomization=Randomization())
+    made = core("hall", 200, randomization=Randomization(hall=(0.5, 1.5)))
+    drawn, usual = made.world.drones, plain.world.drones
+    factor = drawn["residual_quiet"] / usual["residual_quiet"]
+    assert 0.5 <= factor.min() < 0.55 and 1.45 < factor.max() <= 1.5
+    assert np.ptp(factor, axis=1).max() < 1e-12  # the same for the drones of an environment
+    for name in ("residual_more", "residual_alone", "force_offset"):
+        np.testing.assert_allclose(drawn[name], factor * usual[name], rtol=1e-12)
+    error, before = drawn["thrust_gain"] - 1.0, usual["thrust_gain"] - 1.0
+    np.testing.assert_allclose(error, factor * before, rtol=1e-9)
+    with pytest.raises(ValueError, match=r"Randomization\.hall is \(0.5, 1.5\), but the world"):
+        core("ideal", randomization=Randomization(hall=(0.5, 1.5)))
+
+
 def test_gains_are_those_of_the_kalman_filter():
     """The steady state by scipy's solution of the Riccati equation."""
     numbers, time = Hall(frame_rate_hz=50.0), 1 / 50.0
