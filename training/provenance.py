@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-__all__ = ["differing", "file_sha256", "json_ready", "scalar_writer"]
+__all__ = ["changed_options", "differing", "file_sha256", "json_ready", "scalar_writer"]
 
 
 def json_ready(value: object) -> object:
@@ -56,6 +57,19 @@ def _flat(content: Mapping[str, object], prefix: str = "") -> dict[str, object]:
 def _short(content: Mapping[str, object], name: str) -> str:
     text = str(content.get(name))
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def changed_options(config: Any, prefix: str = "--", aside: Sequence[str] = ()) -> list[str]:
+    """Options of a command, nested ones too, that differ from their defaults, but those aside."""
+    words = []
+    for entry in dataclasses.fields(config):
+        value, name = getattr(config, entry.name), prefix + entry.name.replace("_", "-")
+        if dataclasses.is_dataclass(value):
+            words += changed_options(value, f"{name}.", aside)
+        elif entry.default not in (dataclasses.MISSING, value) and entry.name not in aside:
+            given = value if isinstance(value, tuple) else (value,)
+            words.append(f"{name} {' '.join(map(str, given))}")
+    return words
 
 
 def file_sha256(path: Path) -> str:

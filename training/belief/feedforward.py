@@ -23,7 +23,6 @@ from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, fly, 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection.collect import MANIFEST, CollectionConfig, collect
 from swarm_envs.training.collection.table import ROW_RATE, interaction_rows
@@ -31,7 +30,7 @@ from swarm_envs.training.force_model import FitConfig, load_network, save_networ
 from swarm_envs.training.force_model import fit as fit_force_model
 from swarm_envs.training.force_model.network import InputRange
 from swarm_envs.training.interaction_rows import save_rows
-from swarm_envs.training.provenance import file_sha256, json_ready
+from swarm_envs.training.provenance import changed_options, file_sha256, json_ready
 
 __all__ = ["SwapTrial", "fly_swaps", "simulated_fit_config"]
 
@@ -46,17 +45,20 @@ class SwapTrial:
     """From what swaps are drawn."""
     episodes: int
     """Swaps that are flown."""
+    world: str = "ideal"
+    """`ideal` or `hall`; see `swarm_envs.hall`."""
 
 
 TRIALS = (
     *(SwapTrial(team, PAPER_SWAP, 30) for team in ("S2S", "L2S", "SS2S")),
     *(SwapTrial(team, StackedLayout(), 30) for team in ("S2S", "L2S", "SS2S")),
     *(SwapTrial(team, StackedLayout(), 12) for team in ("S2L", "L2L", "SL2S", "LL2S", "SS2L")),
+    *(SwapTrial(team, PAPER_SWAP, 40, "hall") for team in ("S2S", "L2S", "SS2S")),
 )
 """By what a shipped model is evaluated; seeds count from 0."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CompensationResult(SwapTrial):
     """Worst height error of the lowest drone over the episodes of a trial, cm."""
 
@@ -70,6 +72,8 @@ class CompensationResult(SwapTrial):
     """Episodes that compensation made worse."""
     upper_largest_growth_cm: float
     """Largest growth of another drone's worst height error by compensation."""
+    crashed: int
+    """Compensated episodes that ended in a collision or a tumble."""
 
 
 @typed
@@ -175,21 +179,7 @@ def feedforward_command(config: FeedforwardConfig) -> str:
     words = ["python -m swarm_envs.training.belief --out DIR", f"--seed {config.seed}"]
     if config.steps != FeedforwardConfig.steps:
         words.append(f"--steps {config.steps}")
-    return " ".join(words + _changed_options("collection", config.collection, CollectionConfig()))
-
-
-def _changed_options(prefix: str, config: Any, default: Any) -> list[str]:
-    """Options of a nested configuration that differ from the default, without its seed."""
-    words = []
-    for entry in dataclasses.fields(config):
-        value, usual = getattr(config, entry.name), getattr(default, entry.name)
-        name = f"{prefix}.{entry.name.replace('_', '-')}"
-        if dataclasses.is_dataclass(value):
-            words += _changed_options(name, value, usual)
-        elif value != usual and entry.name != "seed":
-            given = value if isinstance(value, tuple) else (value,)
-            words.append(f"--{name} {' '.join(map(str, given))}")
-    return words
+    return " ".join(words + changed_options(config.collection, "--collection.", ("seed",)))
 
 
 @typed
@@ -199,33 +189,25 @@ def compare_compensation(
     """Fly a trial twice, on the same seeds, references and gains: without and with the model.
 
     Raises:
-        RuntimeError: drones collided.
+        RuntimeError: drones collided in the ideal world.
     """
-    without, compensated = (
-        _worst_height_errors(trial, controller, environment)
+    flown = [
+        fly_swaps(trial, controller, environment)
         for controller in (ControllerConfig(), ControllerConfig(feedforward=model))
-    )
+    ]
+    if trial.world == "ideal" and any(flights.crashed.any() for flights in flown):
+        raise RuntimeError(f"swap of {trial.team}: drones collided in a trial")
+    without, compensated = (flights.worst_height_error for flights in flown)
     lowest, lowest_without = compensated[:, -1], without[:, -1]
     return CompensationResult(
-        team=trial.team,
-        layout=trial.layout,
-        episodes=trial.episodes,
+        **vars(trial),
         uncompensated_median_cm=round(100 * float(np.median(lowest_without)), 2),
         compensated_median_cm=round(100 * float(np.median(lowest)), 2),
         largest_ratio=round(float((lowest / lowest_without).max()), 3),
         worse=int((lowest > lowest_without).sum()),
         upper_largest_growth_cm=round(100 * float((compensated - without)[:, :-1].max()), 2),
+        crashed=int(flown[1].crashed.sum()),
     )
-
-
-def _worst_height_errors(
-    trial: SwapTrial, controller: ControllerConfig, environment: str | InteractionModel
-) -> FloatArray:
-    """Largest vertical distance of each drone to its reference, (episodes, N), m."""
-    flights = fly_swaps(trial, controller, environment)
-    if flights.crashed.any():
-        raise RuntimeError(f"swap of {trial.team}: drones collided in a trial with {controller}")
-    return flights.worst_height_error
 
 
 def fly_swaps(
@@ -234,15 +216,12 @@ def fly_swaps(
     environment: str | InteractionModel,
     first_seed: int = 0,
 ) -> Flights:
-    """Fly the episodes of a trial on their references.
+    """Fly the episodes of a trial on their references, in an environment with these forces.
 
-    Args:
-        trial: what to fly.
-        controller: of every drone.
-        environment: the force model of the environment.
-        first_seed: of the first episode; the others follow.
+    Every drone has the controller; seeds count from `first_seed`.
     """
     test = swap_test(trial.team, trial.layout, environment)
+    test = dataclasses.replace(test, world=trial.world)
     return fly(test, controller, range(first_seed, first_seed + trial.episodes))
 
 
@@ -281,6 +260,7 @@ def _flight_row(j: CompensationResult) -> str:
     low, high = j.layout.radius_m
     fast, slow = j.layout.duration_s
     cells = (
+        j.world,
         j.team,
         f"{low:g}-{high:g}",
         f"{fast:g}-{slow:g}",
@@ -290,5 +270,6 @@ def _flight_row(j: CompensationResult) -> str:
         f"{j.largest_ratio:.2f}",
         j.worse,
         f"{j.upper_largest_growth_cm:.1f}",
+        j.crashed,
     )
     return "| " + " | ".join(map(str, cells)) + " |"
