@@ -93,7 +93,7 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 
 # Tests small enough for kernels that are interpreted, which is how their lines are seen.
 INTERPRETED := $(addprefix tests/test_,barrier.py motors.py neighbors.py noise.py tables.py) \
-	tests/interactions/test_pairwise.py \
+	tests/interactions/test_composed.py::test_forces_are_those_of_the_formula \
 	$(addprefix tests/physics/,test_contact.py test_rigid_body.py) \
 	$(addprefix tests/control/,test_mixer.py test_tracking.py) \
 	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \

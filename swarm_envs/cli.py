@@ -121,7 +121,7 @@ def _fit(arguments: Sequence[str]) -> int:
     """Fit a force model; with `--residual`, which has other options, what it leaves over."""
     module = "training.force_model."
     if "--residual" in arguments:
-        options, function = "residual_config:ResidualConfig", "residual_fit:fit_residual"
+        options, function = "force_fit_config:ResidualConfig", "residual_fit:fit_residual"
         run = _learner("fit --residual", module + options, module + function, prefixes=True)
         return run([word for word in arguments if word != "--residual"])
     options, function = "force_fit_config:FitConfig", "pipeline:fit"

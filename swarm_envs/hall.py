@@ -93,13 +93,7 @@ class Hall:
         return cls() if world == "hall" else None
 
     def draw(self, rng: np.random.Generator, e: int, world: World) -> None:
-        """Draw what is constant in a new episode, and where its random numbers begin.
-
-        Args:
-            rng: the environment's generator.
-            e: the environment.
-            world: its tables are written.
-        """
+        """Draw what is constant in a new episode of environment `e`, and where its noise begins."""
         drones = world.drones[e]
         weight = GRAVITY * drones["nominal_mass"]
 

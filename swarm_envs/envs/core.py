@@ -20,7 +20,7 @@ from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_ac
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
 from swarm_envs.envs.judge import judge, metrics, success_rules
 from swarm_envs.envs.observation import Float32Array, observation_width, sense, write_observations
-from swarm_envs.envs.randomization import SAME, draw_vehicles, scale_hall
+from swarm_envs.envs.randomization import draw_vehicles, scale_hall
 from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
@@ -250,8 +250,7 @@ class SwarmCore:
                 draw_vehicles(self.generators[e], self.ranges, e, self.world)
             if self.physics.hall is not None:
                 self.physics.hall.draw(self.generators[e], e, self.world)
-                if self.ranges is not None and self.ranges.hall != SAME:
-                    scale_hall(self.generators[e], self.ranges, e, self.world)
+                scale_hall(self.generators[e], self.ranges, e, self.world)
         self.physics.begin(begun)
         self._kernels.refer(*self.world, self.settings)
         self._observe(0, self.num_envs, where, 0)

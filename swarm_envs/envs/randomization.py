@@ -142,8 +142,12 @@ def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world
     environments["gust_key"][e], environments["noise_key"][e] = gust_key, noise_key
 
 
-def scale_hall(rng: np.random.Generator, ranges: Randomization, e: int, world: World) -> None:
+def scale_hall(
+    rng: np.random.Generator, ranges: Randomization | None, e: int, world: World
+) -> None:
     """Multiply what the hall has drawn for an episode of environment `e` by a factor, `hall`."""
+    if ranges is None or ranges.hall == SAME:
+        return
     factor, drones = rng.uniform(*ranges.hall), world.drones[e]
     for name in ("residual_quiet", "residual_more", "residual_alone", "force_offset"):
         drones[name] *= factor

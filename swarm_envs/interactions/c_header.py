@@ -32,7 +32,7 @@ from swarm_envs.interactions.field import (
     ForceField,
 )
 from swarm_envs.interactions.forces import all_forces
-from swarm_envs.interactions.packed import packed
+from swarm_envs.interactions.packed import layers_of, packed
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -44,12 +44,9 @@ _TAKEN = ("TYPES", "SELF_TEST", "FORCE_H")
 
 
 def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> str:
-    """Source of a header that evaluates a model.
+    """Source of a header that evaluates a composed model or a deep set.
 
-    Args:
-        model: a composed model or a deep set.
-        name: prefix of everything that the header defines.
-        seed: from which the states of the header's self-test are drawn.
+    Everything that it defines begins with `name`. States of its self-test are drawn from the seed.
 
     Raises:
         ValueError: the model is neither, or the name cannot begin an identifier of C.
@@ -186,13 +183,8 @@ def _tables(name: str, field: ForceField) -> list[str]:
 
 def _by_output(field: ForceField, n: int) -> FloatArray:
     """Weights of network `n`: for each output its bias, then its row of the matrix."""
-    columns, parts = field.layout.shape[1] // 2, []
-    for layer, (inputs, outputs) in enumerate(pairwise(_widths(field, n))):
-        start = int(field.layout[n, 1 + columns + layer])
-        bias = start + inputs * outputs
-        matrix = field.weights[start:bias].reshape(inputs, outputs).T
-        parts.append(np.column_stack([field.weights[bias : bias + outputs], matrix]).ravel())
-    return np.concatenate(parts)
+    layers = layers_of(field, n)
+    return np.concatenate([np.column_stack([bias, matrix.T]).ravel() for matrix, bias in layers])
 
 
 def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:

@@ -30,13 +30,8 @@ __all__ = ["all_forces", "swarm_forces", "types_array"]
 def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
     """Weight of a pair at offset (dx, dy, dz), m: 1 well inside the volume, 0 from its edge on.
 
-    Along each axis it falls by a quintic smoothstep, which is twice differentiable.
-
-    Args:
-        window: (4,) lateral full and end, vertical full and end, m.
-        dx: offset in x, m.
-        dy: offset in y, m.
-        dz: offset in z, m.
+    Along each axis it falls by a quintic smoothstep, which is twice differentiable. The window (4,)
+    is lateral full and end, vertical full and end, m.
     """
     lateral, weight = (window[0], window[1]), 1.0
     for distance, (full, end) in (
@@ -60,14 +55,8 @@ def find_pairs(
 
     Few drones are compared in all environments at once: drone i of place c is number i * count + c
     there, so that all pairs (i, i + apart) are numbers at the same distance, and their comparison
-    is a loop that becomes vector instructions. Many are sorted along x, and swept.
-
-    Args:
-        field: the model.
-        count: environments.
-        drones: drones in each, N.
-        order: the scratch's. As an argument that is None it keeps the sweep from being compiled.
-        scratch: knows where they are; its pairs are written.
+    is a loop that becomes vector instructions. Many are sorted along x, and swept; `order`, the
+    scratch's, is an argument since one that is None keeps the sweep from being compiled.
     """
     window, counters, pairs = field.constants[0]["window"], scratch.counters[0], scratch.pairs
     lateral, vertical, found = window[1], window[3], 0
@@ -165,14 +154,10 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
 
 @part
 def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
-    """Write the interaction and drag forces on the drones of a chunk.
+    """Write the interaction and drag forces (N, world frame) on the drones of a chunk, and marks.
 
-    Args:
-        field: the model.
-        count: environments in the chunk, at most as many as the scratch has places.
-        drones: drones in each, N.
-        scratch: knows their types, positions and velocities; forces (N, world frame) and marks are
-            written, and their pairs.
+    The scratch knows types, positions and velocities of `count` environments of `drones` each, at
+    most as many as it has places for; their pairs are written too.
     """
     counters = scratch.counters[0]
     counters["pairs"] = counters["used"] = 0
@@ -187,13 +172,7 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
 
 @equation
 def felt_forces(field: PackedField, total: int, scratch: Scratch) -> None:
-    """Write the forces that drones feel at `position` from others that are where they are `seen`.
-
-    Args:
-        field: the model.
-        total: drones.
-        scratch: knows drones and pairs.
-    """
+    """Write the forces that drones feel at `position`, others being where they are `seen`."""
     kind, counters = field.constants[0]["kind"], scratch.counters[0]
     describe_motion(field, total, scratch)
     if kind == WAKE:
@@ -248,14 +227,9 @@ def all_forces(
     velocity: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Write the forces on the drones of any number of environments.
+    """Write the forces `out` (E, N, 3), N, world frame, on drones of any number of environments.
 
-    Args:
-        field: the model.
-        types: (E, N) interaction types, indices into the model's types.
-        position: (E, N, 3) m, world frame.
-        velocity: (E, N, 3) m/s, world frame.
-        out: (E, N, 3) forces f_a, N, world frame; overwritten.
+    Types (E, N) are indices into the model's, positions (E, N, 3) in m, velocities in m/s.
     """
     environments, drones = types.shape
     if types.size == 0:

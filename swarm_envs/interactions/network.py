@@ -56,17 +56,8 @@ def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records
 
     Each sum begins with the bias and takes the inputs in their order, by fused multiply-adds.
     Inputs that are 0 for both samples are left out, which changes no sum: of units sorted by how
-    often they are active, about half.
-
-    Args:
-        layout: as in `PackedField`.
-        n: which of its networks.
-        weights: as in `PackedField`.
-        used: how many samples there are. An odd number is filled up by whatever lies there.
-        rows: as in `Scratch`; the first of them are the inputs.
-
-    Returns:
-        Where the rows of the outputs begin.
+    often they are active, about half. The first of `rows` are the inputs of the `used` samples; an
+    odd number is filled up by whatever lies there. Returns where the rows of the outputs begin.
     """
     source, target = 0, SAMPLES // 2
     for layer in range(layout[n, DEPTH]):
@@ -117,11 +108,7 @@ def put_pair(field: PackedField, n: int, at: int, scratch: Scratch) -> None:
 def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
     """Put a drone's motion, or its code, into the next row, if network `n` is applied to it.
 
-    Args:
-        field: the model.
-        n: which of its networks.
-        slot: 2 i of drone i as it flies, 2 i + 1 alone at the anchor height.
-        scratch: working memory.
+    The slot is 2 i for drone i as it flies, 2 i + 1 for it alone at the anchor height.
     """
     layout, counters, drone = field.layout, scratch.counters[0], scratch.drones[slot // 2]
     free, own, model = slot % 2, layout[n, OWN], field.constants[0]

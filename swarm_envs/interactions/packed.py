@@ -185,7 +185,7 @@ def _sorted_layers(
             x = np.concatenate([codes[-1], *(codes[-1] + code for code in codes[:-1])])
         else:
             x = motions[source]
-        found[n] = layers = _layers(field, n)
+        found[n] = layers = layers_of(field, n)
         for (matrix, bias), (following, _) in pairwise(layers):
             x = np.maximum(x @ matrix + bias, 0.0)
             order = np.argsort(-np.count_nonzero(x, axis=0), kind="stable")
@@ -196,7 +196,7 @@ def _sorted_layers(
     return found
 
 
-def _layers(field: ForceField, n: int) -> list[tuple[Numbers, Numbers]]:
+def layers_of(field: ForceField, n: int) -> list[tuple[Numbers, Numbers]]:
     """Matrix (inputs, outputs) and bias of each layer of network `n`, copied."""
     depth, layers = int(field.layout[n, 0]), []
     starts = field.layout[n, field.layout.shape[1] // 2 + 1 :]

@@ -42,15 +42,9 @@ class TorqueModel:
     def torques(
         self, position: npt.ArrayLike, velocity: npt.ArrayLike, team: str | Sequence[Vehicle]
     ) -> FloatArray:
-        """Torque on every drone of every environment.
+        """Torque tau_a (E, N, 3), N m, world frame, on every drone of every environment.
 
-        Args:
-            position: (E, N, 3) m, world frame.
-            velocity: (E, N, 3) m/s, world frame.
-            team: the N vehicles, the same in each environment.
-
-        Returns:
-            (E, N, 3) tau_a, N m, world frame.
+        Positions and velocities are (E, N, 3), m and m/s, of the same N vehicles in each.
 
         Raises:
             ValueError: shapes do not fit the team, an entry is not finite, or a type is unknown.

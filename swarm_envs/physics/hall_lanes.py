@@ -93,12 +93,8 @@ def store_hall(
 def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratch: Scratch) -> None:
     """Note which drones have another one in the interaction volume of the force model.
 
-    Args:
-        count: environments whose forces have just been evaluated.
-        drones: N.
-        due: (C,) their places among the blocks.
-        blocks: records of `LANES` drones.
-        scratch: of the force model, which lists the pairs.
+    The forces of `count` environments have just been evaluated; `due` (C,) are their places among
+    the blocks. The scratch of the force model lists the pairs.
     """
     for place in range(count):
         for i in range(drones):
@@ -114,11 +110,8 @@ def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratc
 def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
     """Write the force that no model knows into `external` (N, world frame), and advance it.
 
-    Args:
-        blocks: records of `LANES` drones, whose modelled force has just been evaluated.
-        count: how many of them.
-        settings: (1,) record.
-        adds: whether it adds to what `external` holds.
+    The modelled force of the first `count` blocks has just been evaluated. With `adds` it is added
+    to what `external` holds.
     """
     s, base = settings[0], 1.0 if adds else 0.0
     kept, sideways = s.residual_kept, s.residual_sideways
@@ -156,13 +149,7 @@ def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
 
 @part
 def estimate(blocks: Records, count: int, settings: Records) -> None:
-    """Advance the errors of the estimates to the state that a step has led to.
-
-    Args:
-        blocks: records of `LANES` drones.
-        count: how many of them.
-        settings: (1,) record.
-    """
+    """Advance the errors of the estimates, in the first blocks, to the state after a step."""
     s = settings[0]
     dt, velocity_walk, attitude_walk = TIME_STEP, s.velocity_walk, s.attitude_walk
     per_step, loss, delay = s.frames_per_step, s.frame_loss, s.frame_delay
@@ -219,12 +206,8 @@ def see(blocks: Records, count: int) -> None:
 def sense_in_hall(first: int, last: int, drones: Records, mask: BoolArray, out: Records) -> None:
     """Write the state as drones of the world `"hall"` estimate it; rotors and batteries are known.
 
-    Args:
-        first: the first environment to look at.
-        last: one past the last.
-        drones: (E, N) records: the true state, and the errors of its estimate.
-        mask: (E,) environments to look at.
-        out: (E, N) records, written.
+    Records (E, N) hold the true state and the errors of its estimate; environments from `first` to
+    before `last` are looked at, where the mask (E,) is true.
     """
     for e in range(first, last):
         if not mask[e]:

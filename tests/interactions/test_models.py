@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import write_forces
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
-from tests.helpers.drawn_networks import drawn
 
 MODELS = ("wake", "learned", "learned-v0")
 
@@ -74,14 +70,6 @@ def test_forces_do_not_depend_on_where_in_the_plane(model: InteractionModel) -> 
     )
 
 
-def test_environments_are_independent(model: InteractionModel) -> None:
-    position, velocity = swarm(np.random.default_rng(3), 6, 4)
-    together = model.forces(position, velocity, "SSLS")
-    for e in range(6):
-        alone = model.forces(position[e : e + 1], velocity[e : e + 1], "SSLS")
-        np.testing.assert_array_equal(alone[0], together[e])
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_the_force_fades_to_nothing_at_the_edge_without_a_step(
     model: InteractionModel, axis: int
@@ -117,30 +105,6 @@ def test_ground_effect_lifts(model: InteractionModel) -> None:
         low, middle, high = model.forces(heights, np.zeros_like(heights), team)[:, 0, 2]
         assert low > middle > high - 0.3 * GRAM_FORCE
         assert low > 1.0 * GRAM_FORCE
-
-
-def deep_set_file(
-    path: Path, types: tuple[str, ...], rng: np.random.Generator, anchor: float | None = None
-) -> dict[str, np.ndarray]:
-    """Write a random deep set of three layers and return its tensors."""
-    tensors: dict[str, np.ndarray] = {}
-    networks: dict[str, tuple[int, ...]] = {f"phi.{t}": (6, 9, 7, 5) for t in types}
-    networks["phi.environment"] = (4, 9, 7, 5)
-    networks |= {f"rho.{t}": (5, 8, 1) for t in types}
-    tensors |= drawn(networks, rng)
-    notes = {"format": "deep-set-1", "types": types, "anchor_height_m": anchor, "window": None}
-    save_file(tensors, path, metadata={"swarm_envs": json.dumps(notes)})
-    return tensors
-
-
-def test_anchored_means_zero_aloft_at_any_speed(tmp_path: Path) -> None:
-    path = tmp_path / "anchored.safetensors"
-    deep_set_file(path, ("S", "L"), np.random.default_rng(6), anchor=0.5)
-    velocity = np.random.default_rng(7).normal(size=(50, 1, 3))
-    position = np.full((50, 1, 3), 0.5)
-    assert not load(path).forces(position, velocity, "S").any()
-    position[..., 2] = 0.3
-    assert load(path).forces(position, velocity, "S").any()
 
 
 def test_inputs_are_clamped_to_what_was_measured() -> None:

@@ -12,7 +12,7 @@ import torch
 
 from swarm_envs.training.force_model import train as module
 from swarm_envs.training.force_model.force_fit_config import FitConfig, TrainConfig
-from swarm_envs.training.force_model.network import EVERYWHERE, DeepSet, DeepSetSpec
+from swarm_envs.training.force_model.network import DeepSet
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.train import (
     Training,
@@ -25,9 +25,8 @@ from swarm_envs.training.force_model.train import (
     train_taught,
 )
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
-from tests.helpers.tiny_fits import make_rows
+from tests.helpers.tiny_fits import SPEC, rows_of
 
-SPEC = DeepSetSpec(("S",), EVERYWHERE, None, None)
 TAUGHT = TrainConfig(
     epochs=2.0,
     teachers=2,
@@ -44,25 +43,6 @@ TAUGHT = TrainConfig(
 )
 
 
-def rows_of(count: int = 1000, noise: float = 0.0) -> InteractionRows:
-    """Rows of one drone, pushed down by whoever is above it."""
-    rng = np.random.default_rng(0)
-    neighbor = rng.uniform(-0.4, 0.4, (count, 1, 6))
-    force = np.zeros((count, 3))
-    force[:, 2] = -8.0 * np.maximum(neighbor[:, 0, 2], 0.0) + noise * rng.normal(size=count)
-    return make_rows(
-        count,
-        types=("S",),
-        position=rng.uniform(0.5, 1.0, (count, 3)),
-        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
-        neighbor=neighbor,
-        neighbor_type=np.zeros((count, 1), dtype=np.int64),
-        force_g=force,
-        step=3 * np.arange(count),
-        validation=np.arange(count) // 100 % 5 == 4,
-    )
-
-
 def vector(run: Training) -> torch.Tensor:
     return torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
 
@@ -73,7 +53,7 @@ def other_labels(rows: InteractionRows, changed: np.ndarray) -> InteractionRows:
 
 def test_the_mean_over_symmetries_is_symmetric() -> None:
     torch.manual_seed(0)
-    network, rows = DeepSet(SPEC), rows_of(50)
+    network, rows = DeepSet(SPEC), rows_of(50, flights=1)
     with torch.no_grad():
         for weight in network.parameters():
             weight.mul_(3.0)  # or it hardly depends on its inputs
@@ -88,7 +68,7 @@ def test_the_mean_over_symmetries_is_symmetric() -> None:
 
 
 def test_the_network_learns_what_teachers_say() -> None:
-    rows = rows_of()
+    rows = rows_of(1000, flights=1)
     config = dataclasses.replace(TAUGHT, teachers=1, epochs=60.0, teacher_epochs=3.0)
     teacher = train(rows, SPEC, teacher_config(config, 1), progress=False)
     taught = train_taught(rows, SPEC, config, progress=False)
@@ -105,7 +85,7 @@ def test_the_network_learns_what_teachers_say() -> None:
 
 
 def test_held_out_rows_teach_nobody() -> None:
-    rows = rows_of()
+    rows = rows_of(1000, flights=1)
     first = train_taught(rows, SPEC, TAUGHT, progress=False)
     again = train_taught(other_labels(rows, rows.validation), SPEC, TAUGHT, progress=False)
     assert torch.equal(vector(first), vector(again))
@@ -115,8 +95,9 @@ def test_held_out_rows_teach_nobody() -> None:
 def test_killed_run_goes_on_with_the_network_it_was_at(
     killed_at: int, left: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rows, path = rows_of(), tmp_path / "checkpoint.safetensors"
-    whole = train_taught(rows, SPEC, TAUGHT, progress=False)
+    rows, path = rows_of(1000, flights=1), tmp_path / "checkpoint.safetensors"
+    config = dataclasses.replace(TAUGHT, slope_limit=50.0, slope_inputs=16, position_jitter_m=0.02)
+    whole = train_taught(rows, SPEC, config, progress=False)
     step, calls = module._step, []
 
     def dying_step(*arguments: object) -> float:
@@ -127,8 +108,8 @@ def test_killed_run_goes_on_with_the_network_it_was_at(
 
     monkeypatch.setattr(module, "_step", dying_step)
     with pytest.raises(KeyboardInterrupt):
-        train_taught(rows, SPEC, TAUGHT, path, progress=False)
-    resumed = train_taught(rows, SPEC, TAUGHT, path, progress=False)
+        train_taught(rows, SPEC, config, path, progress=False)
+    resumed = train_taught(rows, SPEC, config, path, progress=False)
     assert torch.equal(vector(whole), vector(resumed))
     assert resumed.history == whole.history
     assert len(calls) == killed_at + left  # of 26 steps for each of three networks
@@ -136,7 +117,7 @@ def test_killed_run_goes_on_with_the_network_it_was_at(
 
 
 def test_fit_records_its_teachers_and_removes_their_checkpoints(tmp_path: Path) -> None:
-    save_rows(tmp_path / "rows.npz", rows_of())
+    save_rows(tmp_path / "rows.npz", rows_of(1000, flights=1))
     config = FitConfig(data=tmp_path / "rows.npz", out=tmp_path / "out", mode="measured",
                        epochs=1.0, teachers=1, teacher_epochs=1.0, lipschitz_samples=0,
                        progress=False)  # fmt: skip

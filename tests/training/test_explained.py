@@ -37,11 +37,12 @@ def test_the_truth_explains_itself_and_nothing_explains_less_than_nothing():
 def test_generalisation_says_each_team():
     teams = ("SS", "SSSSS", "S" * 16)
     found = generalisation(scaled(0.9), load("wake"), teams, seed=3, states=30)
-    assert [e.drones for e in found] == [2, 5, 16]
-    assert found[0].mean_neighbours < found[1].mean_neighbours < found[2].mean_neighbours
+    assert [e["drones"] for e in found] == [2, 5, 16]
+    near = [e["mean_neighbours"] for e in found]
+    assert near[0] < near[1] < near[2]
     for e in found:
-        assert e.rms_error_g == pytest.approx(0.1 * e.rms_force_g)
-        assert 0.9 < e.explained < 1.0
+        assert e["rms_error_g"] == pytest.approx(0.1 * e["rms_force_g"])
+        assert 0.9 < e["explained"] < 1.0
     assert found[1:] == generalisation(scaled(0.9), load("wake"), teams[1:], seed=3, states=30)
 
 

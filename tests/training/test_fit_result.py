@@ -115,7 +115,7 @@ def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
     report = fit(
         config_of(rows_of_types(count=800), tmp_path, mode="measured", offsets="estimated")
     )
-    calibration = Calibration(50, "S", 9, 9, 0.1, 0.1)
+    calibration = Calibration(50, "S", 9, 9, 0.1)
     logs = replace(report.logs, vehicles={"S1": calibration})
     said = "calibration offsets are not subtracted: labels are fitted as measured"
     assert said in replace(report, logs=logs).lines()
@@ -147,20 +147,22 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
 
 
 @pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
-def test_a_type_that_is_never_a_neighbour_feels_but_does_not_push(model, tmp_path):
+@pytest.mark.parametrize(
+    ("shown", "said", "felt"),
+    [("neighbor_type", "'L' is a neighbour", "LS"), ("ego_type", "'L' is the drone of no", "SL")],
+)
+def test_a_type_that_never_pushed_or_never_felt_goes_on_so(model, shown, said, felt, tmp_path):
     rows = rows_of_types()
-    report = fit(
-        config_of(rows.select(rows.neighbor_type[:, 0] == 0), tmp_path, model=model, **QUICK)
-    )
+    small = getattr(rows, shown).reshape(len(rows), -1)[:, 0] == 0
+    report = fit(config_of(rows.select(small), tmp_path, model=model, **QUICK))
     notes = [note for note in report.notes if "explains nothing" not in note]
-    assert notes and all("'L' is a neighbour" in note for note in notes)
+    assert notes and all(said in note for note in notes)
     assert report.notes[0] in "\n".join(report.lines())
     found = load(str(tmp_path / "out" / WEIGHTS[model]))
     assert found.notes["notes"] == notes
-    position = np.array([[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]])
-    still = np.zeros((1, 2, 3))
+    position, still = np.array([[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]]), np.zeros((1, 2, 3))
     assert found.forces(position, still, "LL")[0, 0, 2] == 0.0
-    assert found.forces(position, still, "LS")[0, 0, 2] != 0.0
+    assert found.forces(position, still, felt)[0, 0, 2] != 0.0
 
 
 def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):

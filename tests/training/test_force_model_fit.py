@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from swarm_envs.interactions import load
 from swarm_envs.training.force_model import pipeline
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.force_fit_config import FitConfig
@@ -101,8 +100,6 @@ def test_planted_offsets_are_recovered():
             assert found.flight[vehicle, flight] == pytest.approx(planted + drift, abs=0.25)
     quiet = quiet_rows(rows)
     assert np.abs(np.median(subtract_offsets(rows, found).force_g[quiet, 2])) < 0.05
-    apart = subtract_offsets(rows, found.per_vehicle()).force_g[:, 2] - rows.force_g[:, 2]
-    assert np.unique(np.round(apart, 9)).size == len(OFFSETS)
 
 
 def test_vehicle_without_quiet_rows_is_refused():
@@ -130,18 +127,9 @@ def test_planted_wake_is_recovered():
 
 
 def test_two_equal_wakes_push_less_than_their_sum():
-    rows = planted_rows(4)
-    above = np.tile([0.0, 0.0, 0.3, 0.0, 0.0, 0.0], (4, 2, 1))
-    kind = np.array([[0, 0], [0, -1], [0, 0], [0, -1]])
-    rows = dataclasses.replace(
-        rows,
-        neighbor=above,
-        neighbor_type=kind,
-        ego_type=np.zeros(4, dtype=np.int64),
-        position=np.array([[0, 0, 20.0]] * 4),
-        velocity=np.zeros((4, 3)),
-    )
-    two, one = wake_force_g(TRUTH, wake_rows(rows, "neighbor"))[:2]
+    above, kind = np.tile([0.0, 0.0, 0.3, 0.0, 0.0, 0.0], (2, 2, 1)), np.array([[0, 0], [0, -1]])
+    rows = make_rows(2, position=np.tile([0, 0, 20.0], (2, 1)), neighbor=above, neighbor_type=kind)
+    two, one = wake_force_g(TRUTH, wake_rows(rows, "neighbor"))
     assert one < -1.0
     assert two / (2 * one) == pytest.approx(2 ** (1 / 1.4 - 1), rel=1e-6)
 
@@ -171,16 +159,7 @@ def test_slope_penalty_lowers_the_steepest_slope():
         return measure_lipschitz(network, 2000, 1, np.random.default_rng(0))
 
     free_found, held_found = steepest(free), steepest(held)
-    assert held_found.input_gradient_g_per_unit < 0.7 * free_found.input_gradient_g_per_unit
-
-
-def test_seed_decides_the_weights():
-    rows = planted_rows(500)
-    configs = [dataclasses.replace(SMALL, steps=5, seed=seed) for seed in (3, 3, 4)]
-    runs = [train(rows, SPEC, config, progress=False) for config in configs]
-    first, again, other = (next(run.network.parameters()) for run in runs)
-    assert torch.equal(first, again)
-    assert not torch.equal(first, other)
+    assert held_found["input_gradient_g_per_unit"] < 0.7 * free_found["input_gradient_g_per_unit"]
 
 
 def test_fit_writes_weights_and_report_and_no_checkpoint(tmp_path):
@@ -221,23 +200,6 @@ def test_measured_fit_is_the_papers_form(tmp_path):
     near = far * torch.tensor([0.01, 1.0, 1.0])
     still = torch.zeros_like(far)
     assert network.force_g(far, still, "SS")[0, 0] != network.force_g(near, still, "SS")[0, 0]
-
-
-@pytest.mark.parametrize("model", ["deep-set", "pairwise"])
-def test_a_type_that_is_only_a_neighbour_pushes_but_feels_nothing(model, tmp_path):
-    rows = planted_rows(2000)
-    save_rows(tmp_path / "rows.npz", rows.select(rows.ego_type == 0))
-    config = FitConfig(data=tmp_path / "rows.npz", out=tmp_path / "out", model=model, steps=20,
-                       offsets="none", lipschitz_samples=0, progress=False)  # fmt: skip
-    report = fit(config)
-    assert [note for note in report.notes if "explains nothing" not in note] == [
-        "type 'L' is the drone of no training row: the model says it feels nothing"
-    ]
-    found = load(str(config.out / pipeline.WEIGHTS[model]))
-    position = [[[0.0, 0.0, 0.2], [0.0, 0.0, 0.5]]]
-    small, large = (found.forces(position, np.zeros((1, 2, 3)), team) for team in ("SL", "LL"))
-    assert small[0, 0, 2] != 0.0
-    assert not large.any()
 
 
 def test_command_line_makes_the_same_configuration():

@@ -8,7 +8,6 @@ import torch
 
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.lipschitz import measure_lipschitz
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
     OUTER_FADE,
@@ -119,20 +118,3 @@ def test_missing_or_foreign_weights_are_refused(tmp_path):
     save_file({"a": torch.zeros(1)}, tmp_path / "foreign.safetensors")
     with pytest.raises(ValueError, match="format None, but must have 'deep-set-1' or"):
         load_network(tmp_path / "foreign.safetensors")
-
-
-def test_gradient_search_finds_the_slope_of_a_linear_network():
-    made = network(DeepSetSpec(("S",), EVERYWHERE, None, None))
-    with torch.no_grad():
-        for parameter in made.parameters():
-            parameter.zero_()
-        for module in (made.phi["S"], made.rho["S"]):
-            for layer in layers(module):
-                layer.weight[0, 0] = 1.0
-                layer.bias[0] = 0.0
-        layers(made.phi["S"])[0].bias[0] = 10.0  # keeps every ReLU open: f = 5 x + constant
-        layers(made.rho["S"])[-1].weight[0, 0] = 5.0
-    found = measure_lipschitz(made, 200, 1, np.random.default_rng(0))
-    assert found.position_gradient_g_per_m == pytest.approx(5.0)
-    assert found.input_gradient_g_per_unit == pytest.approx(5.0)
-    assert 3.0 < found.pair_ratio_g_per_m <= 5.0 + 1e-6

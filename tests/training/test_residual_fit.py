@@ -12,7 +12,7 @@ from swarm_envs.cli import main
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import load
 from swarm_envs.training.force_model.compare import flight_folds
-from swarm_envs.training.force_model.residual_config import ResidualConfig
+from swarm_envs.training.force_model.force_fit_config import ResidualConfig
 from swarm_envs.training.force_model.residual_fit import fit_residual, predicted_g
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE

@@ -128,17 +128,6 @@ def test_a_closure_is_refused() -> None:
         optimiser.step(lambda: 0.0)
 
 
-def test_matrices_without_gradient_stay() -> None:
-    silent, used = nn.Linear(4, 6), nn.Linear(6, 1)
-    weights, before = FlatWeights(nn.Sequential(silent, used)), silent.weight.detach().clone()
-    optimiser = Soap(weights, RATE)
-    for _ in range(12):
-        used(torch.ones(3, 6)).sum().backward()
-        optimiser.step()
-    assert torch.equal(silent.weight, before)
-    assert torch.isfinite(weights.values).all()
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_weights_that_are_not_finite_end_the_fit(value: float) -> None:
     weights = FlatWeights(nn.Linear(3, 2))

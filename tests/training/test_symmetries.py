@@ -25,10 +25,10 @@ KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise", "composed")
 TEAM = "SLSLS"
 
 
-def random_network(kind: NetworkKind, seed: int = 0) -> ForceNetwork:
+def random_network(kind: NetworkKind, anchor: float | None = 0.6) -> ForceNetwork:
     """A float64 network with weights twice as large as at the start, so that clamps matter."""
-    torch.manual_seed(seed)
-    made = build(DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6, kind=kind), torch.float64)
+    torch.manual_seed(0)
+    made = build(DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, anchor, kind=kind), torch.float64)
     with torch.no_grad():
         for network in made.named_networks().values():
             for parameter in network.parameters():
@@ -47,10 +47,14 @@ def network(kind: NetworkKind) -> ForceNetwork:
     return random_network(kind)
 
 
+def saved(network: ForceNetwork, folder: Path) -> InteractionModel:
+    save_network(folder / "model.safetensors", network, {"seed": 3})
+    return load(folder / "model.safetensors")
+
+
 @pytest.fixture
 def model(network: ForceNetwork, tmp_path: Path) -> InteractionModel:
-    save_network(tmp_path / "model.safetensors", network, {"seed": 3})
-    return load(tmp_path / "model.safetensors")
+    return saved(network, tmp_path)
 
 
 def swarm(seed: int, envs: int, drones: int) -> tuple[FloatArray, FloatArray]:
@@ -67,8 +71,13 @@ def torch_force_g(
     return np.asarray(force.numpy())
 
 
-def test_compiled_forces_are_those_of_torch(network: ForceNetwork, model: InteractionModel) -> None:
-    for seed, team in enumerate(("S", "SL", "LLS", TEAM)):
+@pytest.mark.parametrize("anchor", [None, 0.6])
+def test_compiled_forces_are_those_of_torch(
+    kind: NetworkKind, anchor: float | None, tmp_path: Path
+) -> None:
+    network = random_network(kind, anchor)
+    model = saved(network, tmp_path)
+    for seed, team in enumerate(("S", "SL", "LLS", TEAM, "SL" * 13)):
         position, velocity = swarm(seed, 30, len(team))
         compiled = model.forces(position, velocity, team)[..., 2] / GRAM_FORCE
         expected = torch_force_g(network, position, velocity, team)

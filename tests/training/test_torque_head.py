@@ -66,7 +66,7 @@ def test_a_planted_torque_is_learned_beside_the_force(tmp_path: Path) -> None:
     errors = report.torque_errors
     assert errors is not None
     for axis in (0, 1):
-        assert errors.error_n_m[axis] < 0.5 * errors.zero_n_m[axis]
+        assert errors["error_n_m"][axis] < 0.5 * errors["zero_n_m"][axis]
     assert report.findings.errors.overall < 0.3 * report.findings.errors.zero
     position = np.array([[[0.0, 0.0, 0.8], [0.1, 0.0, 1.2]], [[0.0, 0.0, 0.8], [0.0, -0.1, 1.2]]])
     model = load_torque(tmp_path / "learned.safetensors")

@@ -146,13 +146,8 @@ def collect(
 
     Writes one file for each flight, and `manifest.json` with the configuration, the force model's
     fingerprint, every flight's length, and how much was flown of each scenario. After an
-    interruption it resumes with the first missing file; the result is identical.
-
-    Args:
-        config: what to fly.
-        out: folder of the flights, made if missing.
-        progress: show a progress bar.
-        environment: the force between drones; None for the one that the configuration names.
+    interruption it resumes with the first missing file; the result is identical. `environment`
+    takes the place of the force that the configuration names.
 
     Raises:
         ImportError: flights are to be Parquet, and pyarrow is not installed.
@@ -263,16 +258,6 @@ def make_motion(
         return RandomWalk(team, rngs, ranges, low, config.duration_s, step)
     lowest = ranges.low_lowest_m if low else ranges.lowest_m
     return StackedSwaps(team, rngs, ranges, lowest, config.duration_s, step)
-
-
-@typed
-def read_flights(config: CollectionConfig, out: Path) -> list[CollectedFlight]:
-    """Read the flights of a finished collection.
-
-    Raises:
-        FileNotFoundError: a flight is missing.
-    """
-    return [flight for batch in config.batches() for flight in read_batch(config, out, batch)]
 
 
 def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[CollectedFlight]:

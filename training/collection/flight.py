@@ -34,13 +34,11 @@ _PER_TYPE = 100
 _ERROR = Range(0.0, 0.2)
 
 
-class Vehicles(NamedTuple):
+class _Vehicles(NamedTuple):
     """What the drones of E flights of N really are."""
 
-    mass_factor: FloatArray
-    """(E, N) mass over that of the type."""
-    thrust_factor: FloatArray
-    """(E, N) thrust of a rotor over what was commanded."""
+    mass_factor: FloatArray  # (E, N) mass over that of the type
+    thrust_factor: FloatArray  # (E, N) thrust of a rotor over what was commanded
 
 
 @typed_options
@@ -60,13 +58,10 @@ class CalibrationErrors:
     thrust_per_flight: Annotated[float, _ERROR] = 0.0
     """of a vehicle's thrust, sampled again for every flight, as batteries and propellers change"""
 
-    def draw(self, team: Team, seed: int, rngs: list[np.random.Generator]) -> Vehicles:
-        """Draw what the drones of E flights really are.
+    def draw(self, team: Team, seed: int, rngs: list[np.random.Generator]) -> _Vehicles:
+        """Draw what the drones of E flights, one per generator, really are.
 
-        Args:
-            team: the N vehicles.
-            seed: of the fleet: decides what belongs to a vehicle in all its flights.
-            rngs: E generators, one per flight.
+        The seed decides what belongs to a vehicle of the fleet in all its flights.
         """
         own = np.array(
             [np.random.default_rng([seed, v]).standard_normal(2) for v in vehicle_ids(team)]
@@ -76,7 +71,7 @@ class CalibrationErrors:
         if self.thrust_per_flight:
             drift = np.stack([rng.standard_normal(len(team)) for rng in rngs])
             thrust = thrust + self.thrust_per_flight * drift
-        return Vehicles(mass, thrust)
+        return _Vehicles(mass, thrust)
 
 
 def vehicle_names(team: Team) -> tuple[str, ...]:
@@ -113,12 +108,14 @@ def fly_motion(
     interactions: str | InteractionModel,
     duration_s: float,
     feedforward: InteractionModel | None = None,
-    vehicles: Vehicles | None = None,
+    vehicles: _Vehicles | None = None,
     pilot: str = "firm",
     hall: Hall | None = None,
     rngs: Sequence[np.random.Generator] = (),
 ) -> list[FlightLog]:
-    """Fly a motion in the environment and log the state that the pilot is given.
+    """Fly a motion of E teams and log the state that the pilot is given.
+
+    A log ends before its team touches anything or tumbles.
 
     Args:
         team: the N vehicles.
@@ -128,12 +125,8 @@ def fly_motion(
         feedforward: the force that the pilot compensates for; None for no compensation.
         vehicles: what the drones really are; None for exactly their type.
         pilot: name of its position gains, see `PILOTS`.
-        hall: numbers of the world "hall", where the pilot is given an estimate; None for the true
-            state of the ideal world.
+        hall: numbers of the world "hall", where the pilot is given an estimate; None for "ideal".
         rngs: E generators, which the hall draws from.
-
-    Returns:
-        E logs; one ends before its team touches anything or tumbles.
     """
     envs, drones = motion.start.shape[:2]
     physics = BatchPhysics(team, envs, interactions, hall=hall)

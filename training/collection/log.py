@@ -205,18 +205,10 @@ def interaction_force(
     rate_hz: float = LOG_RATE,
     label: Label = "differentiated",
 ) -> FloatArray:
-    """Interaction force on every drone at every entry of a log.
+    """Interaction force (T, N, 3), gram-force, world frame, on every drone at every entry of a log.
 
-    Args:
-        log: T entries of N drones.
-        team: the N vehicles.
-        smoothing_s: width of the Hann window over which a differentiated label is averaged, s;
-            less than two log entries for none. One from the accelerometer is taken as it is.
-        rate_hz: log entries per second.
-        label: where the acceleration comes from.
-
-    Returns:
-        (T, N, 3) force in gram-force, world frame; NaN near both ends, where it is unknown.
+    NaN near both ends, where it is unknown. A differentiated label is averaged over a Hann window
+    of `smoothing_s`, less than two entries for none; an accelerometer's is taken as it is.
     """
     acceleration = world_acceleration(log) if label == "imu" else None
     return force_from_motion(
@@ -233,20 +225,11 @@ def force_from_motion(
     rate_hz: float,
     smoothing_s: float,
 ) -> FloatArray:
-    """Interaction force f_a on N drones at T times, m a + m g k - R T k; see the module.
+    """Interaction force f_a (T, N, 3), gram-force, m a + m g k - R T k; see the module.
 
-    Args:
-        velocity: (T, N, 3) m/s, world frame.
-        acceleration: (T, N, 3) with gravity, m/s^2, world frame; None to differentiate the velocity
-            and to average the force over a Hann window.
-        quaternion: (T, N, 4) attitude, body to world.
-        commands: (T, N, 4) commanded rotor thrusts, N.
-        team: the N vehicles.
-        rate_hz: entries per second.
-        smoothing_s: width of the window, s; less than two entries for none.
-
-    Returns:
-        (T, N, 3) gram-force, world frame; NaN where derivative or window would reach out.
+    World frame, SI units. The acceleration is with gravity; None differentiates the velocity and
+    averages the force over a Hann window of `smoothing_s`, less than two entries for none. Commands
+    (T, N, 4) are rotor thrusts. NaN where derivative or window would reach out.
     """
     mass = np.array([vehicle.mass for vehicle in team])[:, None]
     thrust = lagged_thrust(commands, team, 1.0 / rate_hz)[..., None]

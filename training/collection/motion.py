@@ -137,14 +137,10 @@ def push_apart(
     floor: Potential,
     out: FloatArray,
 ) -> None:
-    """Write the acceleration by which E teams of N drones repel each other and the floor.
+    """Write the acceleration (E, N, 3), m/s^2, by which drones repel each other and the floor.
 
-    Args:
-        position: (E, N, 3) m, z up from the floor.
-        radius: (N,) of the drones' spheres, m.
-        neighbor: potential of the clearance between two spheres.
-        floor: potential of the clearance of a sphere from the floor.
-        out: (E, N, 3) m/s^2, overwritten.
+    Spheres of the radii (N,) stand at positions (E, N, 3), m, z up from the floor; `neighbor` and
+    `floor` are potentials of their clearances.
     """
     out[:] = 0.0
     for e in range(position.shape[0]):
@@ -162,15 +158,9 @@ def push_apart(
 
 
 class RandomWalk:
-    """Random walks of E teams in a small box.
+    """Random walks of E teams in a small box, one per generator, near the ground or aloft.
 
-    Args:
-        team: the N vehicles.
-        rngs: E generators, one per flight.
-        ranges: what is drawn.
-        low: near the ground, else aloft.
-        duration: length of the flights, s.
-        step: time between calls of `target`, s.
+    `duration` is the length of the flights, `step` the time between calls of `target`, s.
     """
 
     def __init__(
@@ -244,13 +234,8 @@ def separated(points: FloatArray, radius: FloatArray) -> FloatArray:
 class StackedSwaps:
     """Swaps of E teams on cylinders, there and back, each drone in its own plane.
 
-    Args:
-        team: the N vehicles; their order from top to bottom is drawn per flight.
-        rngs: E generators, one per flight.
-        ranges: what is drawn.
-        lowest: range of the lowest plane, m.
-        duration: length of the flights, s.
-        step: time between calls of `target`, s.
+    The order of the team from top to bottom is drawn per flight, and its lowest plane, m.
+    `duration` is the length of the flights, `step` the time between calls of `target`, s.
     """
 
     def __init__(

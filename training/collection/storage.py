@@ -34,18 +34,11 @@ LARGEST_PWM = 65535.0
 def motor_signals(
     commands: FloatArray, team: Team, rate_hz: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Signals and voltages under which psi1 (Table I) gives the commanded thrust.
+    """Signals (T, N, 4), 0 to 65535, and voltages (T, N), V, at which psi1 (Table I) gives thrusts.
 
-    The battery is full at the start and empties as `BatteryModel` says; its voltage sags with the
-    current. Where psi1 reaches a thrust with no signal from 0 to 65535, the nearest signal stands.
-
-    Args:
-        commands: (T, N, 4) commanded rotor thrusts, N.
-        team: the N vehicles.
-        rate_hz: log entries per second.
-
-    Returns:
-        Signals (T, N, 4), 0 to 65535, and voltages (T, N), V.
+    The commanded rotor thrusts are (T, N, 4), N. The battery is full at the start and empties as
+    `BatteryModel` says; its voltage sags with the current. Where psi1 reaches a thrust with no
+    signal, the nearest stands.
     """
     battery = BatteryModel()
     drones = battery.of_team(team)
@@ -90,15 +83,9 @@ def flight_file(out: Path, name: str, form: str = "npz") -> Path:
 def save_log(
     path: Path, log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = True
 ) -> None:
-    """Write a log, atomically, as the path's ending says.
+    """Write a log, atomically, as the path's ending says: `.npz` (single precision) or `.parquet`.
 
-    Args:
-        path: ends in `.npz` (single precision) or `.parquet`.
-        log: what to write.
-        team: the N vehicles.
-        rate_hz: entries per second.
-        accelerometer: write the acceleration into Parquet too; a fit to it then takes its label
-            from there.
+    `accelerometer` writes the acceleration into Parquet too; a fit then takes its label from there.
 
     Raises:
         ImportError: it is to be Parquet, and pyarrow is not installed.
@@ -112,11 +99,7 @@ def save_log(
 
 
 def read_log(path: Path, team: Team | None = None) -> FlightLog:
-    """Read a file that `save_log` wrote.
-
-    Args:
-        path: ends in `.npz` or `.parquet`.
-        team: the N vehicles; Parquet needs them.
+    """Read a file that `save_log` wrote; Parquet needs the team.
 
     Raises:
         FileNotFoundError: there is none.

@@ -104,10 +104,6 @@ def interaction_rows(
     Of drones in company those rows stay that have a neighbour in the interaction volume, as in
     the paper; of lone drones every row.
 
-    Args:
-        flights: what was flown.
-        label: where the acceleration of the labels comes from.
-
     Raises:
         ValueError: there is no row.
     """
@@ -190,13 +186,8 @@ def rows_of_drone(
 ) -> DroneRows:
     """Every entry of drone i of a flight as a row, with N - 1 neighbour slots.
 
-    Args:
-        name: of the physical vehicle.
-        i: which drone feels the force.
-        kinds: interaction types of the N drones.
-        position: (T, N, 3) m.
-        velocity: (T, N, 3) m/s.
-        force_g: (T, N, 3) labels, gram-force.
+    `kinds` are interaction types of the N drones; positions, m, velocities, m/s, and labels, g, are
+    (T, N, 3).
     """
     others = [j for j in range(len(kinds)) if j != i]
     apart = [values[:, others] - values[:, i, None] for values in (position, velocity)]
@@ -223,15 +214,9 @@ def rows_of_drones(
     held_out: BoolArray,
     names: dict[int, str] | None = None,
 ) -> InteractionRows:
-    """One table of the rows of D drones, one after the other.
+    """One table of the rows of D drones, one after the other, with room for `slots` neighbours.
 
-    Args:
-        parts: rows of each drone.
-        slots: neighbours that a row has room for; the slots that are left stay empty.
-        flight: D numbers of flights.
-        vehicle: D numbers of vehicles.
-        held_out: (R,) which of all rows are for validation.
-        names: of the vehicles, by number.
+    `flight` and `vehicle` are D numbers, `held_out` (R,) says which of all rows are for validation.
     """
     scenarios = sorted({rows.scenario for rows in parts})
 

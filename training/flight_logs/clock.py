@@ -136,15 +136,10 @@ SETTLED = 5.0
 
 
 def interaction_force_g(flight: ClockedFlight, smoothing_s: float) -> FloatArray:
-    """Interaction force on every drone at every time of a flight.
+    """Interaction force (T, N, 3), gram-force, world frame, on the drones at all times of a flight.
 
-    Args:
-        flight: N drones at T times.
-        smoothing_s: width of the Hann window over labels from differentiated velocity, s.
-
-    Returns:
-        (T, N, 3) gram-force, world frame; NaN where it is unknown: in gaps, while a motor stands,
-        five motor time constants after either, and where derivative or window would reach out.
+    NaN where it is unknown: in gaps, while a motor stands, five motor time constants after either,
+    and where the derivative, or the Hann window of `smoothing_s`, would reach out.
     """
     force = np.full(flight.position.shape, np.nan)
     slowest = min(vehicle.motor_rate for vehicle in flight.team)
@@ -181,11 +176,7 @@ ALOFT_M = 0.25
 def drone_rows(flight: ClockedFlight, force_g: FloatArray, i: int, keep_every: int) -> DroneRows:
     """Rows of drone i of a flight of N, with N - 1 neighbour slots, filtered.
 
-    Args:
-        flight: N drones at T times.
-        force_g: (T, N, 3) their labels, NaN where unknown.
-        i: which drone feels the force.
-        keep_every: every so many entries one row.
+    Of the labels (T, N, 3), NaN where unknown, every so many entries give a row.
     """
     kinds = [vehicle.interaction_type for vehicle in flight.team]
     rows = rows_of_drone(flight.names[i], i, kinds, flight.position, flight.velocity, force_g)

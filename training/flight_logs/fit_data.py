@@ -7,7 +7,6 @@ import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from swarm_envs.training.flight_logs.log_report import (
 from swarm_envs.training.flight_logs.read import (
     Found,
     find_data,
-    read_flight_logs,
+    join_logs,
     read_logs,
     refuse_copy,
     table_key,
@@ -44,11 +43,6 @@ from swarm_envs.training.provenance import file_sha256
 __all__ = ["data_sha256", "read_data"]
 
 
-class _Part(NamedTuple):
-    file: FileReport
-    rows: InteractionRows
-
-
 def read_data(
     path: Path,
     options: LogOptions,
@@ -59,14 +53,9 @@ def read_data(
     """Read tables of rows (`.npz`), flight logs (`.csv`, `.parquet`), or a folder of both.
 
     What is sound is joined; the report says of every file what became of it. A folder that
-    `swarm-envs collect` wrote is read as that.
-
-    Args:
-        path: the file or folder.
-        options: how logs become rows.
-        progress: show a progress bar.
-        offsets: leave vehicles out whose calibration offset is unknown for want of quiet rows.
-        torque: refuse tables without torque labels.
+    `swarm-envs collect` wrote is read as that. With `offsets`, vehicles are left out whose
+    calibration offset is unknown for want of quiet rows; with `torque`, tables without
+    labels of it.
 
     Raises:
         FileNotFoundError: there is nothing to read.
@@ -84,21 +73,22 @@ def read_data(
     parts, refused = _read_tables(tables, options, torque)
     refused += there.twice
     if logs and not torque:
-        found = _read_logs(logs, options, progress)
-        parts, refused = [*found[0], *parts], [*found[1], *refused]
+        joined, bad = join_logs(logs, options, progress)
+        parts, refused = [*([] if joined is None else [joined]), *parts], [*bad, *refused]
     elif logs:
         refused += [FileReport(file.name, _no_torque(file.name, "a log")) for file in logs]
     if not parts:
         raise ValueError(_nothing(path, refused))
-    joined = _with_drawn_blocks(_joined(parts), options)
-    rows, report = without_scarce_data(joined, refused, options)
+    rows, report = without_scarce_data(
+        _with_drawn_blocks(_joined(parts), options), refused, options
+    )
     flown = {k: s for k, s in report.scenarios.items() if s.training_rows or s.validation_rows}
     return rows, dataclasses.replace(report, scenarios=flown, not_read=there.not_read)
 
 
 def _read_tables(
     files: Sequence[Path], options: LogOptions, torque: bool
-) -> tuple[list[_Part], list[FileReport]]:
+) -> tuple[list[JoinedRows], list[FileReport]]:
     parts, refused, known = [], [], dict[str, str]()
     for file in files:
         try:
@@ -111,34 +101,16 @@ def _read_tables(
             refused.append(FileReport(file.name, str(error), kind="table"))
         else:
             report = FileReport(file.name, kind="table", entries=len(rows), notes=notes_of(rows))
-            parts.append(_Part(report, rows))
+            parts.append(JoinedRows(rows, np.zeros(len(rows), np.int64), [report]))
     return parts, refused
 
 
-def _read_logs(
-    files: Sequence[Path], options: LogOptions, progress: bool
-) -> tuple[list[_Part], list[FileReport]]:
-    """Logs among tables: what is too little is judged when all is joined."""
-    lenient = dataclasses.replace(options, min_scenario_rows=0, min_quiet_rows=0)
-    try:
-        rows, report = read_flight_logs(files, lenient, progress)
-    except ValueError as error:  # no row passes the filter
-        return [], [FileReport(file.name, str(error)) for file in files]
-    refused = [file for file in report.files if file.refused is not None]
-    sound = [file for file in report.files if file.refused is None]
-    if rows is None:
-        return [], refused
-    # Flights are numbered in the order of the sound files.
-    return [
-        _Part(file, rows.select(rows.flight == number)) for number, file in enumerate(sound)
-    ], refused
-
-
-def _joined(parts: Sequence[_Part]) -> JoinedRows:
+def _joined(parts: Sequence[JoinedRows]) -> JoinedRows:
     # A table alone keeps its numbers of flights and vehicles.
     rows = join_rows([part.rows for part in parts]) if len(parts) > 1 else parts[0].rows
-    origin = np.repeat(np.arange(len(parts)), [len(part.rows) for part in parts])
-    return JoinedRows(rows, origin, [part.file for part in parts])
+    first = np.cumsum([0, *(len(part.files) for part in parts)])
+    origin = [part.origin + at for part, at in zip(parts, first)]
+    return JoinedRows(rows, np.concatenate(origin), [f for part in parts for f in part.files])
 
 
 def _no_torque(name: str, what: str) -> str:

@@ -63,13 +63,8 @@ class LogOptions:
 def held_out_blocks(lengths: Sequence[int], share: float, seed: int) -> list[BoolArray]:
     """Which blocks of time are held out: of each 1 / share consecutive ones one, drawn at random.
 
-    Args:
-        lengths: number of blocks of each flight; a group of blocks runs on into the next flight.
-        share: of the blocks to hold out; of a single block nothing.
-        seed: of the draw.
-
-    Returns:
-        One mask per flight.
+    Of flights of so many blocks; a group of blocks runs on into the next flight. Of a single block
+    nothing is held out. Returns one mask per flight.
     """
     rng, total = np.random.default_rng(seed), sum(lengths)
     chosen = np.zeros(total, dtype=np.bool_)

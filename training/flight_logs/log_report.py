@@ -73,8 +73,6 @@ class Calibration:
     """Training rows aloft, slow and away from wakes."""
     offset_g: float | None
     """Median vertical label of those: error of mass and thrust curve. None without such rows."""
-    spread_g: float | None
-    """Half the range between their 16 % and 84 % quantiles."""
     refused: str | None = None
     """Why none of its rows was used."""
 
@@ -200,10 +198,7 @@ def without_scarce_data(
 ) -> tuple[InteractionRows, LogReport]:
     """Leave out vehicles without calibration, then scenarios with too few rows; and report.
 
-    Args:
-        joined: rows of the sound files, marked as held out or not.
-        refused: files that are not among them.
-        options: how many rows are enough.
+    `refused` are the files that gave none of the rows.
     """
     numbers = np.unique(joined.rows.vehicle).tolist()
     vehicles = {vehicle_name(joined.rows, number): number for number in numbers}
@@ -246,12 +241,9 @@ def _calibrations(rows: InteractionRows, vehicles: dict[str, int]) -> dict[str, 
         if not own.any():
             continue
         labels = rows.force_g[own & quiet, 2]
-        offset = spread = None
-        if len(labels):
-            low, middle, high = np.quantile(labels, (0.16, 0.5, 0.84))
-            offset, spread = round(float(middle), 3), round(float(high - low) / 2, 3)
+        offset = round(float(np.median(labels)), 3) if len(labels) else None
         kind = rows.types[int(rows.ego_type[own][0])]
-        found[name] = Calibration(vehicle, kind, int(own.sum()), len(labels), offset, spread)
+        found[name] = Calibration(vehicle, kind, int(own.sum()), len(labels), offset)
     return found
 
 

@@ -55,8 +55,12 @@ from swarm_envs.training.flight_table import SUFFIXES, read_table
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.vehicles import parse_team
 
+__all__ = ["MANIFEST", "read_logs"]
+
 TABLE_SUFFIX = ".npz"
 """How the name of a table of rows ends."""
+DEFAULT = LogOptions()
+"""The options that hold if none are given."""
 
 
 class Found(NamedTuple):
@@ -82,27 +86,27 @@ def find_data(path: Path) -> Found:
             f"no data at {str(path)!r}; give a file of rows or logs, or a folder"
         )
     if not path.is_dir():
-        return Found([path], [], []) if _ending(path) == TABLE_SUFFIX else Found([], [path], [])
+        is_table = path.suffix.lower() == TABLE_SUFFIX
+        return Found([path], [], []) if is_table else Found([], [path], [])
     visible = sorted(file for file in path.iterdir() if not file.name.startswith("."))
-    tables = [file for file in visible if file.is_file() and _ending(file) == TABLE_SUFFIX]
-    logs = [file for file in visible if file.is_file() and _ending(file) in SUFFIXES]
-    count = Counter(log.stem for log in logs)
-    twice = [FileReport(log.name, _twice(log.stem, logs)) for log in logs if count[log.stem] > 1]
-    not_read = tuple(
-        f"{file.name}/" if file.is_dir() else file.name
-        for file in visible
-        if file not in tables and file not in logs and file.name != MANIFEST
+    kinds = {file: file.suffix.lower() if file.is_file() else "" for file in visible}
+    tables = [file for file, kind in kinds.items() if kind == TABLE_SUFFIX]
+    logs = [file for file, kind in kinds.items() if kind in SUFFIXES]
+    known = {*tables, *logs, path / MANIFEST}
+    return Found(
+        tables,
+        [log for log in logs if len(_same_flight(log, logs)) == 1],
+        [
+            FileReport(log.name, f"flight {log.stem!r} is there as {names}; keep one of them")
+            for log in logs
+            if " " in (names := " and as ".join(_same_flight(log, logs)))
+        ],
+        tuple(f"{f.name}/" if f.is_dir() else f.name for f in visible if f not in known),
     )
-    return Found(tables, [log for log in logs if count[log.stem] == 1], twice, not_read)
 
 
-def _ending(file: Path) -> str:
-    return file.suffix.lower()
-
-
-def _twice(stem: str, logs: list[Path]) -> str:
-    names = " and as ".join(log.name for log in logs if log.stem == stem)
-    return f"flight {stem!r} is there as {names}; keep one of them"
+def _same_flight(log: Path, logs: list[Path]) -> list[str]:
+    return [other.name for other in logs if other.stem == log.stem]
 
 
 def flight_key(drones: Iterable[DroneLog]) -> str:
@@ -143,20 +147,6 @@ def _digest(*arrays: npt.NDArray[Any]) -> str:
     return digest.hexdigest()
 
 
-__all__ = [
-    "MANIFEST",
-    "read_logs",
-]
-
-
-def is_collection(path: Path) -> bool:
-    """Whether a folder holds npz flights and their manifest; Parquet ones are read as real logs."""
-    manifest = path / MANIFEST
-    if not manifest.is_file():
-        return False
-    return bool(_config(json.loads(manifest.read_text())).get("format") != "parquet")
-
-
 def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
     """Read the flights of a finished collection; labels, filter and split are the collection's."""
     manifest = json.loads((path / MANIFEST).read_text())
@@ -175,22 +165,22 @@ def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
         )
         for e in manifest["flights"]
     ]
-    label = _config(manifest)["label"]
+    label = manifest.get("config", {})["label"]
     rows = interaction_rows(flights, label)
     files = [
         FileReport(
-            file=flight_file(path, entry["name"]).name,
+            file=flight_file(path, flight.name).name,
             seconds=entry["seconds"],
-            rate_hz=manifest["log_rate"],
+            rate_hz=flight.rate_hz,
             acceleration="logged" if label == "imu" else label,
-            **_counts(flights[index], int((rows.flight == index).sum())),
+            **_counts(flight, int((rows.flight == index).sum())),
         )
-        for index, entry in enumerate(manifest["flights"])
+        for index, (flight, entry) in enumerate(zip(flights, manifest["flights"], strict=True))
     ]
-    scenarios = {}
-    for index, name in enumerate(rows.scenario_names):
-        held_out = rows.validation[rows.scenario == index]
-        scenarios[name] = ScenarioReport(int((~held_out).sum()), int(held_out.sum()))
+    held_out = {n: rows.validation[rows.scenario == k] for k, n in enumerate(rows.scenario_names)}
+    scenarios = {
+        name: ScenarioReport(int((~own).sum()), int(own.sum())) for name, own in held_out.items()
+    }
     return rows, LogReport(files, scenarios, {}, len(rows), int(np.sum(rows.validation)))
 
 
@@ -200,22 +190,12 @@ def _counts(flight: CollectedFlight, rows: int) -> dict[str, Any]:
     entries = len(flight.log.position) * len(team)
     kept = len(flight.log.position[::every]) * len(team)
     reason = "no neighbour in the volume, or force unknown" if len(team) > 1 else "force unknown"
-    names = (vehicle.token for vehicle in team)
     return {
-        "drones": dict(zip(vehicle_names(team), names, strict=True)),
+        "drones": dict(zip(vehicle_names(team), (v.token for v in team), strict=True)),
         "entries": entries,
         "rows": rows,
         "dropped": {"between kept entries": entries - kept, reason: kept - rows},
     }
-
-
-def _config(manifest: dict[str, Any]) -> dict[str, Any]:
-    config: dict[str, Any] = manifest.get("config", {})
-    return config
-
-
-DEFAULT = LogOptions()
-"""The options that hold if none are given."""
 
 
 class _Flight(NamedTuple):
@@ -238,7 +218,9 @@ def read_logs(
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: no file is sound, or none gives a row; the message says why.
     """
-    if is_collection(path):
+    manifest = path / MANIFEST
+    made = json.loads(manifest.read_text()).get("config", {}) if manifest.is_file() else None
+    if made is not None and made.get("format") != "parquet":  # that is read as real logs
         return read_collected(path)
     found = find_data(path)
     not_read = tuple(sorted([*(file.name for file in found.tables), *found.not_read]))
@@ -247,26 +229,24 @@ def read_logs(
             f"{str(path)!r} has no flight log, only {', '.join(not_read[:5]) or 'nothing'}; put "
             "one .csv or .parquet file per flight there"
         )
-    rows, report = read_flight_logs(found.logs, options, progress)
-    files = sorted([*report.files, *found.twice], key=lambda file: file.file)
-    report = dataclasses.replace(report, files=files, not_read=not_read)
-    if rows is None:
-        reasons = "; ".join(f"{file.file}: {file.refused}" for file in report.files)
+    joined, refused = join_logs(found.logs, options, progress)
+    refused = sorted([*refused, *found.twice], key=lambda file: file.file)
+    if joined is None:
+        reasons = "; ".join(f"{file.file}: {file.refused}" for file in refused)
         raise ValueError(f"no flight of {str(path)!r} is sound: {reasons}")
-    return rows, report
+    rows, report = without_scarce_data(joined, refused, options)
+    return rows, dataclasses.replace(report, not_read=not_read)
 
 
-def read_flight_logs(
+def join_logs(
     files: Sequence[Path], options: LogOptions = DEFAULT, progress: bool = False
-) -> tuple[InteractionRows | None, LogReport]:
-    """Read logs, one flight each; flights are numbered in the order of the sound files.
+) -> tuple[JoinedRows | None, list[FileReport]]:
+    """Rows of logs, one flight each, numbered in the order of the sound files; and the refused.
 
-    Returns:
-        The rows, None if no file is sound; and what became of every file.
+    The rows are None if no file is sound.
 
     Raises:
         ImportError: a log is Parquet, and pyarrow is not installed.
-        ValueError: the sound files give no row.
     """
     flights, refused, kinds, known = [], [], dict[str, str](), dict[str, str]()
     for file in tqdm(files, disable=not progress, unit="flight"):
@@ -277,10 +257,7 @@ def read_flight_logs(
         else:
             flights.append(flight)
             kinds |= flight.file.drones
-    if not flights:
-        return None, LogReport(refused, {}, {}, 0, 0)
-    joined = _held_out(flights, sorted(kinds), options)
-    return without_scarce_data(joined, refused, options)
+    return _held_out(flights, sorted(kinds), options) if flights else None, refused
 
 
 def _read_flight(

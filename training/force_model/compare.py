@@ -15,7 +15,7 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json, written_whole
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig, Model, with_mode_defaults
@@ -36,12 +37,7 @@ from swarm_envs.training.force_model.wake_fit import (
     wake_force_g,
     wake_rows,
 )
-from swarm_envs.training.interaction_rows.rows import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InteractionRows,
-)
+from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import differing, json_ready
 
 DRAWS = 2000
@@ -76,24 +72,6 @@ class CompareConfig:
 
 
 @dataclass(frozen=True)
-class Difference:
-    """Mean squared error of one model less that of another on the same rows, g^2."""
-
-    model: str
-    """The one."""
-    other: str
-    """The other."""
-    rows: str
-    """Which rows: `all`, or `flown`, those without drones that fall."""
-    mean: float
-    """The difference; below zero, the one is better."""
-    low: float
-    """Lower end of the interval that holds 95 % of the bootstrap's differences."""
-    high: float
-    """Its upper end."""
-
-
-@dataclass(frozen=True)
 class ModelComparison:
     """Errors of models on flights that they have not seen."""
 
@@ -103,8 +81,9 @@ class ModelComparison:
     """How many rows."""
     errors: dict[str, dict[str, float]]
     """Mean squared error by model, g^2: of `all` rows, of those `flown`, and of each scenario."""
-    differences: list[Difference]
-    """Of the first model from each other."""
+    differences: list[dict[str, Any]]
+    """Of the first `model` from each `other`, on `all` rows or those `flown`: the mean difference
+    of squared errors, g^2, below zero if the first is better, and its 95 % interval."""
     config: object
     """What was compared."""
     data_sha256: str
@@ -119,8 +98,8 @@ class ModelComparison:
             )
         for d in self.differences:
             found.append(
-                f"{d.model} less {d.other}, {d.rows} rows: {d.mean:+.2f} ({d.low:+.2f} to "
-                f"{d.high:+.2f} in 95 % of draws of flights)"
+                f"{d['model']} less {d['other']}, {d['rows']} rows: {d['mean']:+.2f} "
+                f"({d['low']:+.2f} to {d['high']:+.2f} in 95 % of draws of flights)"
             )
         return found
 
@@ -213,12 +192,10 @@ def _fit_config(model: Model, config: CompareConfig) -> FitConfig:
 def fitted_force_g(
     target: InteractionRows, options: FitConfig, wake_rows_drawn: int = MOST_ROWS
 ) -> FloatArray:
-    """Force of every row, (R, 3) gram-force, by a model fitted to the training rows.
+    """Force of every row, (R, 3) gram-force, by a model fitted to the labels of the training rows.
 
-    Args:
-        target: rows with the labels to be fitted; training rows are those not held out.
-        options: with the defaults of its model. A wake and a deep set have no horizontal force.
-        wake_rows_drawn: training rows of a wake, drawn at random.
+    Options must have the defaults of their model. A wake is fitted to `wake_rows_drawn` rows at
+    random; it and a deep set have no horizontal force.
     """
     found = np.zeros((len(target), 3))
     if options.model == "wake":
@@ -252,18 +229,13 @@ def _compared(
         for model, own in squared.items()
     }
     first, *others = config.models
-    differences = [
-        Difference(
-            first,
-            other,
-            name,
-            *paired_difference(
-                squared[first][use], squared[other][use], rows.flight[use], config.seed
-            ),
-        )
-        for other in others
-        for name, use in subsets.items()
-    ]
+    differences = []
+    for other in others:
+        for name, use in subsets.items():
+            pair = squared[first][use], squared[other][use]
+            ends = paired_difference(*pair, rows.flight[use], config.seed)
+            said = {"model": first, "other": other, "rows": name}
+            differences.append(said | dict(zip(("mean", "low", "high"), ends, strict=True)))
     flights = len(np.unique(rows.flight))
     found = ModelComparison(flights, len(rows), errors, differences, json_ready(config), digest)
     if config.json is not None:

@@ -26,6 +26,7 @@ from swarm_envs.training.force_model.network import (
     PairwiseSum,
     fade,
     layers,
+    of_types,
     perceptron,
 )
 
@@ -41,12 +42,7 @@ class Composed(ForceNetwork):
     """A wake and a network for each pair of types, a network per type alone, and how they join."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Begin with the same wake for every pair, and networks that correct it by little.
-
-        Args:
-            spec: types, window, clamp and anchor; sizes have no meaning here.
-            dtype: float32 for training, float64 for checks.
-        """
+        """Begin with the same wake for every pair, and networks that correct it by little."""
         super().__init__(spec, dtype)
         count = len(spec.types)
         names = [f"{a}>{b}" for a in spec.types for b in spec.types]
@@ -132,10 +128,8 @@ class Composed(ForceNetwork):
         inputs = torch.stack([known[:, 0], speed, known[:, 3]], dim=1)
         inputs = inputs / inputs.new_tensor(UNITS_OF_OWN)
         force = inputs.new_zeros(len(inputs))
-        for index, network in enumerate(self.own):
-            chosen = torch.nonzero(ego_type == index).squeeze(1)
-            if len(chosen):
-                force = force.index_add(0, chosen, network(inputs[chosen])[:, 0])
+        for index, chosen in of_types(ego_type, len(self.types)):
+            force = force.index_add(0, chosen, self.own[index](inputs[chosen])[:, 0])
         return force
 
     def window(self, pair: Tensor) -> Tensor:
@@ -147,23 +141,16 @@ class Composed(ForceNetwork):
 
     def _pairs(self, batch: Batch, q: Tensor) -> tuple[Tensor, Tensor]:
         """Sums over each row's neighbours: of push^q (R,), and of x, y, down (R, 3)."""
-        rows, slots = batch.pair_type.shape
-        pair = batch.pair.reshape(rows * slots, 6)
-        weight = self.window(pair)
-        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
-        ego = batch.ego_type.repeat_interleave(slots)
+        pair, weight, kind, row = self.slots(batch)
+        rows, count = len(batch.ego_type), len(self.types)
         powers, sums = pair.new_zeros(rows), pair.new_zeros(rows, 3)
-        for upper in range(len(self.types)):
-            for lower in range(len(self.types)):
-                chosen = torch.nonzero((kind == upper) & (ego == lower)).squeeze(1)
-                if len(chosen) == 0:
-                    continue
-                row = chosen // slots
-                wind = pair[chosen, 3:5] - batch.environment[row, 1:3]
-                push, lean = self._push(upper, lower, pair[chosen], wind, weight[chosen])
-                powers = powers.index_add(0, row, push.clamp(min=_TINY) ** q)
-                vector = torch.cat([push.detach()[:, None] * lean, push[:, None]], dim=1)
-                sums = sums.index_add(0, row, vector)
+        for index, chosen in self.pair_kinds(batch, kind, row):
+            at = row[chosen]
+            wind = pair[chosen, 3:5] - batch.environment[at, 1:3]
+            push, lean = self._push(*divmod(index, count), pair[chosen], wind, weight[chosen])
+            powers = powers.index_add(0, at, push.clamp(min=_TINY) ** q)
+            vector = torch.cat([push.detach()[:, None] * lean, push[:, None]], dim=1)
+            sums = sums.index_add(0, at, vector)
         return powers, sums
 
     def _push(

@@ -12,25 +12,24 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
+from swarm_envs.state import FloatArray
 from swarm_envs.training.flight_logs import LogReport
 from swarm_envs.training.force_model.labels import Treated
 from swarm_envs.training.force_model.lipschitz import (
-    LipschitzBound,
-    MeasuredLipschitz,
     lipschitz_bound,
     measure_lipschitz,
 )
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
 from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.training.interaction_rows.calibration import subtract_offsets
-from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["predict_rows"]
@@ -70,46 +69,10 @@ class Errors:
     """The same of one that says the scenario's mean."""
 
 
-@dataclass(frozen=True)
-class AxisBin:
-    """One bin of vertical distance under a single neighbour, lateral distance below 5 cm."""
-
-    above: str
-    """Type of the upper drone."""
-    below: str
-    """Type of the lower one."""
-    lowest_m: float
-    """Least distance in height, m."""
-    highest_m: float
-    """Largest distance in height, m."""
-    rows: int
-    """Rows in it."""
-    measured_g: float
-    """Mean of the labels."""
-    model_g: float
-    """Mean of the model on the same rows."""
-    model_on_axis_g: float
-    """The model in the middle of the bin, exactly on the axis, both drones at rest."""
-
-
-@dataclass(frozen=True)
-class Extremes:
-    """Largest downward and upward force on any drone in random swarms, g."""
-
-    drones: int
-    """Number of drones."""
-    small_only: tuple[float, float]
-    """Lowest and highest force in swarms of small drones, g."""
-    mixed: tuple[float, float]
-    """The same in mixed swarms, g."""
-
-
 def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Errors:
-    """Compare predictions, and trivial predictors, with the labels on validation rows.
+    """Compare forces (R,) predicted for every row with the labels, beside trivial predictors.
 
-    Args:
-        predicted_g: (R,) vertical force predicted for every row.
-        rows: all rows; only the validation rows count, the others give the scenario means.
+    Only the validation rows count; the others give the scenario means.
     """
     label = rows.force_g[:, 2]
     held_out = rows.validation
@@ -144,10 +107,11 @@ def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
 
 def axis_bins(
     network: ForceFunction, predicted_g: FloatArray, rows: InteractionRows
-) -> list[AxisBin]:
-    """Compare measured and modelled force under one neighbour, by vertical distance.
+) -> list[dict[str, Any]]:
+    """Mean force under one neighbour by types and vertical distance, within 5 cm of its axis, g.
 
-    Empty if no row has a neighbour: all drones flew alone.
+    `measured_g` are the labels, `model_g` the model on the same rows, `model_on_axis_g` the model
+    in the middle of the bin, both drones at rest. Empty if no row has a neighbour.
     """
     if not rows.has_neighbor.any():
         return []
@@ -164,17 +128,18 @@ def axis_bins(
         inside &= (pair[:, 2] >= low) & (pair[:, 2] < low + 0.1)
         if inside.sum() < _LEAST_ROWS:
             continue
-        entry = AxisBin(
-            above=upper,
-            below=lower,
-            lowest_m=round(low, 3),
-            highest_m=round(low + 0.1, 3),
-            rows=int(inside.sum()),
-            measured_g=float(rows.force_g[inside, 2].mean()),
-            model_g=float(predicted_g[inside].mean()),
-            model_on_axis_g=pair_force(network, lower, upper, low + 0.05),
+        bins.append(
+            {
+                "above": upper,
+                "below": lower,
+                "lowest_m": round(low, 3),
+                "highest_m": round(low + 0.1, 3),
+                "rows": int(inside.sum()),
+                "measured_g": float(rows.force_g[inside, 2].mean()),
+                "model_g": float(predicted_g[inside].mean()),
+                "model_on_axis_g": pair_force(network, lower, upper, low + 0.05),
+            }
         )
-        bins.append(entry)
     return bins
 
 
@@ -188,8 +153,8 @@ def pair_force(network: ForceFunction, below: str, above: str, distance_m: float
 
 def scan_swarms(
     network: ForceFunction, drones: int, swarms: int, rng: np.random.Generator
-) -> Extremes:
-    """Largest forces in random swarms, packed so that many share one interaction volume.
+) -> dict[str, Any]:
+    """Lowest and highest force, g, in random swarms `small_only` and `mixed`, packed closely.
 
     Positions are uniform in a box of 0.6 x 0.6 x 1.5 m above 8 cm, velocities uniform in
     +-1 m/s per axis; no minimum distance is kept, so drones may overlap.
@@ -204,36 +169,21 @@ def scan_swarms(
         with torch.no_grad():
             force = network.force_g(position, velocity, team)
         found.append((float(force.min()), float(force.max())))
-    return Extremes(drones, *found)
+    return {"drones": drones, "small_only": found[0], "mixed": found[1]}
 
 
-@dataclass(frozen=True)
-class TorqueErrors:
-    """Root mean square of the torque's error on held-out rows, N m, by component x, y, z."""
+def torque_errors(network: DeepSet, rows: InteractionRows) -> dict[str, list[float]]:
+    """Root mean square of the torque's error on held-out rows by component x, y, z, N m.
 
-    error_n_m: tuple[float, ...]
-    """Root mean squared error about each axis, N m."""
-    zero_n_m: tuple[float, ...]
-    """Of predicting none."""
-
-
-def predict_torque(network: DeepSet, rows: InteractionRows) -> FloatArray:
-    """Torque of every row by a float64 network, (R, 3) N m, world frame."""
-    with torch.no_grad():
-        heads = network.heads(to_batch(rows, torch.float64))
-    return np.asarray(heads[:, 1:].numpy() * GRAM_CENTIMETRE)
-
-
-def torque_errors(network: DeepSet, rows: InteractionRows) -> TorqueErrors:
-    """Errors of the torque on the rows that are held out."""
+    Beside that of predicting none.
+    """
     held_out = rows.select(rows.validation)
     assert held_out.torque is not None
-    error = predict_torque(network, held_out) - held_out.torque
-
-    def rms(values: FloatArray) -> tuple[float, ...]:
-        return tuple(np.sqrt(np.mean(values**2, axis=0)).tolist())
-
-    return TorqueErrors(rms(error), rms(held_out.torque))
+    with torch.no_grad():
+        heads = network.heads(to_batch(held_out, torch.float64)).numpy()
+    error = heads[:, 1:] * GRAM_CENTIMETRE - held_out.torque
+    found = {"error_n_m": error, "zero_n_m": held_out.torque}
+    return {name: np.sqrt(np.mean(v**2, axis=0)).tolist() for name, v in found.items()}
 
 
 _SWARM_SIZES = (2, 3, 5, 8, 16)
@@ -250,17 +200,15 @@ class Findings:
     """Those of them that were held out."""
     errors: Errors
     """Against labels treated as in training."""
-    errors_vehicle_offsets: Errors
-    """Against labels with one offset per vehicle, as if it did not drift between flights."""
     errors_raw: Errors
     """Against labels as measured."""
-    lipschitz_bound: LipschitzBound | None
+    lipschitz_bound: dict[str, float] | None
     """Of a network; None of the closed form."""
-    lipschitz_measured: dict[str, MeasuredLipschitz]
+    lipschitz_measured: dict[str, dict[str, float]]
     """By number of neighbours; empty if it was left out, or of the closed form."""
-    axis_bins: list[AxisBin]
+    axis_bins: list[dict[str, Any]]
     """Measured and modelled force under one neighbour; labels treated as in training."""
-    extremes: list[Extremes]
+    extremes: list[dict[str, Any]]
     """Largest forces in random swarms by number of drones."""
 
 
@@ -294,7 +242,7 @@ class FitReport:
     """What became of every file."""
     notes: list[str]
     """What a user of the model must know: types that no row shows."""
-    torque_errors: TorqueErrors | None = None
+    torque_errors: dict[str, list[float]] | None = None
     """On held-out rows, if there is a torque head."""
 
     def lines(self) -> list[str]:
@@ -335,16 +283,11 @@ def examine(
 ) -> Findings:
     """Measure a fitted model.
 
-    Args:
-        function: the model; Lipschitz constants are those of networks.
-        predicted_g: (R,) its vertical force for every row, drag included.
-        treated: the rows, and what was taken out of their labels.
-        lipschitz_samples: random pairs for the Lipschitz constants; 0 leaves them out.
-        seed: of the random inputs.
+    `predicted_g` (R,) is its vertical force for every row, drag included. Lipschitz constants are
+    those of networks, from so many random pairs; 0 leaves them out.
     """
     rng = np.random.default_rng(seed)
-    rows, offsets = treated.rows, treated.offsets
-    free = subtract_offsets(rows, offsets)
+    rows, free = treated.rows, subtract_offsets(treated.rows, treated.offsets)
     measured, bound = {}, None
     if isinstance(function, ForceNetwork):
         bound = lipschitz_bound(function)
@@ -355,9 +298,6 @@ def examine(
         rows=len(rows),
         validation_rows=int(rows.validation.sum()),
         errors=mean_squared_errors(predicted_g, free),
-        errors_vehicle_offsets=mean_squared_errors(
-            predicted_g, subtract_offsets(rows, offsets.per_vehicle())
-        ),
         errors_raw=mean_squared_errors(predicted_g, rows),
         lipschitz_bound=bound,
         lipschitz_measured=measured,

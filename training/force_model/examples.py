@@ -99,13 +99,9 @@ def _random_change(circle: bool, count: int, rng: np.random.Generator) -> Change
 
 
 def changed_label(label: Tensor, change: Change) -> Tensor:
-    """Labels of rows that were turned and mirrored.
+    """Labels (R,) of forces, or (R, 4) of forces and torques, of rows that were turned or mirrored.
 
     Forces along z stay. A torque turns like a vector, and with a mirror changes its sign besides.
-
-    Args:
-        label: (R,) forces, or (R, 4) forces and torques.
-        change: what was done to the rows.
     """
     if label.ndim == 1:
         return label
@@ -123,13 +119,9 @@ def _random_symmetry(count: int, rng: np.random.Generator) -> tuple[Tensor, Tens
 
 
 def transform(batch: Batch, mirror_x: Tensor, mirror_y: Tensor, swap: Tensor) -> Batch:
-    """Apply symmetries of the square to positions and velocities.
+    """Apply symmetries of the square to positions and velocities of R rows.
 
-    Args:
-        batch: R rows.
-        mirror_x: (R,) +1 or -1, factor of the x components.
-        mirror_y: (R,) the same for y.
-        swap: (R,) whether x and y are exchanged afterwards.
+    `mirror_x` and `mirror_y` (R,) are +1 or -1; x and y are exchanged afterwards where `swap`.
     """
     one = torch.ones_like(mirror_x)
     factor = torch.stack([mirror_x, mirror_y, one], dim=1)
@@ -142,12 +134,7 @@ def transform(batch: Batch, mirror_x: Tensor, mirror_y: Tensor, swap: Tensor) ->
 
 
 def turn(batch: Batch, angle: Tensor) -> Batch:
-    """Turn positions and velocities about the vertical.
-
-    Args:
-        batch: R rows.
-        angle: (R,) counterclockwise seen from above, rad.
-    """
+    """Turn positions and velocities by angles (R,), rad, counterclockwise seen from above."""
     cosine, sine = torch.cos(angle), torch.sin(angle)
 
     def turned(vector: Tensor, first: int) -> None:

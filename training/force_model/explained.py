@@ -8,7 +8,7 @@ h) and Sec. VII-C: trained with at most three drones, used with up to sixteen).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -35,25 +35,6 @@ SPEED = 0.25
 _TRIES = 10_000
 
 
-class Explained(NamedTuple):
-    """How well a model explains a true force in random swarms of one team."""
-
-    team: str
-    """Who flew."""
-    drones: int
-    """Drones of the team."""
-    states: int
-    """States that were compared."""
-    explained: float
-    """Share of the variance of f_a,z, at most 1; below 0 a constant would do better."""
-    rms_error_g: float
-    """Root mean squared error of the model, g."""
-    rms_force_g: float
-    """Of the truth."""
-    mean_neighbours: float
-    """Others in a drone's interaction volume."""
-
-
 def explained_variance(
     model: InteractionModel,
     truth: InteractionModel,
@@ -64,14 +45,8 @@ def explained_variance(
     """Share of the variance of the true vertical force that a model explains.
 
     1 - mean((f - f_true)^2) / var(f_true) over every drone of every state, f being f_a,z. A
-    constant error counts: no mean is taken off the residual.
-
-    Args:
-        model: what is judged.
-        truth: the true force, such as an environment's own model.
-        position: (E, N, 3) m, world frame.
-        velocity: (E, N, 3) m/s, world frame.
-        team: the N vehicles, the same in every state.
+    constant error counts: no mean is taken off the residual. Positions and velocities (E, N, 3) are
+    in m and m/s, world frame, of the same N vehicles in every state.
 
     Raises:
         ValueError: shapes do not fit, a type is unknown to a model, or the true force is the same
@@ -91,17 +66,10 @@ def explained_variance(
 def random_states(
     team: str | Sequence[Vehicle], states: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Swarms in close flight: each drone stands over or under one that was placed before it.
+    """Swarms in close flight: positions (E, N, 3), m, and velocities, m/s, world frame.
 
-    Spheres of no two drones overlap: they keep the sum of their radii.
-
-    Args:
-        team: the N vehicles.
-        states: how many swarms E.
-        rng: source of every draw.
-
-    Returns:
-        Positions (E, N, 3), m, and velocities (E, N, 3), m/s, world frame.
+    Each drone stands over or under one that was placed before it. Spheres of no two drones overlap:
+    they keep the sum of their radii.
 
     Raises:
         RuntimeError: there was no room for a drone.
@@ -140,15 +108,12 @@ def generalisation(
     teams: Sequence[str] = TEAMS,
     seed: int = 0,
     states: int = 500,
-) -> list[Explained]:
+) -> list[dict[str, Any]]:
     """Explained variance of the true vertical force by team, over random states in close flight.
 
-    Args:
-        model: what is judged.
-        truth: the true force.
-        teams: team strings of two drones or more.
-        seed: of the states; each team has its own, whatever the other teams are.
-        states: swarms of each team.
+    `explained` is its share, at most 1; below 0 a constant would do better. Beside it stand the
+    root mean squares of error and force, g, and the neighbours in a drone's volume. Each team has
+    states of its own, drawn from the seed, whatever the other teams are.
 
     Raises:
         ValueError: a number or a team is out of range, or a type is unknown to a model.
@@ -160,19 +125,18 @@ def generalisation(
 
 def _explained(
     model: InteractionModel, truth: InteractionModel, team: str, seed: int, states: int
-) -> Explained:
+) -> dict[str, Any]:
     rng = np.random.default_rng([seed, *team.encode()])
     position, velocity = random_states(team, states, rng)
-    true = truth.forces(position, velocity, team)[..., 2] / GRAM_FORCE
-    error = model.forces(position, velocity, team)[..., 2] / GRAM_FORCE - true
+    true, said = (m.forces(position, velocity, team)[..., 2] / GRAM_FORCE for m in (truth, model))
     apart = np.abs(position[:, :, None] - position[:, None])
     inside = (apart < INTERACTION_VOLUME).all(axis=-1)
-    return Explained(
-        team=team,
-        drones=position.shape[1],
-        states=states,
-        explained=explained_variance(model, truth, position, velocity, team),
-        rms_error_g=float(np.sqrt(np.mean(error**2))),
-        rms_force_g=float(np.sqrt(np.mean(true**2))),
-        mean_neighbours=float(inside.sum(axis=-1).mean() - 1.0),
-    )
+    return {
+        "team": team,
+        "drones": position.shape[1],
+        "states": states,
+        "explained": explained_variance(model, truth, position, velocity, team),
+        "rms_error_g": float(np.sqrt(np.mean((said - true) ** 2))),
+        "rms_force_g": float(np.sqrt(np.mean(true**2))),
+        "mean_neighbours": float(inside.sum(axis=-1).mean() - 1.0),
+    }

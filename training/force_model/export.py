@@ -51,7 +51,7 @@ def save_network(
     provenance: Mapping[str, object] | None = None,
     dtype: torch.dtype = torch.float64,
 ) -> None:
-    """Write a network with its drag, atomically.
+    """Write a network of any precision with its drag, atomically.
 
     Tensors of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`,
     `phi.environment.<layer>...`, `rho.<type>.<layer>...`, of a torque head also
@@ -60,12 +60,8 @@ def save_network(
     `environment.<type>.<layer>...`. Of a composed model the same, and the numbers that
     `swarm_envs.interactions.weights_file` lists. Of all: `drag.<type>` (3,) in N s/m.
 
-    Args:
-        path: the file to write.
-        network: what to write, of any precision.
-        provenance: further keys of the description: data, seed, command.
-        dtype: of the file; networks that were trained in single precision lose nothing by
-            `torch.float32`, which halves it. It is read as float64 either way.
+    `provenance` are further keys of the description. Networks that were trained in single precision
+    lose nothing by float32, which halves the file; it is read as float64 either way.
     """
     spec = network.spec
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}

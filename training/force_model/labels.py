@@ -16,6 +16,7 @@ import torch
 from torch import nn
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
+from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.force_model.composed import Composed
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import (
@@ -32,7 +33,7 @@ from swarm_envs.training.interaction_rows.calibration import (
     quiet_rows,
     subtract_offsets,
 )
-from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 FALL_SPEED = 1.5
@@ -176,64 +177,39 @@ def _centred(values: FloatArray, group: np.ndarray, count: np.ndarray) -> FloatA
 
 
 def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
-    """Set the outputs of networks that saw no training row to zero.
-
-    Args:
-        network: trained; changed in place.
-        rows: what it was trained on; its validation rows do not count.
-
-    Returns:
-        What was silenced, a sentence each.
-    """
-    types = rows.types
-    training = rows.select(~rows.validation)
-    pairs = shown_pairs(training)
-    felt = [bool((training.ego_type == index).any()) for index in range(len(types))]
+    """Set the outputs of networks that saw no training row to zero; what was, a sentence each."""
+    types, training = rows.types, rows.select(~rows.validation)
+    pairs, felt = shown_pairs(training), np.isin(np.arange(len(types)), training.ego_type)
+    silent = [name for name, seen in zip(types, felt, strict=True) if not seen]
     said = [
         f"type {name!r} is the drone of no training row: the model says it feels nothing"
-        for name, seen in zip(types, felt, strict=True)
-        if not seen
+        for name in silent
     ]
-    silent = [name for name, seen in zip(types, felt, strict=True) if not seen]
-    if isinstance(network, PairwiseSum):
-        _silence(*(network.environment[name] for name in silent))
-        unknown = [(a, b) for i, a in enumerate(types) for j, b in enumerate(types)
-                   if not pairs[i, j] and felt[j]]  # fmt: skip
-        _silence(*(network.network_of(a, b) for a in types for b in silent))
-        _silence(*(network.network_of(a, b) for a, b in unknown))
-        return said + [never_together(a, b) + "it does not push it" for a, b in unknown]
-    if isinstance(network, Composed):
-        return said + _silence_composed(network, pairs, felt)
-    assert isinstance(network, DeepSet)
-    _silence(*(network.rho[name] for name in silent))
-    if network.spec.torque:
-        _silence(*(network.torque[name] for name in silent))
-    quiet = [name for name, row in zip(types, pairs, strict=True) if not row.any()]
-    _silence(*(network.phi[name] for name in quiet))
-    guessed = [
-        never_together(a, b) + "what it does to it is guessed from other pairs"
-        for i, a in enumerate(types)
-        for j, b in enumerate(types)
-        if not pairs[i, j] and pairs[i].any() and felt[j]
-    ]
-    silenced = [
-        f"type {name!r} is a neighbour in no training row: the model says it pushes no drone"
-        for name in quiet
-    ]
-    return said + silenced + guessed
-
-
-def _silence_composed(network: Composed, pairs: BoolArray, felt: list[bool]) -> list[str]:
-    """The same of a composed model; what is said of pairs of types."""
-    types, said = network.types, []
-    _silence(*(network.own[k] for k, seen in enumerate(felt) if not seen))
-    for i, a in enumerate(types):
-        for j, b in enumerate(types):
-            if not pairs[i, j]:
-                network.silence(i, j)
-                _silence(network.network_of(a, b))
-                said += [never_together(a, b) + "it does not push it"] if felt[j] else []
-    return said
+    unknown = [(int(i), int(j)) for i, j in np.argwhere(~pairs)]
+    never = [(i, j, never_together(types[i], types[j])) for i, j in unknown if felt[j]]
+    if isinstance(network, DeepSet):
+        _silence(*(heads[name] for heads in network.heads_by_type() for name in silent))
+        quiet = [name for name, row in zip(types, pairs, strict=True) if not row.any()]
+        _silence(*(network.phi[name] for name in quiet))
+        return [
+            *said,
+            *(
+                f"type {name!r} is a neighbour in no training row: the model says it pushes nobody"
+                for name in quiet
+            ),
+            *(
+                beginning + "what it does to it is guessed from other pairs"
+                for i, _, beginning in never
+                if pairs[i].any()
+            ),
+        ]
+    assert isinstance(network, Composed | PairwiseSum)
+    _silence(*(network.named_networks()[f"environment.{name}"] for name in silent))
+    for i, j in unknown:
+        _silence(network.network_of(types[i], types[j]))
+        if isinstance(network, Composed):
+            network.silence(i, j)
+    return said + [beginning + "it does not push it" for _, _, beginning in never]
 
 
 def shown_pairs(rows: InteractionRows) -> BoolArray:

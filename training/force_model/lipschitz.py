@@ -11,7 +11,6 @@ neighbours, positions in m and velocities in m/s joined (g per unit).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -32,20 +31,11 @@ from swarm_envs.training.interaction_rows import NO_NEIGHBOR
 
 
 def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generator) -> Batch:
-    """Draw inputs that cover the volume and the places where the force changes most.
+    """Draw float64 inputs that cover the volume and the places where the force changes most.
 
     Neighbours stand uniformly in the interaction volume; for a third they stand within some
     8 cm of the axis, for a tenth on it, for a tenth at rest. Heights lie from 7 cm to 1.5 m, half
-    of them below 0.6 m.
-
-    Args:
-        types: number of vehicle types, drawn uniformly for the drone and its neighbours.
-        count: how many inputs.
-        neighbors: how many neighbours each has.
-        rng: source of every draw.
-
-    Returns:
-        float64 inputs.
+    of them below 0.6 m. Types are drawn uniformly for the drone and its neighbours.
     """
     speed = np.array([0.7, 0.7, 1.0])
     pair = rng.uniform(-1.0, 1.0, (count, neighbors, 6)) * [0.36, 0.36, 1.12, 1.1, 1.1, 1.2]
@@ -72,11 +62,9 @@ def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generat
 def input_gradient(
     network: ForceNetwork, batch: Batch, keep_graph: bool = False
 ) -> tuple[Tensor, Tensor]:
-    """Gradient of the network's force against its inputs.
+    """Gradient of the network's force against the environment's inputs (R, 4) and the neighbours'.
 
-    Returns:
-        (R, 4) against the environment's inputs and (R, K, 6) against the neighbours', in g per m
-        and g per m/s.
+    The latter are (R, K, 6); g per m and g per m/s.
     """
     environment = batch.environment.detach().requires_grad_(True)
     pair = batch.pair.detach().requires_grad_(True)
@@ -104,30 +92,17 @@ _STEEPEST = 1.875  # largest slope of the quintic step over its width
 _CHUNK = 20000
 
 
-@dataclass(frozen=True)
-class LipschitzBound:
-    """Upper bounds from products of spectral norms, window included."""
-
-    position_g_per_m: float
-    """Against one neighbour's relative position."""
-    input_g_per_unit: float
-    """Against the whole input with one neighbour."""
-    input_two_neighbors_g_per_unit: float
-    """Against the whole input with two neighbours."""
-
-
-@dataclass(frozen=True)
-class MeasuredLipschitz:
-    """Largest constants found by sampling."""
-
-    position_gradient_g_per_m: float
-    """Norm of the gradient against one neighbour's relative position."""
-    input_gradient_g_per_unit: float
-    """Norm of the gradient against the whole input."""
-    pair_ratio_g_per_m: float
-    """|f(x) - f(x')| / |x - x'| where only the neighbour's relative position differs."""
-    input_ratio_g_per_unit: float
-    """The same where the whole input differs."""
+BOUNDS = ("position_g_per_m", "input_g_per_unit", "input_two_neighbors_g_per_unit")
+"""Upper bounds, window included: against one neighbour's relative position, and against the whole
+input with one and with two neighbours."""
+FOUND = (
+    "position_gradient_g_per_m",
+    "input_gradient_g_per_unit",
+    "pair_ratio_g_per_m",
+    "input_ratio_g_per_unit",
+)
+"""Largest constants found by sampling: norms of the gradient, and |f(x) - f(x')| / |x - x'| where
+only the neighbour's relative position differs, or the whole input."""
 
 
 def spectral_product(network: nn.Module) -> float:
@@ -136,7 +111,7 @@ def spectral_product(network: nn.Module) -> float:
     return math.prod(float(norm) for norm in norms)
 
 
-def lipschitz_bound(network: ForceNetwork) -> LipschitzBound:
+def lipschitz_bound(network: ForceNetwork) -> dict[str, float]:
     """Bound the shipped function: with window w, |d(w phi)/dp| <= Lip(phi) + |dw/dp| sup|phi|.
 
     A neighbour acts through L = Lip(rho) (Lip(phi) + |dw| sup|phi|), in a sum over pairs without
@@ -158,10 +133,15 @@ def lipschitz_bound(network: ForceNetwork) -> LipschitzBound:
     ground = outer * max(spectral_product(module) for module in grounds)
     if network.spec.anchor_height_m is not None:
         ground *= 2.0  # both the force and the baseline move with the velocity
-    return LipschitzBound(pair, math.hypot(pair, ground), math.hypot(math.sqrt(2.0) * pair, ground))
+    return _bounds(pair, ground, ground)
 
 
-def _composed_bound(network: Composed) -> LipschitzBound:
+def _bounds(pair: float, ground: float, ground_of_two: float) -> dict[str, float]:
+    both = math.hypot(math.sqrt(2.0) * pair, ground_of_two)
+    return dict(zip(BOUNDS, (pair, math.hypot(pair, ground), both), strict=True))
+
+
+def _composed_bound(network: Composed) -> dict[str, float]:
     """The bound of a composed model.
 
     The norm that joins pushes has slope 1 in each of them, the mitigation is at most 1, and changes
@@ -179,11 +159,7 @@ def _composed_bound(network: Composed) -> LipschitzBound:
     if network.spec.anchor_height_m is not None:
         ground *= 2.0
     pair = steep + edge * largest if edge else steep
-    return LipschitzBound(
-        pair,
-        math.hypot(pair, ground + by_height),
-        math.hypot(math.sqrt(2.0) * pair, ground + 2.0 * by_height),
-    )
+    return _bounds(pair, ground + by_height, ground + 2.0 * by_height)
 
 
 @torch.no_grad()
@@ -236,23 +212,17 @@ def _largest_output(network: ForceNetwork, module: nn.Module) -> float:
 
 def measure_lipschitz(
     network: ForceNetwork, samples: int, neighbors: int, rng: np.random.Generator
-) -> MeasuredLipschitz:
-    """Search the constants of a float64 network by gradient and by random pairs.
+) -> dict[str, float]:
+    """Search the constants of a float64 network by gradient and by random pairs, so many `samples`.
 
     Half of the pairs are two independent inputs, half differ by a step of 0.1 mm to 0.1 m in a
     random direction. The gradient is taken by autograd at each pair's first input.
-
-    Args:
-        network: float64, as `load_network` returns it.
-        samples: how many pairs.
-        neighbors: how many neighbours each input has, at least 1.
-        rng: source of every draw.
     """
     best = np.zeros(4)
     for begin in range(0, samples, _CHUNK):
         count = min(_CHUNK, samples - begin)
         best = np.maximum(best, _search(network, count, neighbors, rng))
-    return MeasuredLipschitz(*(float(value) for value in best))
+    return dict(zip(FOUND, best.tolist(), strict=True))
 
 
 def _search(

@@ -22,7 +22,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, NamedTuple
 
@@ -168,6 +168,14 @@ def fade(distance: Tensor, inner: float, outer: float) -> Tensor:
     return 1.0 - u * u * u * (u * (6.0 * u - 15.0) + 10.0)
 
 
+def of_types(kind: Tensor, count: int) -> Iterator[tuple[int, Tensor]]:
+    """Each of `count` types that some of the entries (R,) have, and their places."""
+    for index in range(count):
+        places = torch.nonzero(kind == index).squeeze(1)
+        if len(places):
+            yield index, places
+
+
 class ForceNetwork(nn.Module, ABC):
     """What networks of the interaction force share: window, clamp, anchor, drag."""
 
@@ -183,12 +191,7 @@ class ForceNetwork(nn.Module, ABC):
     """Linear drag by type, N s/m."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Set the constants that a subclass needs besides its weights.
-
-        Args:
-            spec: types, window, clamp and anchor.
-            dtype: float32 for training, float64 for checks.
-        """
+        """Set what a subclass has beside weights, in float32 for training, float64 for checks."""
         super().__init__()
         self.spec = spec
         limits = spec.input_range or UNLIMITED
@@ -232,6 +235,20 @@ class ForceNetwork(nn.Module, ABC):
         lateral = fade(x, *window.lateral_m) * fade(y, *window.lateral_m)
         return lateral * fade(z, *window.vertical_m)
 
+    def slots(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Slots of all rows as one list: pairs (P, 6), weights, types (-1 without weight), rows."""
+        rows, count = batch.pair_type.shape
+        pair = batch.pair.reshape(rows * count, 6)
+        weight = self.window(pair)
+        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
+        return pair, weight, kind, torch.arange(rows).repeat_interleave(count)
+
+    def pair_kinds(self, batch: Batch, kind: Tensor, row: Tensor) -> Iterator[tuple[int, Tensor]]:
+        """Pairs of types, numbered [neighbour, drone] in rows, and the slots that have them."""
+        count = len(self.types)
+        both = torch.where(kind < 0, -1, kind * count + batch.ego_type[row])
+        return of_types(both, count * count)
+
     def anchored(self, environment: Tensor) -> tuple[Tensor, Tensor | None]:
         """Inputs of the environment (R, 4) below the anchor, and those at it; None without one."""
         anchor = self.spec.anchor_height_m
@@ -249,16 +266,10 @@ class ForceNetwork(nn.Module, ABC):
     def force_g(
         self, position: Tensor, velocity: Tensor, type_names: Sequence[str], drag: bool = True
     ) -> Tensor:
-        """Vertical interaction force of every drone of every swarm, in gram-force.
+        """Vertical interaction force (E, N) of every drone of every swarm, in gram-force.
 
-        Args:
-            position: (E, N, 3) positions in E separate swarms, m.
-            velocity: (E, N, 3) velocities, m/s.
-            type_names: N interaction types, the same in every swarm.
-            drag: add the vertical drag -c v_z of the drone's type, as the shipped model does.
-
-        Returns:
-            (E, N) vertical force, gram-force.
+        Positions and velocities (E, N, 3), m and m/s, are of E swarms of N drones of these types.
+        `drag` adds the vertical drag -c v_z of the drone's type, as the shipped model does.
         """
         batch = swarm_batch(position, velocity, [self.spec.types.index(n) for n in type_names])
         force: Tensor = self(batch).reshape(position.shape[:2])
@@ -272,12 +283,7 @@ class DeepSet(ForceNetwork):
     """phi per type, phi of the environment, rho per type; see the module's docstring."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Make a network with torch's default initialisation.
-
-        Args:
-            spec: types, window, clamp, anchor, sizes, whether there is a torque head.
-            dtype: float32 for training, float64 for checks.
-        """
+        """Make a network with torch's default initialisation."""
         super().__init__(spec, dtype)
         phi = {name: perceptron((6, *spec.phi_widths), dtype) for name in spec.types}
         self.phi = nn.ModuleDict(phi)
@@ -307,26 +313,24 @@ class DeepSet(ForceNetwork):
         return force - baseline
 
     def _pairs(self, batch: Batch) -> Tensor:
-        rows, slots = batch.pair_type.shape
-        pair = batch.pair.reshape(rows * slots, 6)
-        weight = self.window(pair)
-        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
-        total = pair.new_zeros(rows, self.spec.hidden)
-        for index, name in enumerate(self.spec.types):
-            chosen = torch.nonzero(kind == index).squeeze(1)
-            if len(chosen):
-                inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
-                value = self.phi[name](inputs) * weight[chosen, None]
-                total = total.index_add(0, chosen // slots, value)
+        pair, weight, kind, row = self.slots(batch)
+        total = pair.new_zeros(len(batch.ego_type), self.spec.hidden)
+        for index, chosen in of_types(kind, len(self.types)):
+            inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
+            value = self.phi[self.types[index]](inputs) * weight[chosen, None]
+            total = total.index_add(0, row[chosen], value)
         return total
 
     def _rho(self, ego_type: Tensor, hidden: Tensor) -> Tensor:
         outputs = hidden.new_zeros(len(hidden), 1 + TORQUES * self.spec.torque)
-        for index, name in enumerate(self.spec.types):
-            chosen = torch.nonzero(ego_type == index).squeeze(1)
-            if len(chosen):
-                outputs = outputs.index_add(0, chosen, self._of_type(name, hidden[chosen]))
+        for index, chosen in of_types(ego_type, len(self.types)):
+            value = self._of_type(self.types[index], hidden[chosen])
+            outputs = outputs.index_add(0, chosen, value)
         return outputs
+
+    def heads_by_type(self) -> list[nn.ModuleDict]:
+        """What gives the force, and the torque if there is a head for it, by type."""
+        return [self.rho, self.torque] if self.spec.torque else [self.rho]
 
     def _of_type(self, name: str, hidden: Tensor) -> Tensor:
         rho = self.rho[name]
@@ -364,12 +368,7 @@ class PairwiseSum(ForceNetwork):
     """One perceptron per pair of types, one per type for the ground; see the module."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Make a network with torch's default initialisation.
-
-        Args:
-            spec: types, window, clamp, anchor and depth; `hidden` has no meaning here.
-            dtype: float32 for training, float64 for checks.
-        """
+        """Make a network with torch's default initialisation; `hidden` has no meaning here."""
         super().__init__(spec, dtype)
         widths = (*spec.phi_widths[:-1], 1)
         self.pair = nn.ModuleDict({
@@ -399,26 +398,18 @@ class PairwiseSum(ForceNetwork):
         return force if aloft is None else force - self._environment(batch.ego_type, aloft)
 
     def _environment(self, ego_type: Tensor, environment: Tensor) -> Tensor:
-        force = environment.new_zeros(len(environment), 1)
-        for index, name in enumerate(self.spec.types):
-            chosen = torch.nonzero(ego_type == index).squeeze(1)
-            if len(chosen):
-                value = self.environment[name](self.clamped(environment[chosen]))
-                force = force.index_add(0, chosen, value)
+        force, known = environment.new_zeros(len(environment), 1), self.clamped(environment)
+        for index, chosen in of_types(ego_type, len(self.types)):
+            value = self.environment[self.types[index]](known[chosen])
+            force = force.index_add(0, chosen, value)
         return force
 
     def _pairs(self, batch: Batch) -> Tensor:
-        rows, slots = batch.pair_type.shape
-        pair = batch.pair.reshape(rows * slots, 6)
-        weight = self.window(pair)
-        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
-        ego = batch.ego_type.repeat_interleave(slots)
-        force = pair.new_zeros(rows, 1)
-        for upper, above in enumerate(self.spec.types):
-            for lower, below in enumerate(self.spec.types):
-                chosen = torch.nonzero((kind == upper) & (ego == lower)).squeeze(1)
-                if len(chosen):
-                    inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
-                    value = self.network_of(above, below)(inputs) * weight[chosen, None]
-                    force = force.index_add(0, chosen // slots, value)
+        pair, weight, kind, row = self.slots(batch)
+        force = pair.new_zeros(len(batch.ego_type), 1)
+        for index, chosen in self.pair_kinds(batch, kind, row):
+            above, below = (self.types[k] for k in divmod(index, len(self.types)))
+            inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
+            value = self.network_of(above, below)(inputs) * weight[chosen, None]
+            force = force.index_add(0, row[chosen], value)
         return force

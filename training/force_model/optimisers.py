@@ -61,13 +61,7 @@ class FlatWeights:
         self.values.copy_(flat)
 
     def check_finite(self, step: int, loss: float, learning_rate: float) -> None:
-        """Refuse to go on from weights that no further step could repair.
-
-        Args:
-            step: the optimiser's step that left them, from 1.
-            loss: before that step.
-            learning_rate: which the user may lower.
-        """
+        """Refuse to go on from weights of a step, from 1, that no further step could repair."""
         if not bool(self.values.isfinite().all()):
             raise ValueError(
                 f"training diverged: step {step} left weights that are not finite, at loss "
@@ -88,14 +82,10 @@ Spectral = Literal["clip", "exact", "none"]
 
 @torch.no_grad()
 def hold_spectral_norms(weights: Iterable[Tensor], norm: float, kind: Spectral = "clip") -> None:
-    """Scale weight matrices in place so that they keep to a spectral norm.
+    """Scale weight matrices in place so that they keep to a spectral norm, gamma^(1/L).
 
-    Args:
-        weights: parameters of a network; only matrices are touched.
-        norm: gamma^(1/L), for the Lipschitz constant gamma of a perceptron of L layers.
-        kind: `clip` scales a matrix whose norm is above `norm` down to it and never up, as the
-            published code does; `exact` scales every matrix to exactly this norm, as eq. (12) is
-            written; `none` does nothing.
+    `clip` scales a matrix whose norm is above `norm` down to it and never up, as the published code
+    does; `exact` scales every matrix to exactly this norm, as eq. (12) is written.
     """
     if kind == "none":
         return
@@ -133,12 +123,7 @@ class Soap(torch.optim.Optimizer):
     """SOAP on the flat weights of a network, all matrices at once in a padded stack."""
 
     def __init__(self, weights: FlatWeights, rate: float) -> None:
-        """Start with empty moments.
-
-        Args:
-            weights: what is optimised; its gradient is read at every step.
-            rate: learning rate, of the size of Adam's.
-        """
+        """Start with empty moments; the rate is of the size of Adam's."""
         super().__init__([weights.values], {"lr": rate})
         shapes = [(matrix.shape[0], matrix.shape[1]) for matrix in weights.matrices()]
         places = torch.arange(weights.values.numel())

@@ -13,7 +13,6 @@ import torch
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
-from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.evaluate import (
     Findings,
     FitReport,
@@ -45,7 +44,12 @@ from swarm_envs.training.force_model.train import teacher_checkpoint, train_taug
 from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.provenance import differing, json_ready, scalar_writer
+from swarm_envs.training.provenance import (
+    changed_options,
+    differing,
+    json_ready,
+    scalar_writer,
+)
 
 __all__ = ["REPORTS", "fit"]
 
@@ -209,16 +213,4 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
 def fit_command(config: FitConfig) -> str:
     """Command line that makes this fit, with the folders left out of its file names."""
     words = ["python -m swarm_envs.training.force_model", f"--data {config.data.name}", "--out DIR"]
-    return " ".join([*words, *_options(config)])
-
-
-def _options(config: FitConfig | LogOptions, prefix: str = "--") -> list[str]:
-    """Options that differ from their defaults."""
-    words = []
-    for entry in dataclasses.fields(config):
-        value, name = getattr(config, entry.name), prefix + entry.name.replace("_", "-")
-        if isinstance(value, LogOptions):
-            words += _options(value, f"{name}.")
-        elif entry.default is not dataclasses.MISSING and value != entry.default:
-            words += [] if entry.name in _ASIDE else [f"{name} {value}"]
-    return words
+    return " ".join([*words, *changed_options(config, aside=_ASIDE)])

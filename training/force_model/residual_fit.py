@@ -33,17 +33,17 @@ from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.interactions.forces import all_forces
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.compare import fitted_force_g, flight_folds
-from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
-from swarm_envs.training.force_model.labels import flown, treat
-from swarm_envs.training.force_model.residual_config import FITTED, ResidualConfig
-from swarm_envs.training.interaction_rows.rows import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InteractionRows,
+from swarm_envs.training.force_model.force_fit_config import (
+    FITTED,
+    FitConfig,
+    ResidualConfig,
+    with_mode_defaults,
 )
+from swarm_envs.training.force_model.labels import flown, treat
+from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
@@ -60,25 +60,17 @@ _LOWEST = (1e-4, 1e-4, 1e-4, 1e-2)
 _HIGHEST = (1.0, 2.0, 2.0, 3.0)
 
 
-class Moments(NamedTuple):
+class _Moments(NamedTuple):
     """Sums over pairs of rows of one drone: flights F, types T, bins B, lags L."""
 
-    product: FloatArray
-    """(F, T, B, L) products of the residuals, over the squared weight."""
-    force: FloatArray
-    """(F, T, B, L) |f| / W, the mean of both rows."""
-    number: FloatArray
-    """(F, T, B, L) pairs."""
-    sideways: FloatArray
-    """(F, 2) products at lag one in calm rows: vertical, and the mean of the horizontal ones."""
-    offset: FloatArray
-    """(D,) offset of a drone in a flight over its weight, less the mean of its type."""
-    flight: IntArray
-    """(D,) its flight, of F."""
-    kind: IntArray
-    """(D,) its type, of T."""
-    interval_s: float
-    """Time between rows, s."""
+    product: FloatArray  # (F, T, B, L) products of the residuals, over the squared weight
+    force: FloatArray  # (F, T, B, L) |f| / W, the mean of both rows
+    number: FloatArray  # (F, T, B, L) pairs
+    sideways: FloatArray  # (F, 2) products at lag one in calm rows: vertical, mean of horizontal
+    offset: FloatArray  # (D,) of a drone in a flight over its weight, less the mean of its type
+    flight: IntArray  # (D,) its flight, of F
+    kind: IntArray  # (D,) its type, of T
+    interval_s: float  # time between rows, s
 
 
 @dataclass(frozen=True)
@@ -160,7 +152,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
 def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
     """(R, 3) modelled force, drag included, gram-force."""
     if config.force not in FITTED:
-        return _force_of_file(rows, config.force)
+        return force_of_file(rows, config.force)
     model: Any = config.force
     given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
     options = with_mode_defaults(given, given.mode, model)
@@ -173,7 +165,7 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
     return found
 
 
-def _force_of_file(rows: InteractionRows, name: str) -> FloatArray:
+def force_of_file(rows: InteractionRows, name: str) -> FloatArray:
     """Force (R, 3) of a model as it is, gram-force."""
     model, found = load(name), np.zeros((len(rows), 3))
     place = np.array([model.types.index(kind) for kind in rows.types])
@@ -193,13 +185,10 @@ def _force_of_file(rows: InteractionRows, name: str) -> FloatArray:
     return found
 
 
-def measured_moments(rows: InteractionRows, modelled_g: FloatArray, rate_hz: float) -> Moments:
-    """Products of residuals by flight, type, force and lag.
+def measured_moments(rows: InteractionRows, modelled_g: FloatArray, rate_hz: float) -> _Moments:
+    """Products of residuals by flight, type, force and lag; gaps between rows are left out.
 
-    Args:
-        rows: of all flights; gaps are left out.
-        modelled_g: (R, 3) what the model says.
-        rate_hz: steps of the rows' clock a second.
+    `modelled_g` (R, 3) is what the model says, `rate_hz` the steps of the rows' clock a second.
     """
     weight = _weights_g(rows.types)[rows.ego_type]
     force = np.linalg.norm(modelled_g, axis=1) / weight
@@ -233,7 +222,7 @@ def measured_moments(rows: InteractionRows, modelled_g: FloatArray, rate_hz: flo
     for index in range(len(rows.types)):
         vertical[kind == index] -= vertical[kind == index].mean()
     product, both, number = table
-    return Moments(product, both, number, sideways, vertical, home, kind, every / rate_hz)
+    return _Moments(product, both, number, sideways, vertical, home, kind, every / rate_hz)
 
 
 def _weights_g(types: Sequence[str]) -> FloatArray:
@@ -262,12 +251,10 @@ def size(force: FloatArray, quiet: FloatArray, wake: FloatArray, half: FloatArra
     return np.asarray(quiet + (wake - quiet) * force / (force + half))
 
 
-def identified(moments: Moments, times: FloatArray) -> tuple[dict[str, list[float]], FloatArray]:
+def identified(moments: _Moments, times: FloatArray) -> tuple[dict[str, list[float]], FloatArray]:
     """The numbers of `Hall`, and (T,) the standard deviation of the labels' white noise over W.
 
-    Args:
-        moments: of the flights.
-        times: (F,) how often each flight counts.
+    Each flight counts `times` (F,) times.
     """
     product, force, number = (np.tensordot(times, table, 1) for table in moments[:3])
     sizes, time_s, white = _autocovariance(product, force, number, moments.interval_s)
@@ -316,7 +303,7 @@ def _autocovariance(
     return np.array(sizes), float(numbers[-1]), np.asarray(white)
 
 
-def _bins(types: Sequence[str], moments: Moments) -> list[dict[str, Any]]:
+def _bins(types: Sequence[str], moments: _Moments) -> list[dict[str, Any]]:
     """Standard deviation and autocorrelation by type and force, gram-force."""
     product, force, count = (table.sum(axis=0) for table in moments[:3])
     found = []

@@ -28,6 +28,7 @@ from safetensors import safe_open
 from torch import Tensor
 from tqdm import tqdm
 
+from swarm_envs.state import FloatArray
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import (
     Examples,
@@ -43,20 +44,14 @@ from swarm_envs.training.force_model.lipschitz import random_inputs, slope_penal
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.optimisers import FlatWeights, Soap, hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows
-from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS, FloatArray
+from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS
 from swarm_envs.training.provenance import differing
 
 _OPTIMISER = "optimiser."
 
 
 def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
-    """Write everything that `load_checkpoint` needs to continue the run.
-
-    Args:
-        path: the file to write.
-        run: where training stands.
-        configuration: what the run depends on; only the same may continue it.
-    """
+    """Write everything that `load_checkpoint` needs; only the same `configuration` may continue."""
     weights = run.weights
     tensors = {"weights": weights.values.detach()}
     tensors |= {"averaged": run.averaged}
@@ -170,21 +165,21 @@ def train(
     lesson: Lesson | None = None,
     name: str | None = None,
 ) -> Training:
-    """Fit one network to the rows' vertical labels by least squares.
+    """Fit one network to the rows' vertical labels `force_g[:, 2]` by least squares.
 
     The rows' validation blocks are held out; their error is recorded at every checkpoint and
     chooses nothing. The result has the weights of the last step, or their running average
-    (`average_share`). Teachers are trained by `distil.train_taught`, not here.
+    (`average_share`).
 
     Args:
-        rows: labels in `force_g[:, 2]`, already free of whatever should not be learned.
+        rows: labels already free of whatever should not be learned.
         spec: the function to fit.
         config: how.
         checkpoint: file to continue from if it exists, and to write; None keeps none.
-        progress: show a progress bar.
+        progress: show a progress bar, which says `name`.
         watch: called with every new entry of the history.
         lesson: what to learn in place of the labels, and where to start.
-        name: of the network, for the progress bar.
+        name: of the network.
 
     Raises:
         ValueError: the checkpoint belongs to another configuration, the rows cannot be split, or
@@ -345,19 +340,9 @@ def train_taught(
 ) -> Training:
     """Train the teachers that the configuration asks for, and the network that learns from them.
 
-    It starts from the weights of the last teacher.
-
-    Args:
-        rows: as `train`.
-        spec: the function to fit; teachers have the same.
-        config: how. Teachers take `teacher_epochs` and draw from seeds of their own.
-        checkpoint: as `train`; teachers have files next to it (`teacher_checkpoint`), so that a
-            run that was killed continues with the network it was at.
-        progress: show a progress bar, which says which network trains.
-        watch: called with every new entry of the history of the network that is the result.
-
-    Raises:
-        ValueError: a checkpoint belongs to another configuration, or the rows cannot be split.
+    It starts from the weights of the last teacher. Teachers take `teacher_epochs`, draw from seeds
+    of their own, and have checkpoints beside the network's (`teacher_checkpoint`), so that a killed
+    run continues with the network it was at. Arguments and errors are those of `train`.
     """
     config = with_mode_defaults(config)
     if not config.teachers:

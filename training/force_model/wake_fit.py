@@ -34,7 +34,8 @@ from torch import Tensor
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces, types_array
-from swarm_envs.training.force_model.evaluate import Errors, mean_squared_errors
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.training.force_model.evaluate import mean_squared_errors
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.labels import (
     Treated,
@@ -45,13 +46,7 @@ from swarm_envs.training.force_model.labels import (
 )
 from swarm_envs.training.force_model.network import OUTER_FADE, fade
 from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.interaction_rows.rows import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InteractionRows,
-    read_rows,
-)
+from swarm_envs.training.interaction_rows.rows import InteractionRows, read_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -93,26 +88,19 @@ class WakeParameters(NamedTuple):
     """hm, m."""
 
 
-class WakeRows(NamedTuple):
+class _WakeRows(NamedTuple):
     """Rows as the wake takes them; only slots with a neighbour inside the volume are pairs."""
 
-    ego_type: IntArray
-    """(R,)"""
-    height_m: FloatArray
-    """(R,) z."""
-    pair_row: IntArray
-    """(P,) row that each pair belongs to."""
-    pair_type: IntArray
-    """(P,) type of the neighbour."""
-    offset_m: FloatArray
-    """(P, 3) p_j - p_i."""
-    wake_velocity: FloatArray
-    """(P, 2) horizontal velocity that tilts the wake, m/s."""
-    weight: FloatArray
-    """(P,) fade at the edge of the volume."""
+    ego_type: IntArray  # (R,)
+    height_m: FloatArray  # (R,) z
+    pair_row: IntArray  # (P,) row that each pair belongs to
+    pair_type: IntArray  # (P,) type of the neighbour
+    offset_m: FloatArray  # (P, 3) p_j - p_i
+    wake_velocity: FloatArray  # (P, 2) horizontal velocity that tilts the wake, m/s
+    weight: FloatArray  # (P,) fade at the edge of the volume
 
 
-def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> WakeRows:
+def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> _WakeRows:
     """Pick the pairs out of a table of rows."""
     window = OUTER_FADE
     distance = torch.from_numpy(np.abs(rows.neighbor[..., :3]))
@@ -122,7 +110,7 @@ def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> WakeRows:
     row, slot = np.nonzero(kept)
     pair = rows.neighbor[row, slot]
     moving = pair[:, 3:5] if velocity == "relative" else pair[:, 3:5] + rows.velocity[row, :2]
-    return WakeRows(
+    return _WakeRows(
         ego_type=rows.ego_type,
         height_m=rows.position[:, 2],
         pair_row=row.astype(np.int64),
@@ -133,7 +121,7 @@ def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> WakeRows:
     )
 
 
-def wake_force_g(parameters: WakeParameters, rows: WakeRows) -> FloatArray:
+def wake_force_g(parameters: WakeParameters, rows: _WakeRows) -> FloatArray:
     """Vertical force of every row without drag, (R,) in gram-force."""
     w = parameters
     ego = rows.ego_type
@@ -146,7 +134,7 @@ def wake_force_g(parameters: WakeParameters, rows: WakeRows) -> FloatArray:
     return np.asarray(ground - downwash)
 
 
-def pair_downwash_g(parameters: WakeParameters, rows: WakeRows) -> FloatArray:
+def pair_downwash_g(parameters: WakeParameters, rows: _WakeRows) -> FloatArray:
     """Downwash of every pair, (P,) in gram-force, positive downwards."""
     w = parameters
     upper, lower = rows.pair_type, rows.ego_type[rows.pair_row]
@@ -188,23 +176,10 @@ class WakeFitConfig:
     """file of rows"""
     out: Path
     """folder for `wake.json`"""
-    rows: int = 100_000
+    rows: int = MOST_ROWS
     """training rows to use, drawn at random"""
     seed: int = 0
     """of that draw"""
-
-
-class WakeFit(NamedTuple):
-    """One fitted variant."""
-
-    velocity: WakeVelocity
-    """Which velocity tilts the jets."""
-    parameters: WakeParameters
-    """The numbers that were fitted."""
-    predicted_g: FloatArray
-    """(R,) force of every row without drag, gram-force."""
-    errors: Errors
-    """Errors on the rows that were held out."""
 
 
 def bounds(types: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -256,7 +231,7 @@ def fit_wake(rows: InteractionRows, velocity: WakeVelocity) -> WakeParameters:
 
 
 def _least_squares(
-    table: WakeRows,
+    table: _WakeRows,
     label: FloatArray,
     weight: FloatArray,
     types: int,
@@ -279,34 +254,24 @@ def draw_rows(rows: InteractionRows, seed: int, count: int = MOST_ROWS) -> Inter
     return rows.select(np.sort(chosen))
 
 
-def _variant(rows: InteractionRows, drawn: InteractionRows, velocity: WakeVelocity) -> WakeFit:
-    parameters = fit_wake(drawn, velocity)
-    predicted = wake_force_g(parameters, wake_rows(rows, velocity))
-    return WakeFit(velocity, parameters, predicted, mean_squared_errors(predicted, rows))
-
-
 def description(
-    fit: WakeFit, types: tuple[str, ...], drag: FloatArray, ends: dict[str, float]
+    w: WakeParameters, types: tuple[str, ...], drag: FloatArray, errors: dict[str, float]
 ) -> dict[str, object]:
     """Content of `wake.json`, without its provenance. `"L>S"` is a large drone above a small."""
-    w = fit.parameters
     index = {name: i for i, name in enumerate(types)}
-    pair = {
-        f"{upper}>{lower}": {
-            "A_g": float(w.amplitude_g[i, j]),
-            "w0_m": float(w.width_m[i, j]),
-            "S": float(w.spread[i, j]),
-            "p": float(w.decay[i, j]),
-        }
-        for upper, i in index.items()
-        for lower, j in index.items()
-    }
+    pairs = (w.amplitude_g, w.width_m, w.spread, w.decay)
     return {
         "format": "wake-1",
         "types": list(types),
-        "pair": pair,
+        "pair": {
+            f"{upper}>{lower}": dict(
+                zip(("A_g", "w0_m", "S", "p"), (float(values[i, j]) for values in pairs))
+            )
+            for upper, i in index.items()
+            for lower, j in index.items()
+        },
         "advection_speed": {name: float(w.advection_speed[i]) for name, i in index.items()},
-        "advection_velocity": fit.velocity,
+        "advection_velocity": "neighbor",
         "combine_q": w.combine_q,
         "ground": {
             name: {"G_g": float(w.ground_g[i]), "h_m": float(w.ground_height_m[i])}
@@ -315,7 +280,7 @@ def description(
         "mitigation": {"M": w.mitigation, "hm_m": w.mitigation_height_m},
         "drag": {name: drag[i].tolist() for name, i in index.items()},
         "window": OUTER_FADE._asdict(),
-        "validation_mse_g2": ends,
+        "validation_mse_g2": errors,
     }
 
 
@@ -343,13 +308,9 @@ class CompiledForce:
 def fit_wake_model(
     path: Path, treated: Treated, config: FitConfig, provenance: dict[str, object]
 ) -> tuple[CompiledForce, FloatArray, list[str]]:
-    """Fit the closed form by least squares and write it to `path`.
+    """Fit the closed form by least squares and write it to `path`, with further keys `provenance`.
 
-    Args:
-        path: JSON file to write.
-        treated: rows with the labels to fit.
-        config: its seed draws the rows, where there are more than `MOST_ROWS`.
-        provenance: further keys of the file.
+    The seed of `config` draws the rows, where there are more than `MOST_ROWS`.
 
     Returns:
         The model as it loads, its vertical force of every row with drag, (R,) gram-force, and
@@ -357,8 +318,9 @@ def fit_wake_model(
     """
     target = treated.target
     drawn = draw_rows(target, config.seed)
-    fitted = _variant(target, drawn, "neighbor")
-    error = {"tilted by neighbor velocity": fitted.errors.overall}
+    fitted = fit_wake(drawn, "neighbor")
+    predicted = wake_force_g(fitted, wake_rows(target, "neighbor"))
+    error = {"tilted by neighbor velocity": mean_squared_errors(predicted, target).overall}
     content = description(fitted, target.types, treated.drag, error)
     content["input_range"] = measured_range(treated.rows)
     content["provenance"] = provenance | {"training_rows": len(drawn)}
@@ -368,7 +330,7 @@ def fit_wake_model(
         never_together(target.types[above], target.types[below]) + "it does not push it"
         for above, below in np.argwhere(~shown_pairs(drawn))
     ]
-    return CompiledForce(load(str(path))), fitted.predicted_g - drag_g, notes
+    return CompiledForce(load(str(path))), predicted - drag_g, notes
 
 
 def write_wake(config: WakeFitConfig) -> dict[str, object]:
@@ -377,13 +339,16 @@ def write_wake(config: WakeFitConfig) -> dict[str, object]:
     rows = read_rows(config.data)
     treated = treat(rows, FitConfig(data=config.data, out=config.out, model="wake"))
     drawn = draw_rows(treated.target, config.seed, config.rows)
-    velocities: tuple[WakeVelocity, ...] = ("relative", "neighbor")
-    fits = [_variant(treated.target, drawn, velocity) for velocity in velocities]
-    best = fits[1]  # tilted by the neighbour's velocity, which the kernels compute
-    ends = {f"tilted by {fit.velocity} velocity": fit.errors.overall for fit in fits}
-    ends |= {"zero": best.errors.zero, "scenario mean": best.errors.scenario_mean}
-    content = description(best, rows.types, treated.drag, ends)
-    content["validation_mse_g2_by_scenario"] = best.errors.scenario
+    ends: dict[str, float] = {}
+    velocities: tuple[WakeVelocity, ...] = ("relative", "neighbor")  # the last ships
+    for velocity in velocities:
+        fitted = fit_wake(drawn, velocity)
+        predicted = wake_force_g(fitted, wake_rows(treated.target, velocity))
+        errors = mean_squared_errors(predicted, treated.target)
+        ends[f"tilted by {velocity} velocity"] = errors.overall
+    ends |= {"zero": errors.zero, "scenario mean": errors.scenario_mean}
+    content = description(fitted, rows.types, treated.drag, ends)
+    content["validation_mse_g2_by_scenario"] = errors.scenario
     content["input_range"] = asdict(measured_range(rows))
     content["provenance"] = {
         "data": config.data.name,

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.training.interaction_rows.rows import InteractionRows
 
 __all__ = [
     "NO_OFFSETS",
@@ -65,10 +66,6 @@ class Offsets:
         for (vehicle, flight), value in self.flight.items():
             offset[(rows.vehicle == vehicle) & (rows.flight == flight)] = value
         return offset
-
-    def per_vehicle(self) -> Offsets:
-        """Return the same offsets without what flights add to them."""
-        return Offsets(self.vehicle, {})
 
 
 NO_OFFSETS = Offsets({}, {})

@@ -12,12 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.training.interaction_rows.rows import (
-    NO_NEIGHBOR,
-    FloatArray,
-    IntArray,
-    InteractionRows,
-)
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.training.interaction_rows.rows import NO_NEIGHBOR, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
 __all__ = ["check_row_table", "join_rows", "notes_of", "vehicle_name", "with_present_types"]
@@ -129,11 +125,7 @@ TORQUE_N_M = 0.05
 
 
 def check_row_table(rows: InteractionRows, units: bool = True) -> None:
-    """Refuse a table that cannot be what it says.
-
-    Args:
-        rows: of the right shapes, all numbers finite.
-        units: look at sizes too.
+    """Refuse a table of finite numbers of the right shapes that cannot be what it says.
 
     Raises:
         ValueError: a rule is broken; the message names the value, the rule and the fix.
@@ -142,8 +134,7 @@ def check_row_table(rows: InteractionRows, units: bool = True) -> None:
         raise ValueError("it holds no row; add rows or remove the file")
     _check_twice(rows)
     if units:
-        for check in (_check_height, _check_speed, _check_neighbours, _check_force, _check_torque):
-            check(rows)
+        _check_sizes(rows)
 
 
 def notes_of(rows: InteractionRows) -> tuple[str, ...]:
@@ -168,8 +159,38 @@ def _check_twice(rows: InteractionRows) -> None:
         )
 
 
+def _check_sizes(rows: InteractionRows) -> None:
+    _check_height(rows)
+    speed, pair = np.linalg.norm(rows.velocity, axis=1), rows.neighbor[rows.has_neighbor]
+    fix = "it looks like millimetres a second: divide by 1000"
+    _check_below("velocity", speed, FASTEST, "m/s", fix if _largest(speed) > 100.0 else "give m/s")
+    apart, closing = (np.linalg.norm(pair[:, k : k + 3], axis=1) for k in (0, 3))
+    _check_below("neighbor[..., :3]", apart, FARTHEST_M, "m", "give p_j - p_i in m")
+    _check_below("neighbor[..., 3:]", closing, 2.0 * FASTEST, "m/s", "give v_j - v_i in m/s")
+    force, (low, high) = np.abs(rows.force_g[:, 2]), FORCE_G
+    if 0.0 < _largest(force) < low:
+        raise ValueError(
+            f"force_g[:, 2] stays below {_largest(force):.3g} g, but must reach {low:g} g; it "
+            f"looks like newtons: divide by {GRAM_FORCE:.6g}. If the forces are so weak, set "
+            "check_units to False"
+        )
+    fix = f"give gram-force without the weight; if it is millinewtons: divide by {GRAVITY}"
+    _check_below("force_g[:, 2]", force, high, "g", fix)
+    if rows.torque is not None:
+        size = np.abs(rows.torque)
+        _check_below("torque", size, TORQUE_N_M, "N m", "give N m")
+
+
 def _largest(values: FloatArray) -> float:
     return float(np.quantile(values, 0.99)) if values.size else 0.0
+
+
+def _check_below(name: str, values: FloatArray, most: float, unit: str, fix: str) -> None:
+    found = _largest(values)
+    if found > most:
+        raise ValueError(
+            f"{name} reaches {found:.4g} {unit}, but must stay below {most:g} {unit}; {fix}"
+        )
 
 
 def _check_height(rows: InteractionRows) -> None:
@@ -183,57 +204,4 @@ def _check_height(rows: InteractionRows) -> None:
             fix = "it looks like millimetres: divide by 1000"
         raise ValueError(
             f"position[:, 2] is usually {height:.4g}, but must be {low:g} to {high:g} m; {fix}"
-        )
-
-
-def _check_speed(rows: InteractionRows) -> None:
-    speed = _largest(np.linalg.norm(rows.velocity, axis=1))
-    if speed > FASTEST:
-        fix = "it looks like millimetres a second: divide by 1000"
-        raise ValueError(
-            f"velocity reaches {speed:.4g}, but must stay below {FASTEST:g} m/s; "
-            f"{fix if speed > 100.0 else 'give m/s'}"
-        )
-
-
-def _check_neighbours(rows: InteractionRows) -> None:
-    pair = rows.neighbor[rows.has_neighbor]
-    apart = _largest(np.linalg.norm(pair[:, :3], axis=1))
-    if apart > FARTHEST_M:
-        raise ValueError(
-            f"neighbor[..., :3] reaches {apart:.4g}, but must stay below {FARTHEST_M:g} m; give "
-            "p_j - p_i in m"
-        )
-    speed = _largest(np.linalg.norm(pair[:, 3:], axis=1))
-    if speed > 2.0 * FASTEST:
-        raise ValueError(
-            f"neighbor[..., 3:] reaches {speed:.4g}, but must stay below {2 * FASTEST:g} m/s; give "
-            "v_j - v_i in m/s"
-        )
-
-
-def _check_force(rows: InteractionRows) -> None:
-    force = _largest(np.abs(rows.force_g[:, 2]))
-    low, high = FORCE_G
-    if 0.0 < force < low:
-        raise ValueError(
-            f"force_g[:, 2] stays below {force:.3g} g, but must reach {low:g} g; it looks like "
-            f"newtons: divide by {GRAM_FORCE:.6g}. If the forces are so weak, set check_units to "
-            "False"
-        )
-    if force > high:
-        fix = f"if it is millinewtons: divide by {GRAVITY}"
-        raise ValueError(
-            f"force_g[:, 2] reaches {force:.4g} g, but must stay below {high:g} g; give "
-            f"gram-force without the weight; {fix}"
-        )
-
-
-def _check_torque(rows: InteractionRows) -> None:
-    if rows.torque is None:
-        return
-    torque = _largest(np.abs(rows.torque))
-    if torque > TORQUE_N_M:
-        raise ValueError(
-            f"torque reaches {torque:.4g} N m, but must stay below {TORQUE_N_M:g}; give N m"
         )

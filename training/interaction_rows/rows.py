@@ -20,15 +20,9 @@ import numpy.typing as npt
 from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["ROW_ARRAYS", "BoolArray", "FloatArray", "IntArray", "InteractionRows", "read_rows"]
-
-FloatArray = npt.NDArray[np.float64]
-"""float64, of any shape."""
-IntArray = npt.NDArray[np.int64]
-"""int64, of any shape."""
-BoolArray = npt.NDArray[np.bool_]
-"""Truth values, of any shape."""
+__all__ = ["ROW_ARRAYS", "InteractionRows", "read_rows"]
 
 NO_NEIGHBOR = -1
 """Type of a neighbour slot that is empty."""
@@ -151,12 +145,7 @@ def _check_index(name: str, array: IntArray, low: int, high: int) -> None:
 
 @typed
 def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
-    """Write the table as a compressed npz without pickle, atomically.
-
-    Args:
-        path: the file to write, ending in `.npz`.
-        rows: what to write.
-    """
+    """Write the table as a compressed npz without pickle, atomically; the path ends in `.npz`."""
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(rows, name) for name in ROW_ARRAYS}
     arrays["types"] = np.array(rows.types)
     arrays["scenario_names"] = np.array(rows.scenario_names)

@@ -197,8 +197,7 @@ def _report(options: Any, cells: Mapping[str, Any]) -> Report:
         "larger_swarms": [_numbers_of(swarm) for swarm in swarms]
     }
     if true_forces is not None:
-        explained = generalisation(forces, true_forces, seed=options.seed)
-        summary["generalisation"] = [team._asdict() for team in explained]
+        summary["generalisation"] = generalisation(forces, true_forces, seed=options.seed)
     summary["files"] = {kind: file for kind, (file, _) in pictures.items()}
     return Report(summary, format_summary(summary), files=dict(pictures.values()))
 

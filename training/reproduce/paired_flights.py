@@ -142,13 +142,7 @@ def judged_cm(flown: PairedFlights, judged: int | None) -> FloatArray:
 
 
 def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -> PairedFlights:
-    """Fly every episode of a case without and with a belief: same seeds, gains, references.
-
-    Args:
-        case: what to fly.
-        belief: the force that the second controller predicts and compensates.
-        seeds: one for each episode.
-    """
+    """Fly every episode of a case without and with a belief: same seeds, gains, references."""
     without = fly(case.test, ControllerConfig(), seeds)
     compensated = fly(case.test, ControllerConfig(feedforward=belief), seeds)
     sides = (without, compensated)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 
 import numpy as np
 import pytest
 
 from swarm_envs.cli import main
-from swarm_envs.interactions import load
 from swarm_envs.training.collection import CollectionConfig, collect, interaction_rows
-from swarm_envs.training.collection.log import SensorNoise, with_noise
 from swarm_envs.training.flight_logs import read_logs, write_table
 from swarm_envs.training.flight_logs.__main__ import check_logs as look
 from swarm_envs.training.flight_logs.fit_data import data_sha256
-from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import read_rows
 
 QUICK = ("--steps", "40", "--batch-size", "64", "--slope-inputs", "16", "--lipschitz-samples", "0")
@@ -107,33 +102,3 @@ def test_the_fingerprint_of_a_folder_depends_on_every_file(tmp_path):
     after = data_sha256(tmp_path)
     (tmp_path / "b.csv").rename(tmp_path / "c.csv")
     assert len({before, after, data_sha256(tmp_path)}) == 3
-
-
-@pytest.mark.slow
-def test_a_planted_force_is_recovered_from_noisy_logs_through_the_whole_chain(
-    flown, as_table, tmp_path
-):
-    """Sensor noise, integer PWM, wrong masses, differentiated velocity."""
-    rng = np.random.default_rng(0)
-    for k, (team, kind) in enumerate(
-        [("S", "walk"), ("L", "walk"), ("SL", "walk"), ("SL", "swap"), ("SL", "low-walk")] * 2
-    ):
-        log = with_noise(flown(team, kind, 40.0, 1.0, seed=k), SensorNoise(), rng)
-        table = as_table(log, team, [f"cf-{letter}" for letter in team], accelerometer=False)
-        write_table(
-            tmp_path / f"flight{k}.csv", dataclasses.replace(table, pwm=np.round(table.pwm))
-        )
-    out = tmp_path / "fit"
-    config = FitConfig(
-        data=tmp_path, out=out, steps=2000, batch_size=512, lipschitz_samples=0, progress=False
-    )
-    report = fit(config)
-    assert report.vehicle_offsets_g == pytest.approx({"0": -1.0, "1": -1.0}, abs=0.3)
-    acting, found = load("learned"), load(str(out / "learned.safetensors"))
-    for kind, least in (("walk", 0.9), ("swap", 0.45)):  # eight walks and two swaps were logged
-        log = flown("SL", kind, 30.0, seed=99)
-        near = (np.abs(log.position[:, 0] - log.position[:, 1]) < [0.35, 0.35, 1.1]).all(axis=1)
-        truth, ours = (
-            m.forces(log.position, log.velocity, "SL")[near, :, 2] for m in (acting, found)
-        )
-        assert 1.0 - (ours - truth).var() / truth.var() > least

@@ -7,29 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
-from swarm_envs.training.flight_logs.clock import ClockedFlight, interaction_force_g
 from swarm_envs.training.flight_table import from_columns
+from swarm_envs.training.force_model.residual_fit import force_of_file
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets
-from swarm_envs.vehicles import GRAM_FORCE, SMALL
 
 EXACT = LogOptions(smoothing_s=0.0, keep_every=1, min_scenario_rows=1, min_quiet_rows=0)
-
-
-def acting_g(rows):
-    """What the environment's model does in each row, (R, 3) gram-force."""
-    force = np.empty((len(rows), 3))
-    model = load("learned")
-    for scenario in np.unique(rows.scenario):
-        (own,) = np.nonzero(rows.scenario == scenario)
-        kinds = [rows.ego_type[own[0]], *(k for k in rows.neighbor_type[own[0]] if k >= 0)]
-        shift = rows.neighbor[own][:, : len(kinds) - 1]
-        ego = np.concatenate([rows.position[own], rows.velocity[own]], axis=1)[:, None]
-        state = np.concatenate([ego, ego + shift], axis=1)
-        team = "".join(rows.types[k] for k in kinds)
-        force[own] = model.forces(state[..., :3], state[..., 3:], team)[:, 0] / GRAM_FORCE
-    return force
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])
@@ -42,7 +25,7 @@ def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_ta
     rows, report = read_logs(tmp_path / "flight.csv", EXACT)
     (file,) = report.files
     assert file.acceleration == ("logged" if accelerometer else "differentiated")
-    truth = acting_g(rows)
+    truth = force_of_file(rows, "learned")
     assert np.abs(truth[:, 2]).max() > 0.3  # there is something to find
     error = rows.force_g - truth
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.05
@@ -116,19 +99,6 @@ def test_gaps_and_standing_motors_give_no_rows(flown, as_table, tmp_path):
     assert flown_at.min() >= 0.3 and flown_at.max() <= 6.01
     assert (rows.force_g[:, 2] ** 2).mean() < 1.0
     assert any("s in gaps are left out" in line for line in report.lines())
-
-
-def test_a_piece_shorter_than_the_window_has_no_known_label():
-    count, hover = 60, np.full((60, 1, 4), 40_000.0)
-    still = np.zeros((count, 1, 3))
-    flight = ClockedFlight(
-        names=("cf7",), team=(SMALL,), rate_hz=100.0, time=np.arange(count) / 100.0,
-        known=np.ones(count, np.bool_), running=np.ones(count, np.bool_), position=still,
-        velocity=still, quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1, 1)),
-        acceleration=None, pwm=hover, voltage=np.full((count, 1), 3.8),
-    )  # fmt: skip
-    assert np.isfinite(interaction_force_g(flight, 0.1)).any()
-    assert np.isnan(interaction_force_g(flight, 1.0)).all()
 
 
 def test_only_common_time_counts(flown, as_table, tmp_path):

@@ -102,26 +102,6 @@ def test_a_bad_table_alone_is_an_error_that_names_value_rule_and_fix(
         read_data(path, OPTIONS)
 
 
-def test_bad_tables_among_sound_ones_are_refused_and_the_rest_is_used(tmp_path: Path) -> None:
-    save_rows(tmp_path / "a.npz", some_rows(seed=1))
-    save_rows(tmp_path / "b.npz", some_rows(seed=2))
-    path = tmp_path / "bad.npz"
-    np.savez(path, allow_pickle=False, **BAD[0][0](arrays_of(some_rows(), path)))
-    (tmp_path / "cut.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:1000])
-    np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    rows, report = read_data(tmp_path, OPTIONS)
-    assert len(rows) == report.rows == 2400
-    assert np.unique(rows.flight).size == 4
-    said = "\n".join(report.lines())
-    assert "2 of 5 files are sound: 2400 rows, " in said
-    assert "refused bad.npz: force_g is nan" in said and "refused cut.npz: " in said
-    assert "refused other.npz: " in said and "neither 'interaction-rows-1'" in said
-    for name in ("a.npz", "b.npz"):
-        (tmp_path / name).unlink()
-    with pytest.raises(ValueError, match=r"none of 3 tables in .* is sound: bad\.npz"):
-        read_data(tmp_path, OPTIONS)
-
-
 def test_weak_forces_can_be_meant(tmp_path: Path) -> None:
     weak = some_rows()
     weak = dataclasses.replace(weak, force_g=0.01 * weak.force_g)
@@ -144,19 +124,6 @@ def test_a_scenario_with_too_few_rows_is_left_out_and_said(tmp_path: Path) -> No
     assert "left out scenario L2S: it has " in said and "but must have 100; fly it" in said
     assert "rows.npz: 990 of 1080 rows are used (left out: scenario too small: 90)" not in said
     assert f"rows.npz: {len(used)} of {len(few)} rows are used (left out: scenario too" in said
-
-
-def test_a_vehicle_without_quiet_rows_is_left_out_where_offsets_are_wanted(tmp_path: Path) -> None:
-    rows = some_rows()
-    low = np.where(rows.vehicle == 50, 0.1, 1.0)[:, None] * rows.position
-    save_rows(tmp_path / "rows.npz", dataclasses.replace(rows, position=low))
-    used, report = read_data(tmp_path, OPTIONS)
-    assert set(used.vehicle) == {101} and len(used) == 600
-    assert any(
-        line.startswith("S 50: calibration offset unknown, so its 600") for line in report.lines()
-    )
-    every, _ = read_data(tmp_path, OPTIONS, offsets=False)
-    assert len(every) == 1200
 
 
 def test_tables_are_joined_with_flights_apart_and_vehicles_matched(tmp_path: Path) -> None:
