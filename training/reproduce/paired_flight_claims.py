@@ -98,7 +98,7 @@ def swap_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
     for air in numbers["truths"]:
         where, cases = _place_of(air), air["cases"]
         (l2s,) = (case for case in cases if case["case"] == "L2S")
-        left, ratio = Reason(_GAINS, Between(2.5, 7.0)), Reason(_SIX, Between(2.0, 5.5))
+        left, ratio = Reason(_GAINS, Between(2.7, 6.8)), Reason(_SIX, Between(2.2, 5.7))
         yield from _compensation(air, l2s, f"{where}, L2S", (left,), (ratio,))
         better = [case for case in cases if case["ratio"] < 1.0]
         sure = [case for case in better if case["p_value"] < SIGNIFICANT]
