@@ -78,7 +78,7 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
 
 def hall_row(force_rate: int, forces: str, repetitions: int) -> Row:
     """How much longer a decision takes in the world "hall", measured in turn."""
-    options: dict[str, object] = {"force_rate": force_rate, "interactions": forces, "threads": 1}
+    options: dict[str, Any] = {"force_rate": force_rate, "interactions": forces, "threads": 1}
     cores = [make_core(*BATCH, world=world, **options) for world in ("ideal", "hall")]
     ideal, hall = rates_of(cores, 10 * repetitions)
     row = _row(f"hall over ideal world, random, {forces}", cores[0])

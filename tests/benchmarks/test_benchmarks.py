@@ -43,7 +43,7 @@ def test_one_environment_and_many_fly(monkeypatch):
         throughput.environment_row("batch", 4, "packed", 48, 2),
         batched.batch_row("packed", 48, "float32", 2),
         batched.thread_row(48, 2),
-        batched.hall_row(48, 1),
+        batched.hall_row(48, "learned", 1),
     ]
     for row in rows:
         assert row["force_rate"] == 48
