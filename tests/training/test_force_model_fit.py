@@ -162,28 +162,6 @@ def test_slope_penalty_lowers_the_steepest_slope():
     assert held_found["input_gradient_g_per_unit"] < 0.7 * free_found["input_gradient_g_per_unit"]
 
 
-def test_fit_writes_weights_and_report_and_no_checkpoint(tmp_path):
-    rows = with_calibration_and_drag(planted_rows(4000), np.random.default_rng(1))
-    save_rows(tmp_path / "rows.npz", rows)
-    config = FitConfig(
-        data=tmp_path / "rows.npz",
-        out=tmp_path / "out",
-        steps=40,
-        batch_size=128,
-        lipschitz_samples=500,
-        progress=False,
-    )
-    report = fit(config)
-    assert sorted(p.name for p in config.out.iterdir()) == ["learned.json", "learned.safetensors"]
-    written = json.loads((config.out / "learned.json").read_text())
-    assert written["findings"]["errors"]["overall"] == report.findings.errors.overall
-    assert str(tmp_path) not in json.dumps(written)
-    network = load_network(config.out / "learned.safetensors")
-    assert network.drag.numpy() == pytest.approx(np.array([report.drag["S"], report.drag["L"]]))
-    aloft = torch.tensor([[[0.0, 0.0, 0.8]]], dtype=torch.float64)
-    assert network.force_g(aloft, torch.zeros_like(aloft), "S") == 0
-
-
 def test_measured_fit_is_the_papers_form(tmp_path):
     rows = with_calibration_and_drag(planted_rows(2000), np.random.default_rng(1))
     save_rows(tmp_path / "rows.npz", rows)

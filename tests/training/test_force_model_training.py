@@ -13,7 +13,7 @@ import torch
 from swarm_envs.training.force_model.examples import (
     Examples,
     shuffled,
-    turn,
+    turned_rows,
 )
 from swarm_envs.training.force_model.force_fit_config import (
     TrainConfig,
@@ -47,14 +47,14 @@ def test_a_pass_takes_every_row_once_in_an_order_of_its_own():
 @pytest.mark.parametrize("symmetry", ["square", "circle"])
 def test_random_turns_keep_what_does_not_depend_on_direction(symmetry):
     examples = Examples(to_batch(rows_of(200)), torch.arange(200.0), torch.ones(200))
-    turned = shuffled(examples, dataclasses.replace(PLAIN, symmetry=symmetry), 0)
-    order = turned.label.long()
-    old, new = examples.batch.pair[order, 0], turned.batch.pair[:, 0]
+    moved = shuffled(examples, dataclasses.replace(PLAIN, symmetry=symmetry), 0)
+    order = moved.label.long()
+    old, new = examples.batch.pair[order, 0], moved.batch.pair[:, 0]
     assert torch.equal(old[:, [2, 5]], new[:, [2, 5]])
     assert torch.allclose(old[:, :2].norm(dim=1), new[:, :2].norm(dim=1), atol=1e-6)
     before, after = ((x[:, :2] * x[:, 3:5]).sum(1) for x in (old, new))
     assert torch.allclose(before, after, atol=1e-6)
-    own = [b[:, 1:3] for b in (examples.batch.environment[order], turned.batch.environment)]
+    own = [b[:, 1:3] for b in (examples.batch.environment[order], moved.batch.environment)]
     before, after = ((x[:, :2] * v).sum(1) for x, v in zip((old, new), own, strict=True))
     assert torch.allclose(before, after, atol=1e-6)  # drone and neighbour turn together
     assert not torch.allclose(old, new)
@@ -63,7 +63,8 @@ def test_random_turns_keep_what_does_not_depend_on_direction(symmetry):
 def test_a_turn_is_counterclockwise():
     position = torch.tensor([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.5]]])
     velocity = torch.tensor([[[0.2, 0.0, 0.1], [0.0, 0.3, 0.0]]])
-    batch = turn(swarm_batch(position, velocity, [0, 0]), torch.full((2,), np.pi / 2))
+    quarter = torch.tensor([[0.0, -1.0], [1.0, 0.0]]).expand(2, 2, 2)
+    batch = turned_rows(swarm_batch(position, velocity, [0, 0]), quarter)
     expected = torch.tensor([0.0, 1.0, 0.5, -0.3, -0.2, -0.1])
     assert torch.allclose(batch.pair[0, 0], expected, atol=1e-6)
     assert torch.allclose(batch.environment[0], -torch.tensor([1.0, 0.0, 0.2, 0.1]), atol=1e-6)

@@ -16,6 +16,7 @@ from swarm_envs.training.force_model.force_fit_config import ResidualConfig
 from swarm_envs.training.force_model.residual_fit import fit_residual, predicted_g
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
+from tests.helpers.tiny_fits import make_rows
 
 WEIGHT_G = (34.0, 67.0)
 QUIET, WAKE, HALF = (0.03, 0.05), (0.12, 0.10), (0.08, 0.05)
@@ -52,14 +53,14 @@ def planted(flights: int = 60, count: int = 600) -> InteractionRows:
         force += WHITE_G * rng.standard_normal((count, 3))
         parts.append((kind, position, neighbor, force))
     kinds = np.repeat([part[0] for part in parts], count)
-    return InteractionRows(
-        types=("S", "L"),
+    position, neighbor, force = (np.concatenate([part[k] for part in parts]) for k in (1, 2, 3))
+    return make_rows(
+        flights * count,
         ego_type=kinds,
-        position=np.concatenate([part[1] for part in parts]),
-        velocity=np.zeros((flights * count, 3)),
-        neighbor=np.concatenate([part[2] for part in parts]),
+        position=position,
+        neighbor=neighbor,
         neighbor_type=1 - kinds[:, None],
-        force_g=np.concatenate([part[3] for part in parts]),
+        force_g=force,
         flight=np.repeat(np.arange(flights), count),
         step=np.tile(3 * np.arange(count), flights),
         vehicle=50 + kinds,

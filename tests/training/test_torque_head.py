@@ -14,12 +14,11 @@ from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
 from swarm_envs.training.flight_logs.fit_data import read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.force_model.examples import changed_label, transform, turn
+from swarm_envs.training.force_model.examples import turned_labels
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import (
     OUTER_FADE,
-    Batch,
     DeepSet,
     DeepSetSpec,
     swarm_batch,
@@ -108,28 +107,17 @@ def test_numpy_gives_the_torque_of_torch(tmp_path: Path) -> None:
 def test_a_torque_turns_with_its_row_and_changes_sign_in_a_mirror() -> None:
     rng, count = np.random.default_rng(1), 64
     lever, force = rng.normal(size=(2, count, 3))
-    tensors = [torch.from_numpy(values) for values in (lever, force, np.cross(lever, force))]
-    one = torch.ones(count, dtype=torch.float64)
-    mirror = torch.where(torch.arange(count) % 2 == 0, one, -one)
-    swap, angle = torch.arange(count) % 3 == 0, torch.linspace(0.0, 6.0, count, dtype=torch.float64)
-
-    def change(batch: Batch) -> Batch:
-        return turn(transform(batch, mirror, one, swap), angle)
-
-    def polar(vector: torch.Tensor) -> FloatArray:
-        zero = torch.zeros(count, 1, dtype=torch.float64)
-        environment = torch.cat([zero, vector], dim=1)
-        nobody = torch.zeros(count, 1, dtype=torch.long)
-        pair = torch.zeros(count, 1, 6, dtype=torch.float64)
-        moved: FloatArray = change(
-            Batch(nobody[:, 0], environment, pair, nobody)
-        ).environment.numpy()
-        return moved[:, 1:]
-
-    label = torch.cat([torch.ones(count, 1, dtype=torch.float64), tensors[2]], dim=1)
-    found = changed_label(label, change)
+    mirror, angle = np.where(np.arange(count) % 2, 1.0, -1.0), np.linspace(0.0, 6.0, count)
+    c, s = np.cos(angle), np.sin(angle)
+    turns = np.stack([mirror * c, -s, mirror * s, c], axis=1).reshape(count, 2, 2)
+    label = torch.from_numpy(np.column_stack([np.ones(count), np.cross(lever, force)]))
+    found = turned_labels(label, torch.from_numpy(turns))
     assert torch.equal(found[:, 0], label[:, 0])
-    expected = np.cross(polar(tensors[0]), polar(tensors[1]))
+
+    def polar(vector: FloatArray) -> FloatArray:
+        return np.column_stack([(turns @ vector[:, :2, None])[..., 0], vector[:, 2]])
+
+    expected = np.cross(polar(lever), polar(force))
     np.testing.assert_allclose(found[:, 1:], expected, atol=1e-12)
 
 

@@ -10,7 +10,6 @@ pieces of flights that are trained on, and whole flights.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +20,6 @@ from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.training.force_model.force_fit_config import TrainConfig
 from swarm_envs.training.force_model.network import Batch
 from swarm_envs.training.interaction_rows.rows import InteractionRows
-
-Change = Callable[[Batch], Batch]
-"""Turns and mirrors rows."""
 
 
 class Examples(NamedTuple):
@@ -77,8 +73,8 @@ def shuffled(examples: Examples, config: TrainConfig, epoch: int) -> Examples:
     batch = Batch(*(values.index_select(0, order) for values in examples.batch))
     label, weight = (values.index_select(0, order) for values in examples[1:])
     if config.symmetry != "none":
-        change = _random_change(config.symmetry == "circle", count, rng)
-        batch, label = change(batch), changed_label(label, change)
+        turns = _random_turns(config.symmetry == "circle", count, rng)
+        batch, label = turned_rows(batch, turns), turned_labels(label, turns)
     if config.position_jitter_m or config.velocity_jitter:
         scale = torch.tensor([config.position_jitter_m] * 3 + [config.velocity_jitter] * 3)
         noise = rng.standard_normal(batch.pair.shape, dtype=np.float32)
@@ -86,66 +82,42 @@ def shuffled(examples: Examples, config: TrainConfig, epoch: int) -> Examples:
     return Examples(batch, label, weight)
 
 
-def _random_change(circle: bool, count: int, rng: np.random.Generator) -> Change:
-    """A symmetry of its own for each of `count` rows: of the square, or any turn too."""
-    mirror_x, mirror_y, swap = _random_symmetry(count, rng)
-    angle = torch.from_numpy(rng.uniform(0.0, 2.0 * np.pi, count)) if circle else None
-
-    def change(batch: Batch) -> Batch:
-        changed = transform(batch, mirror_x, mirror_y, swap)
-        return changed if angle is None else turn(changed, angle.to(batch.pair.dtype))
-
-    return change
+def square_symmetry(x: Tensor, y: Tensor, swap: Tensor) -> Tensor:
+    """Matrices (R, 2, 2) of symmetries of the square: x and y times +1 or -1, then exchanged."""
+    none = torch.zeros_like(x)
+    plain, swapped = torch.stack([x, none, none, y], 1), torch.stack([none, y, x, none], 1)
+    return torch.where(swap[:, None], swapped, plain).reshape(-1, 2, 2)
 
 
-def changed_label(label: Tensor, change: Change) -> Tensor:
-    """Labels (R,) of forces, or (R, 4) of forces and torques, of rows that were turned or mirrored.
+def _random_turns(circle: bool, count: int, rng: np.random.Generator) -> Tensor:
+    """Matrices (R, 2, 2) of symmetries of the square, or of any turn too."""
+    signs = torch.from_numpy(rng.integers(2, size=(3, count)))
+    turns = square_symmetry(1.0 - 2.0 * signs[0], 1.0 - 2.0 * signs[1], signs[2] > 0)
+    if circle:
+        angle = torch.from_numpy(rng.uniform(0.0, 2.0 * np.pi, count)).to(turns.dtype)
+        c, s = torch.cos(angle), torch.sin(angle)
+        turns = torch.stack([c, -s, s, c], 1).reshape(-1, 2, 2) @ turns
+    return turns
+
+
+def turned_rows(batch: Batch, turns: Tensor) -> Batch:
+    """Rows with positions and velocities turned in the plane, each by its matrix (R, 2, 2)."""
+    environment, pair = batch.environment.clone(), batch.pair.clone()
+    for vector, first in ((environment, 1), (pair, 0), (pair, 3)):
+        x, y = vector[..., first].clone(), vector[..., first + 1].clone()
+        m = turns.reshape(-1, *(1,) * (vector.ndim - 2), 2, 2)
+        vector[..., first] = m[..., 0, 0] * x + m[..., 0, 1] * y
+        vector[..., first + 1] = m[..., 1, 0] * x + m[..., 1, 1] * y
+    return batch._replace(environment=environment, pair=pair)
+
+
+def turned_labels(label: Tensor, turns: Tensor) -> Tensor:
+    """Labels (R,) of forces, or (R, 4) of forces and torques, of rows that were turned so.
 
     Forces along z stay. A torque turns like a vector, and with a mirror changes its sign besides.
     """
     if label.ndim == 1:
         return label
-    units = torch.tensor([1.0, 0.0, 0.0, 0.0, 1.0, 0.0], dtype=label.dtype)
-    nobody = torch.zeros(len(label), 1, dtype=torch.long)
-    moved = change(Batch(nobody[:, 0], label.clone(), units.expand(len(label), 1, 6), nobody))
-    x, y = moved.pair[:, 0, :3], moved.pair[:, 0, 3:]
-    sign = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
-    return torch.cat([label[:, :1], sign[:, None] * moved.environment[:, 1:]], dim=1)
-
-
-def _random_symmetry(count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
-    signs = torch.from_numpy(rng.integers(2, size=(3, count)))
-    return 1.0 - 2.0 * signs[0], 1.0 - 2.0 * signs[1], signs[2] > 0
-
-
-def transform(batch: Batch, mirror_x: Tensor, mirror_y: Tensor, swap: Tensor) -> Batch:
-    """Apply symmetries of the square to positions and velocities of R rows.
-
-    `mirror_x` and `mirror_y` (R,) are +1 or -1; x and y are exchanged afterwards where `swap`.
-    """
-    one = torch.ones_like(mirror_x)
-    factor = torch.stack([mirror_x, mirror_y, one], dim=1)
-    environment = batch.environment * torch.cat([one[:, None], factor], dim=1)
-    pair = batch.pair * factor.repeat(1, 2)[:, None]
-    swapped = environment[:, [0, 2, 1, 3]]
-    environment = torch.where(swap[:, None], swapped, environment)
-    pair = torch.where(swap[:, None, None], pair[..., [1, 0, 2, 4, 3, 5]], pair)
-    return batch._replace(environment=environment, pair=pair)
-
-
-def turn(batch: Batch, angle: Tensor) -> Batch:
-    """Turn positions and velocities by angles (R,), rad, counterclockwise seen from above."""
-    cosine, sine = torch.cos(angle), torch.sin(angle)
-
-    def turned(vector: Tensor, first: int) -> None:
-        shape = (-1,) + (1,) * (vector.ndim - 2)
-        c, s = cosine.reshape(shape), sine.reshape(shape)
-        x, y = vector[..., first].clone(), vector[..., first + 1].clone()
-        vector[..., first] = c * x - s * y
-        vector[..., first + 1] = s * x + c * y
-
-    environment, pair = batch.environment.clone(), batch.pair.clone()
-    turned(environment, 1)
-    turned(pair, 0)
-    turned(pair, 3)
-    return batch._replace(environment=environment, pair=pair)
+    sign = turns[:, 0, 0] * turns[:, 1, 1] - turns[:, 0, 1] * turns[:, 1, 0]
+    torque = torch.cat([(turns @ label[:, 1:3, None])[..., 0], label[:, 3:]], dim=1)
+    return torch.cat([label[:, :1], sign[:, None] * torque], dim=1)

@@ -34,8 +34,9 @@ from swarm_envs.training.force_model.examples import (
     Examples,
     batches_per_epoch,
     shuffled,
+    square_symmetry,
     targets,
-    transform,
+    turned_rows,
 )
 from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.force_model.force_fit_config import TrainConfig as TrainConfig
@@ -379,8 +380,8 @@ def teacher_config(config: TrainConfig, number: int) -> TrainConfig:
 
 def symmetric_mean(network: ForceNetwork, batch: Batch) -> Tensor:
     """Vertical force from the network, (R,) gram-force, mean over the symmetries of the square."""
-    total, count = torch.zeros(len(batch.ego_type)), len(batch.ego_type)
-    for sign_x, sign_y, swap in itertools.product((1.0, -1.0), (1.0, -1.0), (False, True)):
-        mirror_x, mirror_y = torch.full((count,), sign_x), torch.full((count,), sign_y)
-        total += predict(network, transform(batch, mirror_x, mirror_y, torch.full((count,), swap)))
+    total = torch.zeros(len(batch.ego_type))
+    for x, y, swap in itertools.product((1.0, -1.0), (1.0, -1.0), (False, True)):
+        turn = square_symmetry(torch.tensor([x]), torch.tensor([y]), torch.tensor([swap]))
+        total += predict(network, turned_rows(batch, turn.expand(len(total), 2, 2)))
     return total / 8.0

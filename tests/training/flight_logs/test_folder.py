@@ -43,7 +43,7 @@ def rows(table: FlightTable, tmp_path_factory: pytest.TempPathFactory) -> Intera
     return read_logs(path, OPTIONS)[0]
 
 
-def test_a_copy_of_a_flight_is_refused(table: FlightTable, tmp_path: Path) -> None:
+def test_a_copy_of_a_flight_is_refused(table, tmp_path):
     write_table(tmp_path / "a.csv", table)
     alone = len(read_logs(tmp_path, OPTIONS)[0])
     renamed = np.char.add(table.drone, "x")
@@ -55,9 +55,7 @@ def test_a_copy_of_a_flight_is_refused(table: FlightTable, tmp_path: Path) -> No
     assert "b.csv is a copy of a.csv" in str(report.files[1].refused)
 
 
-def test_a_copy_of_a_table_is_refused_whatever_its_labels(
-    rows: InteractionRows, tmp_path: Path
-) -> None:
+def test_a_copy_of_a_table_is_refused_whatever_its_labels(rows, tmp_path):
     save_rows(tmp_path / "a.npz", rows)
     copy = dataclasses.replace(
         rows, force_g=rows.force_g + 1.0, validation=~rows.validation
@@ -70,9 +68,7 @@ def test_a_copy_of_a_table_is_refused_whatever_its_labels(
     assert len(found) == len(rows) + len(rows) // 2
 
 
-def test_what_is_not_read_is_said(
-    table: FlightTable, rows: InteractionRows, tmp_path: Path
-) -> None:
+def test_what_is_not_read_is_said(table, rows, tmp_path):
     write_table(tmp_path / "a.csv", table)
     (tmp_path / "a.csv").rename(tmp_path / "UP.CSV")
     (tmp_path / "sub").mkdir()
@@ -92,9 +88,7 @@ def test_what_is_not_read_is_said(
 
 
 @pytest.mark.parametrize("with_rows", [False, True])
-def test_a_flight_in_two_files_is_refused_alone(
-    with_rows: bool, table: FlightTable, rows: InteractionRows, tmp_path: Path
-) -> None:
+def test_a_flight_in_two_files_is_refused_alone(with_rows, table, rows, tmp_path):
     write_table(tmp_path / "a.csv", table)
     for name in ("b.csv", "b.parquet"):
         (tmp_path / name).write_text("1")
@@ -106,9 +100,7 @@ def test_a_flight_in_two_files_is_refused_alone(
     assert refused == {"b.csv": reason, "b.parquet": reason}
 
 
-def test_sound_files_without_rows_are_counted(
-    table: FlightTable, flown: Any, as_table: Any, tmp_path: Path
-) -> None:
+def test_sound_files_without_rows_are_counted(table, flown, as_table, tmp_path):
     write_table(tmp_path / "a.csv", table)
     low = as_table(flown("S"), "S", ["cf0"])
     level = np.array([1.0, 1.0, 0.0])
@@ -120,9 +112,7 @@ def test_sound_files_without_rows_are_counted(
     assert said[0].startswith("2 of 2 flights are sound, 1 of them gives no row: ")
 
 
-def test_damaged_files_are_refused_alone(
-    table: FlightTable, rows: InteractionRows, tmp_path: Path
-) -> None:
+def test_damaged_files_are_refused_alone(table, rows, tmp_path):
     pytest.importorskip("pyarrow")
     write_table(tmp_path / "a.csv", table)
     (tmp_path / "broken.parquet").write_bytes(b"PAR1 and no more")
@@ -140,7 +130,7 @@ def test_damaged_files_are_refused_alone(
     assert refused["empty.csv"] == "the file is empty; copy it again or delete it"
 
 
-def test_an_implausible_calibration_offset_is_a_warning() -> None:
+def test_an_implausible_calibration_offset_is_a_warning():
     def lines(offset: float | None) -> list[str]:
         vehicles = {"cf7": Calibration(0, "S", 100, 50, offset)}
         return LogReport([], {}, vehicles, 100, 0).lines()
@@ -176,7 +166,7 @@ def folder(table: FlightTable, rows: InteractionRows, tmp_path: Path) -> Path:
     return data
 
 
-def test_logs_and_tables_are_joined(folder: Path, rows: InteractionRows) -> None:
+def test_logs_and_tables_are_joined(folder, rows):
     found, report = read_data(folder, MIXED)
     files = {file.file: file for file in report.files}
     assert files["table.npz"].rows == len(rows)
@@ -190,9 +180,7 @@ def test_logs_and_tables_are_joined(folder: Path, rows: InteractionRows) -> None
     assert "force_g[:, 2] stays below" in str(files["bad-newtons.npz"].refused)
 
 
-def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
-    table: FlightTable, tmp_path: Path
-) -> None:
+def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(table, tmp_path):
     """Logs alone and logs among tables alike."""
     write_table(tmp_path / "flight.csv", table)
     options = dataclasses.replace(MIXED, min_quiet_rows=10_000)
@@ -203,13 +191,13 @@ def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
     assert {vehicle.refused for vehicle in report.vehicles.values()} == {None}
 
 
-def test_logs_alone_give_no_torque(table: FlightTable, tmp_path: Path) -> None:
+def test_logs_alone_give_no_torque(table, tmp_path):
     write_table(tmp_path / "flight.csv", table)
     with pytest.raises(ValueError, match="a flight log carries no torque"):
         read_data(tmp_path, MIXED, torque=True)
 
 
-def test_only_bad_files_end_the_fit_with_every_reason(folder: Path) -> None:
+def test_only_bad_files_end_the_fit_with_every_reason(folder):
     (folder / "a-log.csv").unlink()
     (folder / "table.npz").unlink()
     with pytest.raises(
@@ -221,9 +209,7 @@ def test_only_bad_files_end_the_fit_with_every_reason(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("model", ["deep-set", "pairwise", "wake"])
-def test_the_command_fits_every_model_and_reports_alike(
-    model: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_fits_every_model_and_reports_alike(model, folder, tmp_path, capsys):
     out, copy = tmp_path / "out", tmp_path / "copy.json"
     logs = ["--logs.min-scenario-rows", "20", "--logs.min-quiet-rows", "0", "--offsets", "none"]
     command = ["fit", "--data", str(folder), "--out", str(out), "--json", str(copy), *logs, *QUICK]
