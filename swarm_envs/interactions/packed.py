@@ -63,6 +63,7 @@ TO_CODES, TO_FORCE, TO_PUSHES = 0, 1, 2
 SOURCE, TARGET, OWN, NEIGHBOUR, DEPTH, FIRST_LAYER = range(6)
 """Columns of a layout. `OWN` and `NEIGHBOUR` are interaction types, or `ANY`."""
 ANY = -1
+"""Stands for every interaction type."""
 START, BLOCKS, UNITS = range(3)
 """Columns of each layer, from `FIRST_LAYER` on: its first row of weights, its number of inputs over
 `INPUTS`, and its number of outputs, filled up."""

@@ -52,6 +52,7 @@ def read_drawing(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 Style = dict[str, str]
+"""Properties of a shape by name, as its attributes and those around it say."""
 _Paint = tuple[float, float, float]
 
 

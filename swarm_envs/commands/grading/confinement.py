@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 LINUX = sys.platform == "linux"
+"""Whether the kernel offers namespaces and Landlock."""
 _DROP_FROM_BOUNDS, _CAPABILITIES_3 = 24, 0x20080522
 _GET_DUMPABLE, _SET_DUMPABLE, _SET_NO_NEW_PRIVS = 3, 4, 38  # of prctl(2)
 _SET_CHILD_SUBREAPER = 36
