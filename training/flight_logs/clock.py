@@ -51,12 +51,6 @@ class ClockedFlight(NamedTuple):
     """(T, N)."""
 
 
-class _Resampled(NamedTuple):
-    smooth: FloatArray
-    held: FloatArray
-    known: BoolArray
-
-
 def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlight:
     """Resample drones to one clock over the time that all of them logged.
 
@@ -75,16 +69,14 @@ def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlig
     time = np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
     logged = all(drone.acceleration is not None for drone in drones)
     parts = [_resample(drone, begin + time, logged, options.max_gap_s) for drone in drones]
-    smooth = np.stack([part.smooth for part in parts], axis=1)
-    held = np.stack([part.held for part in parts], axis=1)
-    known = np.stack([part.known for part in parts], axis=1).all(axis=1)
+    smooth, held, known = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
     length = np.linalg.norm(smooth[..., 6:10], axis=-1, keepdims=True)
     return ClockedFlight(
         names=tuple(drone.name for drone in drones),
         team=tuple(drone.vehicle for drone in drones),
         rate_hz=rate,
         time=time,
-        known=np.asarray(known),
+        known=np.asarray(known.all(axis=1)),
         running=(held[..., :4].mean(axis=-1) > RUNNING * PWM_SPAN).all(axis=1),
         position=smooth[..., 0:3],
         velocity=smooth[..., 3:6],
@@ -101,27 +93,27 @@ def pieces(mask: BoolArray) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _resample(drone: DroneLog, time: FloatArray, logged: bool, max_gap_s: float) -> _Resampled:
+def _resample(
+    drone: DroneLog, time: FloatArray, logged: bool, max_gap_s: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Motion (T, 10 or 13), signals and voltage (T, 5), and where they are known (T,)."""
     columns = [drone.position, drone.velocity, continuous(drone.quaternion)]
     if logged and drone.acceleration is not None:
         columns.append(drone.acceleration)
     values, held = np.hstack(columns), np.column_stack([drone.pwm, drone.voltage])
-    result = _Resampled(
-        np.zeros((len(time), values.shape[1])),
-        np.zeros((len(time), held.shape[1])),
-        np.zeros(len(time), dtype=np.bool_),
-    )
+    smooth, linear = (np.zeros((len(time), lines.shape[1])) for lines in (values, held))
+    known = np.zeros(len(time), dtype=np.bool_)
     gaps = np.flatnonzero(np.diff(drone.time) > max(max_gap_s, 3.0 * drone.step_s)) + 1
     for lines in np.split(np.arange(len(drone.time)), gaps):
         own = drone.time[lines]
         inside = (time >= own[0] - 1e-9) & (time <= own[-1] + 1e-9)
         if len(lines) < 4 or not inside.any():
             continue
-        result.smooth[inside] = CubicSpline(own, values[lines])(time[inside])
+        smooth[inside] = CubicSpline(own, values[lines])(time[inside])
         for column in range(held.shape[1]):
-            result.held[inside, column] = np.interp(time[inside], own, held[lines, column])
-        result.known[inside] = True
-    return result
+            linear[inside, column] = np.interp(time[inside], own, held[lines, column])
+        known[inside] = True
+    return smooth, linear, known
 
 
 def continuous(quaternion: FloatArray) -> FloatArray:

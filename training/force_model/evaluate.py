@@ -74,28 +74,19 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
 
     Only the validation rows count; the others give the scenario means.
     """
-    label = rows.force_g[:, 2]
-    held_out = rows.validation
+    label, held_out = rows.force_g[:, 2], rows.validation
     mean = np.zeros(len(rows.scenario_names))
     for index in range(len(mean)):
         training = (rows.scenario == index) & ~held_out
         mean[index] = label[training].mean() if training.any() else 0.0
-    residuals = [
-        (predicted_g - label)[held_out] ** 2,
-        label[held_out] ** 2,
-        (mean[rows.scenario] - label)[held_out] ** 2,
-    ]
-    scenario = rows.scenario[held_out]
-    by_scenario = [
-        {
-            name: float(squared[scenario == index].mean())
-            for index, name in enumerate(rows.scenario_names)
-            if (scenario == index).any()
-        }
-        for squared in residuals
-    ]
-    model, zero, mean_error = (float(squared.mean()) for squared in residuals)
-    return Errors(model, zero, mean_error, *by_scenario)
+    found: list[float] = []
+    by_scenario: list[dict[str, float]] = []
+    for said in (predicted_g, np.zeros(len(rows)), mean[rows.scenario]):
+        squared, scenario = (said - label)[held_out] ** 2, rows.scenario[held_out]
+        found.append(float(squared.mean()))
+        own = {name: squared[scenario == k] for k, name in enumerate(rows.scenario_names)}
+        by_scenario.append({name: float(part.mean()) for name, part in own.items() if len(part)})
+    return Errors(*found, *by_scenario)
 
 
 def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:

@@ -23,7 +23,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -150,21 +150,17 @@ def pair_downwash_g(parameters: WakeParameters, rows: _WakeRows) -> FloatArray:
     return np.asarray(rows.weight * centre * shape * above)
 
 
-_PER_PAIR = {  # start, lowest, highest
-    "amplitude_g": (20.0, 0.0, 80.0),
-    "width_m": (0.05, 0.01, 0.2),
-    "spread": (0.05, 0.0, 0.5),
-    "decay": (1.5, 0.2, 3.0),
-}
-_PER_TYPE = {
-    "advection_speed": (3.0, 0.3, 50.0),
-    "ground_g": (5.0, 0.0, 30.0),
-    "ground_height_m": (0.05, 0.01, 0.3),
-}
-_SHARED = {
-    "combine_q": (1.4, 1.0, 5.0),
-    "mitigation": (0.4, 0.0, 1.0),
-    "mitigation_height_m": (0.2, 0.02, 1.0),
+_LIMITS = {  # axes of types, start, lowest, highest
+    "amplitude_g": (2, 20.0, 0.0, 80.0),
+    "width_m": (2, 0.05, 0.01, 0.2),
+    "spread": (2, 0.05, 0.0, 0.5),
+    "decay": (2, 1.5, 0.2, 3.0),
+    "advection_speed": (1, 3.0, 0.3, 50.0),
+    "ground_g": (1, 5.0, 0.0, 30.0),
+    "ground_height_m": (1, 0.05, 0.01, 0.3),
+    "combine_q": (0, 1.4, 1.0, 5.0),
+    "mitigation": (0, 0.4, 0.0, 1.0),
+    "mitigation_height_m": (0, 0.2, 0.02, 1.0),
 }
 
 
@@ -184,26 +180,18 @@ class WakeFitConfig:
 
 def bounds(types: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Start, lowest and highest value of the packed parameters."""
-    groups = ((_PER_PAIR, types * types), (_PER_TYPE, types), (_SHARED, 1))
-    columns = [[limits] * count for group, count in groups for limits in group.values()]
-    table = np.array([limits for column in columns for limits in column])
-    return table[:, 0], table[:, 1], table[:, 2]
+    rows = [limits for axes, *limits in _LIMITS.values() for _ in range(types**axes)]
+    start, low, high = np.array(rows).T
+    return start, low, high
 
 
 def unpack(vector: FloatArray, types: int) -> WakeParameters:
     """Turn a packed vector into named parameters."""
-    values: dict[str, FloatArray] = {}
-    begin = 0
-    for name in _PER_PAIR:
-        values[name] = vector[begin : begin + types * types].reshape(types, types)
-        begin += types * types
-    for name in _PER_TYPE:
-        values[name] = vector[begin : begin + types]
-        begin += types
-    combine, mitigation, height = (float(value) for value in vector[begin:])
-    return WakeParameters(
-        **values, combine_q=combine, mitigation=mitigation, mitigation_height_m=height
-    )
+    values: dict[str, Any] = {}
+    for name, (axes, *_) in _LIMITS.items():
+        part, vector = vector[: types**axes], vector[types**axes :]
+        values[name] = part.reshape((types,) * axes) if axes else float(part[0])
+    return WakeParameters(**values)
 
 
 def fit_wake(rows: InteractionRows, velocity: WakeVelocity) -> WakeParameters:
