@@ -111,7 +111,7 @@ def generalisation(
 ) -> list[dict[str, Any]]:
     """Explained variance of the true vertical force by team, over random states in close flight.
 
-    `explained` is its share, at most 1; below 0 a constant would do better. Beside it stand the
+    `explained` is its share, at most 1; below 0 a constant would do better. With it are given the
     root mean squares of error and force, g, and the neighbours in a drone's volume. Each team has
     states of its own, drawn from the seed, whatever the other teams are.
 

@@ -18,7 +18,7 @@ _GAINS = (
     "model is fed forward (docs/reproduce.md)"
 )
 _SIX = (
-    "the paper flew six swaps: of medians of six of ours, nine of ten ratios are 2.4 to 5.1 "
+    "the paper flew six swaps: of medians of six of the 40, nine of ten ratios are 2.4 to 5.1 "
     "(docs/reproduce.md)"
 )
 _DEEP_SET = (
