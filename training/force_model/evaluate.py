@@ -86,7 +86,8 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
         found.append(float(squared.mean()))
         own = {name: squared[scenario == k] for k, name in enumerate(rows.scenario_names)}
         by_scenario.append({name: float(part.mean()) for name, part in own.items() if len(part)})
-    return Errors(*found, *by_scenario)
+    overall, zero, scenario_mean = found
+    return Errors(overall, zero, scenario_mean, *by_scenario)
 
 
 def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
