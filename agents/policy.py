@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from swarm_envs import TASKS, task_family
 from swarm_envs.agents.features import FEATURE_SETS, GOAL, FeatureSizes
@@ -261,8 +261,8 @@ def write_policy(path: Path, policy: Policy) -> None:
         "provenance": dict(policy.provenance),
     }
     with written_whole(path) as partial:
-        save_file(tensors, partial, metadata={"swarm_envs": json.dumps(note, allow_nan=False)})
-        partial.chmod(0o644)  # safetensors makes files that only their owner can read
+        metadata = {"swarm_envs": json.dumps(note, allow_nan=False)}
+        partial.write_bytes(save(tensors, metadata))  # its own writer raises no OSError
 
 
 def read_policy(path: Path) -> Policy:

@@ -254,9 +254,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except Misuse as error:
         return _complain(where, str(error), MISUSED)
-    except (OSError, ImportError, ValueError) as error:  # a traceback would not say more
-        forget_output()
-        return _complain(where, " ".join(str(error).splitlines()), FAILED)
+    except (OSError, ImportError, ValueError, MemoryError) as error:
+        forget_output()  # and no traceback, which would not say more
+        said = " ".join(str(error).splitlines()) or "there is not enough memory"
+        return _complain(where, said, FAILED)
     except KeyboardInterrupt as interrupt:
         return _complain(where, str(interrupt) or "interrupted", INTERRUPTED)
 

@@ -6,9 +6,11 @@ import csv
 import dataclasses
 import json
 import os
+import shutil
 import struct
+import subprocess
 import sys
-import textwrap
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,13 +18,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.numpy import save
 
 import swarm_envs
 from swarm_envs.agents import load
 from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import main
 from swarm_envs.commands import grade
+from swarm_envs.compiled import kernel_folder
 from swarm_envs.training.interaction_rows import save_rows
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.wake_rows import wake_rows
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="confinement is Linux's")
@@ -30,7 +35,7 @@ if sys.platform == "linux":
     from swarm_envs.commands.grade_force import grade_model
     from swarm_envs.commands.grading import confinement, remote
     from swarm_envs.commands.grading.confinement import Protections
-    from swarm_envs.commands.grading.copies import copied_acts
+    from swarm_envs.commands.grading.copies import copied_acts, copied_forces
     from swarm_envs.commands.grading.messages import BadMessage, Channel
     from swarm_envs.commands.grading.remote import opened
     from swarm_envs.commands.grading.text import cell, printable
@@ -38,13 +43,25 @@ if sys.platform == "linux":
 PACKAGE = Path(swarm_envs.__file__).parent
 STARTERS = PACKAGE / "assignments"
 SHORT_S = 10.0
-ALONE = ("own processes", "files hidden")  # what only a confined work cannot do
+MODES = {
+    "all": lambda whole: whole,
+    "namespaces": lambda whole: Protections(whole.unshare, 0),
+    "Landlock": lambda whole: Protections((), whole.landlock),
+    "another user": lambda whole: Protections((), 0, whole.user),
+    "nothing": lambda whole: Protections((), 0),
+}
+"""What a system offers, by name, of all that this one does."""
+ALONE = {
+    "ends its parent": ("all", "namespaces", "Landlock", "another user"),
+    "reads others' works and the environment": ("all", "namespaces", "Landlock"),
+}
+"""Cheats that only some of it keeps from harm."""
 
 WORK = """
 import atexit, ctypes, gc, json, multiprocessing, os, pathlib, resource, signal, socket
 import struct, subprocess, sys, threading, time
 import numpy as np
-TABLE, RESULT = {table!r}, {result!r}
+TABLE, RESULT, PACKAGE = {table!r}, {result!r}, {package!r}
 class Agent:
     requires, privileged = {{'action': 'acceleration', 'decision_rate': 10}}, False
     def reset(self, env, seed): pass
@@ -53,391 +70,385 @@ class Agent:
 {cheat}
 """
 
-# What a cheat does, and what the table says of it: nothing if it flies on and gets nothing.
-CHEATS = {
-    "writes a report and ends": (
-        """
-        class Agent(Agent):
-            def act(self, observations, view):
-                json.dump({'agents': [{'success_rate': 1.0}]}, open('report.json', 'w'))
-                os._exit(0)
-        """,
-        "exit code 0",
-    ),
-    "writes a report at its exit": (
-        """
-        atexit.register(lambda: print(json.dumps({'success_rate': 1.0})))
-        class Agent(Agent):
-            def act(self, observations, view): sys.exit(0)
-        """,
-        "SystemExit",
-    ),
-    "looks for the judge's memory": (
-        """
+
+def cheats_of(text: str) -> dict[str, tuple[str, str]]:
+    """Cheats by what they do: code that follows that of `WORK`, and what the table says of it.
+
+    Nothing if it flies on and gets nothing.
+    """
+    found = {}
+    for part in text.split("# ")[1:]:
+        head, _, code = part.partition("\n")
+        name, _, says = head.partition(" | ")
+        found[name] = code, says
+    return found
+
+
+CHEATS = cheats_of(r"""
+# writes a report and ends | exit code 0
+class Agent(Agent):
+    def act(self, observations, view):
+        json.dump({'agents': [{'success_rate': 1.0}]}, open('report.json', 'w'))
+        os._exit(0)
+# writes a report at its exit | SystemExit
+atexit.register(lambda: print(json.dumps({'success_rate': 1.0})))
+class Agent(Agent):
+    def act(self, observations, view): sys.exit(0)
+# looks for the judge's memory
+class Agent(Agent):
+    def act(self, observations, view):
         for thing in gc.get_objects():
-            if type(thing).__name__ in ('SwarmCore', 'World', 'SwarmParallelEnv'):
+            if type(thing).__name__ == 'SwarmCore' and thing.time.any():
                 raise RuntimeError('found it')
-        """,
-        "",
-    ),
-    "looks for env in the frames of its callers": (
-        """
-        class Agent(Agent):
-            def reset(self, env, seed):
-                frame = sys._getframe()
-                while frame is not None:
-                    for thing in list(frame.f_locals.values()):
-                        thing = getattr(thing, 'env', thing)
-                        core = getattr(thing, 'core', None)
-                        if hasattr(core, 'world') or hasattr(core, 'reset'):
-                            raise RuntimeError('found it')
-                    frame = frame.f_back
-        """,
-        "",
-    ),
-    "replaces the code that scores": (
-        """
-        from swarm_envs.agents import evaluation
-        def perfect(episodes): return {'success_rate': 1.0, 'collision_rate': 0.0}
-        evaluation.score_episodes.__code__ = perfect.__code__
-        evaluation.evaluate_agent.__code__ = perfect.__code__
-        """,
-        "",
-    ),
-    "says that all episodes were flown before": (
-        """
-        for folder in (pathlib.Path(TABLE).parent, pathlib.Path('.')):
-            try:
-                (folder / 'report.episodes').mkdir()
-                (folder / 'report.episodes' / 'x.jsonl').write_text('{"seed": 0}')
-            except OSError: pass
-        """,
-        "",
-    ),
-    "leaves a session that rewrites the table": (
-        """
-        SCRIPT = f"while :; do echo work,points > {TABLE}; echo eve,100 >> {TABLE}; sleep 0.1; done"
-        subprocess.Popen(['setsid', 'sh', '-c', SCRIPT])
-        """,
-        "",
-    ),
-    "lies once of what it sees": (
-        """
-        class Agent(Agent):
-            asked = 0
-            @property
-            def privileged(self):
-                Agent.asked += 1
-                return Agent.asked == 1
-            def act(self, observations, view):
-                assert view is None, 'it sees'
-                return super().act(observations, view)
-        """,
-        "",
-    ),
-    "leaves sixty-six sleepers": (
-        "for _ in range(66): subprocess.Popen(['setsid', 'sleep', '1000'])",
-        "",
-    ),
-    "leaves a daemon that forked twice": (
-        """
-        if os.fork() == 0:
-            os.setsid()
-            if os.fork() == 0:
-                signal.signal(signal.SIGTERM, signal.SIG_IGN)
-                time.sleep(1000)
-            os._exit(0)
-        """,
-        "",
-    ),
-    "leaves threads running": (
-        """
-        def spin():
-            while True: time.sleep(0.01)
-        for _ in range(8): threading.Thread(target=spin).start()
-        """,
-        "",
-    ),
-    "forks until it may not": (
-        """
-        try:
-            for _ in range(400):
-                if os.fork() == 0: time.sleep(1000)
+        return super().act(observations, view)
+# looks for what flies in the frames of its callers
+class Agent(Agent):
+    def reset(self, env, seed):
+        assert not env.core.time.any()
+        frame = sys._getframe()
+        while frame is not None:
+            for thing in list(frame.f_locals.values()):
+                if 'seeds' in frame.f_locals or hasattr(thing, 'generate_state'):
+                    raise RuntimeError('found it')
+            frame = frame.f_back
+# replaces the code that scores
+from swarm_envs.agents import evaluation
+def perfect(episodes): return {'success_rate': 1.0, 'collision_rate': 0.0}
+evaluation.score_episodes.__code__ = perfect.__code__
+evaluation.evaluate_agent.__code__ = perfect.__code__
+# says that all episodes were flown before
+for folder in (pathlib.Path(TABLE).parent, pathlib.Path('.')):
+    try:
+        (folder / 'report.episodes').mkdir()
+        (folder / 'report.episodes' / 'x.jsonl').write_text('{"seed": 0}')
+    except OSError: pass
+# leaves a session that rewrites the table
+SCRIPT = f"while :; do echo work,points > {TABLE}; echo eve,100 >> {TABLE}; sleep 0.1; done"
+subprocess.Popen(['setsid', 'sh', '-c', SCRIPT])
+# lies once of what it sees
+class Agent(Agent):
+    asked = 0
+    @property
+    def privileged(self):
+        Agent.asked += 1
+        return Agent.asked == 1
+    def act(self, observations, view):
+        assert view is None, 'it sees'
+        return super().act(observations, view)
+# leaves sixty-six sleepers
+for _ in range(66): subprocess.Popen(['setsid', 'sleep', '1000'])
+# leaves a daemon that forked twice
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(1000)
+    os._exit(0)
+# leaves threads running
+def spin():
+    while True: time.sleep(0.01)
+for _ in range(8): threading.Thread(target=spin).start()
+# forks until it may not
+try:
+    for _ in range(400):
+        if os.fork() == 0: time.sleep(1000)
+except OSError: pass
+# ends its parent
+for code in (signal.SIGINT, signal.SIGTERM):
+    try: os.getppid() > 1 and os.kill(os.getppid(), code)
+    except OSError: pass
+# writes into the package
+try:
+    open(PACKAGE + '/errors.py', 'a').write('#')
+except OSError: pass
+# reads the grader's memory
+try: open(f'/proc/{os.getppid()}/mem', 'rb').read(0)
+except OSError: pass
+else: raise RuntimeError('found it')
+# reads the seed
+for file in pathlib.Path('/proc').glob('[0-9]*/cmdline'):
+    try: words = file.read_bytes()
+    except OSError: continue
+    if b'4711' in words: raise RuntimeError('found it')
+# takes all cores
+try: os.sched_setaffinity(0, range(1024))
+except OSError: pass
+if len(os.sched_getaffinity(0)) > 1: raise RuntimeError('found it')
+# writes through ctypes
+libc = ctypes.CDLL(None)
+libc.ptrace(16, os.getppid(), 0, 0)
+libc.prctl(4, 1, 0, 0, 0)
+descriptor = libc.open(RESULT.encode(), 577, 0o644)
+libc.write(descriptor, b'100', 3)
+# answers in place of the process | nonsense
+for descriptor in range(3, 64):
+    try: os.write(descriptor, b'{"kind": "done", "success_rate": 1.0}')
+    except OSError: pass
+# answers with absurd lengths | nonsense
+for descriptor in range(3, 64):
+    try: os.write(descriptor, struct.pack('<4sII', b'SWRM', 2**32 - 1, 2**32 - 1))
+    except OSError: pass
+# answers with a thousand brackets | nonsense
+for descriptor in range(3, 64):
+    try: os.write(descriptor, struct.pack('<4sII', b'SWRM', 60000, 0) + b'[' * 60000)
+    except OSError: pass
+# claims a shape that it does not send | nonsense
+HEAD = json.dumps({'kind': 'made', 'requires': {}, 'arrays': [['f8', [2**31, 2**31]]]})
+for descriptor in range(3, 64):
+    try: os.write(descriptor, struct.pack('<4sII', b'SWRM', len(HEAD), 0) + HEAD.encode())
+    except OSError: pass
+# gives a row of a million numbers | shape (1000000,)
+class Agent(Agent):
+    def act(self, observations, view):
+        return {name: np.zeros(10**6) for name in observations}
+# gives many rows of a million numbers
+class Agent(Agent):
+    def act(self, observations, view): return super().act(observations, view)
+    def act_batch(self, rows): return np.zeros((10**3, 10**4))
+# requires an easier task | unknown required option 'end_on_success'
+Agent.requires = {**Agent.requires, 'end_on_success': False, 'horizon_s': 1e3}
+# requires a million neighbours | must be at most 64
+Agent.requires = {**Agent.requires, 'num_neighbors': 10000}
+# requires what is no number | decision_rate
+Agent.requires = {**Agent.requires, 'decision_rate': [[[[]]]]}
+# raises words that forge a row | \x1b[2Jx\neve
+class Agent(Agent):
+    def act(self, observations, view):
+        raise RuntimeError('\x1b[2Jx\neve  100.0  1.0\r\u202e' + 'x' * 10**6)
+# allocates a hundred gigabytes | MemoryError
+memory = np.ones(100 * 2**30 // 8)
+# raises what cannot be said | Unsayable
+class Unsayable(Exception):
+    def __str__(self): raise SystemExit
+class Agent(Agent):
+    def act(self, observations, view): raise Unsayable
+# calls the network
+from contextlib import suppress
+with suppress(OSError):
+    socket.create_connection(('192.0.2.1', 80), 1.0)
+    raise RuntimeError('connected')
+# reads others' works and the environment
+assert 'SECRET' not in os.environ
+try: text = pathlib.Path(TABLE).parent.joinpath('bob', 'swap.py').read_text()
+except OSError: pass
+else: raise RuntimeError('found it')
+""")
+LONG = cheats_of(r"""
+# sleeps for ever | took longer than 10 s
+class Agent(Agent):
+    def act(self, observations, view): time.sleep(10**6)
+# answers byte by byte | took longer than 10 s
+slow = struct.pack('<4sII', b'SWRM', 4096, 0) + b' ' * 4096
+for k in range(4096):
+    for descriptor in range(3, 16):
+        try: os.write(descriptor, slow[k:k + 1])
         except OSError: pass
-        """,
-        "",
-    ),
-    "ends its parent": (
-        """
-        for code in (signal.SIGINT, signal.SIGTERM):
-            if os.getppid() > 1: os.kill(os.getppid(), code)
-        """,
-        "own processes",
-    ),
-    "writes into the package": (
-        f"""
-        try:
-            open({str(PACKAGE / "errors.py")!r}, 'a').write('#')
-        except OSError: pass
-        """,
-        "",
-    ),
-    "reads the grader's memory": (
-        """
-        for entry in os.listdir('/proc'):
-            if entry.isdigit() and int(entry) != os.getpid():
-                try: open(f'/proc/{entry}/mem', 'rb').read(0)
-                except OSError: continue
-                if entry == str(os.getppid()): raise RuntimeError('found it')
-        """,
-        "own processes",
-    ),
-    "writes through ctypes": (
-        """
-        libc = ctypes.CDLL(None)
-        libc.ptrace(16, os.getppid(), 0, 0)
-        libc.prctl(4, 1, 0, 0, 0)
-        descriptor = libc.open(RESULT.encode(), 577, 0o644)
-        libc.write(descriptor, b'100', 3)
-        """,
-        "",
-    ),
-    "answers in place of the process": (
-        """
-        for descriptor in range(3, 64):
-            try: os.write(descriptor, b'{"kind": "done", "success_rate": 1.0}')
-            except OSError: pass
-        """,
-        "nonsense",
-    ),
-    "answers with absurd lengths": (
-        """
-        for descriptor in range(3, 64):
-            try: os.write(descriptor, struct.pack('<4sII', b'SWRM', 2**32 - 1, 2**32 - 1))
-            except OSError: pass
-        """,
-        "nonsense",
-    ),
-    "answers with a thousand brackets": (
-        """
-        for descriptor in range(3, 64):
-            try: os.write(descriptor, struct.pack('<4sII', b'SWRM', 60000, 0) + b'[' * 60000)
-            except OSError: pass
-        """,
-        "nonsense",
-    ),
-    "claims a shape that it does not send": (
-        """
-        HEAD = json.dumps({'kind': 'made', 'requires': {}, 'arrays': [['f8', [2**31, 2**31]]]})
-        for descriptor in range(3, 64):
-            try: os.write(descriptor, struct.pack('<4sII', b'SWRM', len(HEAD), 0) + HEAD.encode())
-            except OSError: pass
-        """,
-        "nonsense",
-    ),
-    "gives a row of a million numbers": (
-        """
-        class Agent(Agent):
-            def act(self, observations, view):
-                return {name: np.zeros(10**6) for name in observations}
-        """,
-        "shape (1000000,)",
-    ),
-    "gives many rows of a million numbers": (
-        """
-        class Agent(Agent):
-            def act(self, observations, view): return super().act(observations, view)
-            def act_batch(self, rows): return np.zeros((10**3, 10**4))
-        """,
-        "",
-    ),
-    "requires an easier task": (
-        "Agent.requires = {**Agent.requires, 'end_on_success': False, 'horizon_s': 1e3}",
-        "requires 'end_on_success'",
-    ),
-    "requires a million neighbours": (
-        "Agent.requires = {**Agent.requires, 'num_neighbors': 10000}",
-        "must be at most 64",
-    ),
-    "requires what is no number": (
-        "Agent.requires = {**Agent.requires, 'decision_rate': [[[[]]]]}",
-        "decision_rate",
-    ),
-    "raises words that forge a row": (
-        r"""
-        class Agent(Agent):
-            def act(self, observations, view):
-                raise RuntimeError('\x1b[2Jx\neve  100.0  1.0\r\u202e' + 'x' * 10**6)
-        """,
-        r"\x1b[2Jx\neve",
-    ),
-    "allocates a hundred gigabytes": (
-        "memory = np.ones(100 * 2**30 // 8)",
-        "MemoryError",
-    ),
-    "raises what cannot be said": (
-        """
-        class Unsayable(Exception):
-            def __str__(self): raise SystemExit
-        class Agent(Agent):
-            def act(self, observations, view): raise Unsayable
-        """,
-        "Unsayable",
-    ),
-    "calls the network": (
-        """
-        from contextlib import suppress
-        with suppress(OSError):
-            socket.create_connection(('192.0.2.1', 80), 1.0)
-            raise RuntimeError('connected')
-        """,
-        "",
-    ),
-    "reads others' works and the environment": (
-        """
-        assert 'SECRET' not in os.environ
-        try: text = pathlib.Path(TABLE).parent.joinpath('bob', 'swap.py').read_text()
-        except OSError: pass
-        else: raise RuntimeError('read it')
-        """,
-        "files hidden",
-    ),
-}
-"""Cheats by what they do; code that follows that of an agent that hovers."""
-LONG = {
-    "sleeps for ever": (
-        """
-        class Agent(Agent):
-            def act(self, observations, view): time.sleep(10**6)
-        """,
-        "took longer than 10 s",
-    ),
-    "answers byte by byte": (
-        """
-        slow = struct.pack('<4sII', b'SWRM', 4096, 0) + b' ' * 4096
-        for k in range(4096):
-            for descriptor in range(3, 16):
-                try: os.write(descriptor, slow[k:k + 1])
-                except OSError: pass
-            time.sleep(0.2)
-        """,
-        "took longer than 10 s",
-    ),
-    "writes 600 MB on stderr": (
-        """
-        for _ in range(600): os.write(2, b'x' * 2**20)
-        os.write(2, b'\\n=cmd|calc\\n')
-        os._exit(7)
-        """,
-        "exit code 7: =cmd|calc",
-    ),
-    "prints for ever": (
-        "while True: print('x' * 4096)",
-        "took longer than 10 s",
-    ),
-    "fills the disk": (
-        """
-        with open('big', 'wb') as file:
-            while True: file.write(b'x' * 2**20)
-        """,
-        "OSError",
-    ),
-    "forks for ever": (
-        """
-        while True:
-            try: os.fork()
-            except OSError: time.sleep(0.01)
-        """,
-        "took longer than 10 s",
-    ),
-    "stops itself": ("os.kill(os.getpid(), signal.SIGSTOP); time.sleep(100)", "took longer"),
-    "waits for a second decision": (
-        """
-        class Agent(Agent):
-            count = 0
-            def act(self, observations, view):
-                Agent.count += 1
-                if Agent.count > 1: time.sleep(10**6)
-                return super().act(observations, view)
-        """,
-        "longer than",
-    ),
-}
+    time.sleep(0.2)
+# writes 600 MB on stderr | exit code 7: =cmd|calc
+for _ in range(600): os.write(2, b'x' * 2**20)
+os.write(2, b'\n=cmd|calc\n')
+os._exit(7)
+# prints for ever | took longer than 10 s
+while True: print('x' * 4096)
+# fills the disk | OSError
+with open('big', 'wb') as file:
+    while True: file.write(b'x' * 2**20)
+# forks for ever | took longer than 10 s
+while True:
+    try: os.fork()
+    except OSError: time.sleep(0.01)
+# stops itself | took longer
+os.kill(os.getpid(), signal.SIGSTOP); time.sleep(100)
+# waits for a second decision | longer than
+class Agent(Agent):
+    count = 0
+    def act(self, observations, view):
+        Agent.count += 1
+        if Agent.count > 1: time.sleep(10**6)
+        return super().act(observations, view)
+""")
 """Cheats that last."""
 
 
-def written(folder: Path, cheat: str) -> tuple[list[str], Path]:
-    """The works of a class in which Eve cheats, and the path of their table."""
-    table, result = folder / "grades.csv", folder / "result.txt"
-    for name, code in (("eve", cheat), ("bob", "")):
-        (folder / name).mkdir()
-        code = textwrap.dedent(code)
-        text = WORK.format(table=str(table), result=str(result), cheat=code)
-        (folder / name / "swap.py").write_text(text, encoding="utf-8")
-    return [f"{folder / name / 'swap.py'}:Agent" for name in ("eve", "bob")], table
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder that another user may read."""
+    with tempfile.TemporaryDirectory() as made:
+        Path(made).chmod(0o755)
+        yield Path(made)
 
 
-def graded(folder: Path, cheat: str, limit_s: float) -> dict[str, dict[str, str]]:
-    """The table of a class in which Eve cheats, by name."""
-    works, table = written(folder, cheat)
-    before, state = confinement.descendants(), remote.package_state()
-    words = ["--episodes", "1", "--limit-s", str(limit_s), "--out", str(table)]
-    code = main(["grade", "--assignment", "swap", *words, "--agent", *works])
-    assert confinement.descendants() - before == set()
+def written(folder: Path, cheats: dict[str, tuple[str, str]]) -> list[str]:
+    """The works of a class: a cheat each, and last an honest one."""
+    works = []
+    for name, (code, _) in {**cheats, "bob": ("", "")}.items():
+        file = folder / name.replace(" ", "-") / "swap.py"
+        file.parent.mkdir(parents=True)
+        names = {"table": folder / "grades.csv", "result": folder / "result.txt"}
+        places = {key: str(place) for key, place in {**names, "package": PACKAGE}.items()}
+        file.write_text(WORK.format(**places, cheat=code), encoding="utf-8")
+        works.append(f"{file}:Agent")
+    return works
+
+
+GRADER = """
+import sys
+from swarm_envs.commands.grading import confinement
+confinement.probe = lambda: confinement.Protections(*{offered!r})
+from swarm_envs.cli import main
+from swarm_envs.commands.grading import remote
+{before}
+sys.exit(main({words!r}))
+"""
+
+
+def offered(mode: str) -> Protections:
+    """What a mode offers; the test is skipped where this system does not offer it."""
+    found = MODES[mode](confinement.probe())
+    if found.can_rename != (mode == "nothing"):
+        pytest.skip(f"{mode}: not here")
+    return found
+
+
+def run_grader(
+    mode: str, folder: Path, words: list[str], before: str = "", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Grade in a process of its own, where nothing is imported yet; nothing may be left of it."""
+    always = f"grade --seed 4711 --unprotected --out {folder / 'grades.csv'}".split()
+    words = [*always, *words]
+    code = GRADER.format(offered=tuple(offered(mode)), words=words, before=before)
+    with confinement.guarded():  # orphans of the grader become children of this process
+        found = confinement.descendants()
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            cwd=folder,  # or this tree's package would be found before a copy of it
+            env={**os.environ, "SECRET": "42", **environment},
+        )
+        assert confinement.descendants() - found == set()
+    return done
+
+
+def check_class(
+    mode: str, folder: Path, cheats: dict[str, tuple[str, str]], limit_s: float
+) -> None:
+    """Grade a class of cheats: none gets points, and the honest work is graded after them."""
+    works, state = written(folder, cheats), remote.package_state()
+    words = ["--assignment", "swap", "--episodes", "1", "--limit-s", str(limit_s)]
+    done = run_grader(mode, folder, [*words, "--agent", *works])
     assert remote.package_state() == state
     result = folder / "result.txt"
     assert not result.exists() or not result.stat().st_size
-    time.sleep(0.3)  # whatever were left would write now
-    with table.open(newline="", encoding="utf-8") as file:
-        eve, bob = csv.DictReader(file)
-    assert (bob["points"], bob["success_rate"], bob["error"]) == ("0.0", "0.0", "")
-    assert eve["points"] == "0.0" and code == bool(eve["error"])
-    assert len(eve["error"]) <= 500
-    assert "found it" not in eve["error"]
-    return {"eve": eve, "bob": bob}
+    time.sleep(0.3)  # what is left would write now
+    with (folder / "grades.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["work"] for row in rows] == works, done.stderr[-2000:]
+    for row, (name, (_, says)) in zip(rows, [*cheats.items(), ("bob", ("", ""))], strict=True):
+        assert row["points"] == "0.0", name
+        assert says in row["error"] if says else not row["error"], (name, row["error"])
+        assert len(row["error"]) <= 500 and "found it" not in row["error"] and not row["copied"]
+    assert done.returncode == any(row["error"] for row in rows)
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch) -> Iterator[None]:
-    monkeypatch.setenv("SECRET", "42")
-    yield
-
-
-def checked(folder: Path, cheat: str, says: str, limit_s: float = 60.0) -> None:
-    says = "" if says in ALONE else says
-    error = graded(folder, cheat, limit_s)["eve"]["error"]
-    assert says in error if says else not error
+def test_some_cheats_get_nothing(folder):
+    names = ("leaves a session that rewrites the table", "raises words that forge a row")
+    check_class("all", folder, {name: CHEATS[name] for name in names}, 60.0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CHEATS)
-def test_a_cheat_gets_nothing_and_leaves_nothing(tmp_path, name):
-    checked(tmp_path, *CHEATS[name])
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "leaves a session that rewrites the table",
-        "answers in place of the process",
-        "raises words that forge a row",
-    ],
-)
-def test_some_cheats_get_nothing(tmp_path, name):
-    checked(tmp_path, *CHEATS[name])
+@pytest.mark.parametrize("mode", MODES)
+def test_no_cheat_gets_anything(folder, mode):
+    fitting = {name: CHEATS[name] for name in CHEATS if mode in ALONE.get(name, MODES)}
+    check_class(mode, folder, fitting, 60.0)
+    assert len(fitting) >= 30
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LONG)
-def test_what_lasts_is_ended(tmp_path, name):
-    checked(tmp_path, *LONG[name], SHORT_S)
+@pytest.mark.parametrize("mode", ["all", "nothing"])
+def test_what_lasts_is_ended(folder, mode):
+    check_class(mode, folder, LONG, SHORT_S)
+
+
+REPLACES = """
+import os, pathlib
+import numpy as np
+HERE = pathlib.Path(__file__).parent
+for folder in {folders!r}:
+    for file in sorted(pathlib.Path(folder).rglob('*.*')):
+        if file.suffix in ('.py', '.nbi', '.nbc', '.json', '.safetensors'):
+            try:
+                os.link(HERE / 'evil.py', HERE / 'evil')
+                os.replace(HERE / 'evil', file)
+            except OSError: pass
+class Mean:
+    def fit(self, rows): pass
+    def predict(self, rows): return np.zeros(len(rows.force_g))
+"""
+EVIL = "open({result!r}, 'a').write('imported'); raise RuntimeError('found it')"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CHEATS if CHEATS[name][1] not in ALONE])
-def test_a_cheat_gets_nothing_where_the_system_helps_nobody(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(remote, "probe", lambda: Protections((), 0))
-    checked(tmp_path, *CHEATS[name])
+@pytest.mark.parametrize("mode", MODES)
+def test_files_that_a_work_replaces_are_not_read(folder, mode):
+    """In a copy of the package, with kernels of its own."""
+    copy, kernels, work = (folder / name for name in ("copy", "kernels", "eve"))
+    shutil.copytree(PACKAGE, copy / "swarm_envs", ignore=shutil.ignore_patterns("__pycache__"))
+    work.mkdir()
+    replaces = REPLACES.format(folders=[str(copy), str(kernels)])
+    (work / "model.py").write_text(replaces, encoding="utf-8")
+    evil = EVIL.format(result=str(folder / "result.txt"))
+    (work / "evil.py").write_text(evil, encoding="utf-8")
+    save_rows(folder / "rows.npz", wake_rows(400))
+    words = ["--assignment", "force-model", "--data", str(folder / "rows.npz")]
+    words += ["--feedback", str(folder / "out"), "--agent", f"{work / 'model.py'}:Mean"]
+    paths = {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(kernels)}
+    done = run_grader(mode, folder, words, **paths)
+    result = folder / "result.txt"  # the work itself can make it, and write nothing into it
+    assert not result.exists() or not result.read_text(), done.stderr
+    files = [file for file in [*copy.rglob("*.*"), *kernels.rglob("*.*")] if file.is_file()]
+    replaced = [file for file in files if file.read_bytes() == evil.encode()]
+    if mode == "nothing":
+        assert len(replaced) > 100 and (done.returncode, "changed" in done.stderr) == (2, True)
+        assert not (folder / "grades.csv").exists()
+    else:
+        assert not replaced and done.returncode == 0, done.stderr
+
+
+WATCH = """
+begun, files_of, late = [], remote.files_of, []
+def watched(name, *given):
+    if name.startswith({folder!r}): begun.append(name)
+    return files_of(name, *given)
+remote.files_of, remote.package_state = watched, dict
+roots = tuple(map(str, {roots!r}))
+def hook(event, given):
+    if begun and (event == "import" or event == "open" and str(given[0]).startswith(roots)):
+        if not str(given[0]).endswith(".py"): late.append(str(given[0]))  # a source is text
+sys.addaudithook(hook)
+import atexit
+atexit.register(lambda: open({late!r}, "w").write(str(late)))
+"""
+
+
+SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("swap", "controller", "distributed-mpc")]
+
+
+@pytest.mark.parametrize("assignment", ["force-model", *SLOW])
+def test_the_grader_reads_nothing_once_a_work_could_have_replaced_it(tmp_path, assignment):
+    """No module, weights, kernel or page of the package, of Python and of what is installed."""
+    roots = [*PACKAGE.parent.glob("*"), kernel_folder(), sys.prefix, sys.base_prefix]
+    places = {"late": str(tmp_path / "late"), "folder": str(tmp_path)}
+    before = WATCH.format(roots=[str(each) for each in roots], **places)
+    shutil.copytree(STARTERS / assignment, tmp_path / "work")
+    work = tmp_path / "work" / ASSIGNMENTS[assignment].work
+    words = ["--assignment", assignment, "--episodes", "20", "--agent", str(work)]
+    if assignment == "force-model":
+        save_rows(tmp_path / "rows.npz", wake_rows(400))
+        words += ["--data", str(tmp_path / "rows.npz")]
+    done = run_grader("nothing", tmp_path, [*words, "--feedback", str(tmp_path / "out")], before)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "late").read_text() == "[]"
 
 
 PEEKS = """
@@ -456,9 +467,6 @@ class Peeks:
         return found
 class Mean(Peeks):
     def predict(self, rows): return np.zeros(len(rows.force_g))
-class Bare:
-    def fit(self, rows): assert rows.force_g.any()
-    def predict(self, rows): return np.full(len(rows.force_g) + 1, 0.0)
 """
 
 
@@ -471,15 +479,11 @@ def test_held_out_labels_are_nowhere_in_the_process_of_a_model(tmp_path):
         with opened(f"{work}:{name}", "fit") as (process, _):
             scores[name] = grade_model(process, data)
     assert scores["Peeks"] == scores["Mean"]
-    with (
-        opened(f"{work}:Bare", "fit") as (process, _),
-        pytest.raises(ValueError, match="must give 100 finite numbers"),
-    ):
-        grade_model(process, data)
 
 
 STOLEN = """
 import numpy as np
+from swarm_envs import agents
 from swarm_envs.agents import load
 class Agent:
     def __init__(self):
@@ -488,6 +492,21 @@ class Agent:
     def reset(self, env, seed): self.own.reset(env, seed)
     def act(self, observations, view):
         return {n: 0.97 * a for n, a in self.own.act(observations, view).items()}
+class Line(Agent):
+    def __init__(self):
+        self.requires, self.privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def reset(self, env, seed):
+        at = {field.name: field.where for field in env.observation_layout}
+        self.goal, self.velocity = at['task.goal'], at['self.velocity']
+    def act(self, observations, view):
+        return {n: self.fly(row) for n, row in observations.items()}
+    def fly(self, row):
+        return np.clip(1.5 * row[self.goal] - 1.2 * row[self.velocity], -1, 1).astype(np.float32)
+class Behind(Agent):
+    def __init__(self):
+        self.own = getattr(agents, 'Safety' + 'Filter')(Line())
+        self.requires, self.privileged = dict(self.own.requires), False
+    def act(self, observations, view): return self.own.act(observations, view)
 class Peeks(Agent):
     def __init__(self):
         super().__init__()
@@ -517,13 +536,19 @@ def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path,
     starter = tmp_path / "starter" / "swap.py"
     starter.parent.mkdir()
     starter.write_bytes((STARTERS / "swap" / "swap.py").read_bytes())
-    works = [f"{work}:Agent", f"{work}:Peeks", str(stolen), f"{source}:Mine", f"{starter}:MyAgent"]
+    works = [*(f"{work}:{name}" for name in ("Agent", "Behind", "Peeks")), str(stolen)]
+    works += [f"{source}:Mine", f"{starter}:MyAgent"]
     words = ["--episodes", "2", "--out", str(table), "--agent", *works]
     assert main(["grade", "--assignment", "swap", *words]) == 0
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [row["copied"] for row in rows] == ["swap-ppo", "", "swap-ppo", "straight-line", ""]
-    assert [row["privileged"] for row in rows] == ["False", "True", "False", "False", "False"]
+    assert [row["copied"] for row in rows] == [
+        *("swap-ppo", "an agent behind SafetyFilter", ""),
+        *("swap-ppo", "StraightLineAgent", ""),
+    ]
+    assert [row["privileged"] == "True" for row in rows] == [
+        name.endswith("Peeks") for name in works
+    ]
     assert "flies as swap-ppo" in capsys.readouterr().out
 
 
@@ -551,6 +576,16 @@ def test_what_ships_is_known_by_its_acts(name, factor):
     assert copied_acts(env, kept).removesuffix("+filter") == "swap-ppo"
 
 
+def test_a_shipped_force_model_is_known_by_what_it_predicts():
+    rows = wake_rows(400)
+    own = modelled_force_g(rows, "learned")[:, 2]
+    noise = np.random.default_rng(0).normal(size=len(rows))
+    for disguised in (own, 0.8 * own + 0.1, own + 0.02 * own.std() * noise):
+        assert copied_forces(disguised, rows) == "learned"
+    for honest in (np.zeros(len(rows)), noise, own + 0.4 * own.std() * noise):
+        assert copied_forces(honest, rows) == ""
+
+
 @pytest.mark.parametrize(("stiffness", "damping"), [(2.0, 2.0), (4.0, 3.0), (8.0, 5.0)])
 def test_a_law_of_one_s_own_is_nobody_s_copy(stiffness, damping):
     def law(rows, where):
@@ -563,22 +598,32 @@ def test_a_law_of_one_s_own_is_nobody_s_copy(stiffness, damping):
     assert copied_acts(env, kept) == ""
 
 
+UNTRAINED = """
+import importlib
+class Untrained(importlib.import_module('swarm_envs.assignments.learning.learner').MyLearner):
+    def train(self, seconds): pass
+"""
+
+
 @pytest.mark.parametrize(
     ("assignment", "task", "episodes"),
     [
         ("swap", ["--layout", "random", "--team", "SSSSSSSSLLLLLLLL"], "80"),
         ("controller", ["--layout", "stacked", "--drones", "3", "--world", "hall"], "4"),
+        ("learning", ["--layout", "random", "--drones", "8"], "80"),
     ],
 )
 def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, task, episodes):
-    table, report = tmp_path / "grades.csv", tmp_path / "report.json"
+    table, report, file = tmp_path / "grades.csv", tmp_path / "report.json", tmp_path / "work.py"
+    file.write_text(UNTRAINED, encoding="utf-8")  # evaluate trains nobody
     work = f"{STARTERS / assignment / ASSIGNMENTS[assignment].work}"
+    work = f"{file}:Untrained" if assignment == "learning" else work
     common = ["--episodes", episodes, "--seed", "7"]
     main(["grade", "--assignment", assignment, *common, "--out", str(table), "--agent", work])
     main(["evaluate", "--task", "swap", *task, *common, "--json", str(report), "--agent", work])
     expected = json.loads(report.read_text(encoding="utf-8"))
-    with table.open(newline="", encoding="utf-8") as file:
-        (row,) = csv.DictReader(file)
+    with table.open(newline="", encoding="utf-8") as lines:
+        (row,) = csv.DictReader(lines)
     metric = ASSIGNMENTS[assignment].metric
     assert float(row[metric]) == expected[metric]
     assert float(row["points"]) == ASSIGNMENTS[assignment].points(expected)
@@ -587,11 +632,11 @@ def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, task, episo
 def test_what_is_missing_is_said(monkeypatch, tmp_path, capsys):
     bare = Protections((), 0)
     monkeypatch.setattr(confinement, "probe", lambda: bare)
-    words = ["--assignment", "swap", "--agent", str(tmp_path / "none.py:Agent")]
-    assert main(["grade", *words]) == 2  # there is no such file
-    said = capsys.readouterr().out
-    assert all(missing in said for missing in bare.missing)
-    assert said.count("a work is not confined as it should be") == len(bare.missing) >= 4
+    assert main(["grade", "--assignment", "swap", "--agent", str(tmp_path / "none.py:Agent")]) == 2
+    said = capsys.readouterr()
+    assert all(missing in said.out for missing in bare.missing)
+    assert said.out.count("a work is not confined as it should be") == len(bare.missing) >= 4
+    assert "add --unprotected in a container of its own" in said.err
     whole = Protections(("unshare", "--pid"), 7)
     monkeypatch.setattr(confinement, "_pids_can_be_few", lambda: True)
     assert whole.missing == []
@@ -614,10 +659,15 @@ def test_a_message_that_is_not_what_it_says_is_refused():
     assert header["x"] == 1
     np.testing.assert_array_equal(arrays[0], numbers)
     np.testing.assert_array_equal(arrays[1], numbers > 2)
-    wrong: list[Any] = [[["f8", [7]]], [["O", [1]]], [["f4", [-1]]], [["f4", [2.0]]], "f4", [[]]]
-    for listed in wrong:
-        head = json.dumps({"kind": "rows", "arrays": listed}).encode()
-        os.write(sink, struct.pack("<4sII", b"SWRM", len(head), 4) + head + b"1234")
+    sent = save({"0": numbers})
+    for wrong in (
+        sent[:-1],
+        sent + b"1",
+        sent.replace(b"F32", b"F99"),
+        save({"1": numbers}),
+        b"1234",
+    ):
+        os.write(sink, struct.pack("<4sII", b"SWRM", 12, len(wrong)) + b'{"kind":"x"}' + wrong)
         with pytest.raises(BadMessage):
             channel.receive()
     os.close(source)

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +26,7 @@ from swarm_envs.commands.grade_planner import (
     draw_scenario,
     positions_of,
 )
+from swarm_envs.commands.grading.grades import Grade, write_feedback
 from swarm_envs.commands.grading.remote import WorkFailed, opened
 from swarm_envs.training.interaction_rows import save_rows
 from tests.helpers.wake_rows import wake_rows
@@ -36,7 +36,7 @@ STARTERS = Path(__file__).parent.parent / "swarm_envs" / "assignments"
 SOLUTIONS = Path(__file__).parent / "solutions"
 
 WORK = """
-import os, pathlib, signal, subprocess, time
+import os, time
 import numpy as np
 class Fine:
     requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
@@ -48,11 +48,6 @@ class Nan(Fine):
     def say(self): return np.full(3, np.nan)
 class Dies(Fine):
     def say(self): os._exit(3)
-class Hangs(Fine):
-    def reset(self, env, seed):
-        beats = pathlib.Path(__file__).with_suffix('.beats')
-        subprocess.Popen(['sh', '-c', f'while :; do echo >> "{beats}"; sleep 0.05; done'])
-    def say(self): time.sleep(1000)
 class Sleeps(Fine):
     def say(self): time.sleep(1000)
 class Sees(Fine):
@@ -105,19 +100,6 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
     assert f"--agent names what is not there: {missing}; nothing was graded" in error
     assert str(work) not in error
     assert not table.exists()
-
-
-def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, capsys):
-    names = [f"{work}:Hangs", f"{work}:Missing"]
-    assert main(["grade", "--assignment", "swap", "--limit-s", "12", "--agent", *names]) == 1
-    said = capsys.readouterr().out
-    assert re.search(r"work.py:Hangs +0.0 +FAILED: .*took longer than 12 s", said)
-    assert said.count("FAILED") == 2
-    beats = work.with_suffix(".beats")
-    if beats.exists():  # it got so far in its time
-        count = beats.stat().st_size
-        time.sleep(0.5)
-        assert beats.stat().st_size == count
 
 
 def interrupt_once_there(table: Path, ended: threading.Event) -> None:
@@ -175,7 +157,7 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
     held = wake_rows(400).select(wake_rows(400).validation)
     mean = wake_rows(400).select(~wake_rows(400).validation).force_g[:, 2].mean()
     expected = score(np.full(len(held), mean), held)  # labels of held-out rows are hidden
-    assert force_scores(f"{work}:Sums", data) == expected
+    assert force_scores(f"{work}:Sums", data) == {**expected, "copied": ""}
     assert 0.0 < expected["explained"] < 1.0
     nothing = score(np.zeros(len(held)), held)
     assert nothing["explained"] == 0.0
@@ -186,27 +168,12 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
         force_scores(f"{work}:Fine", data)
 
 
-def points_of(tmp_path: Path, assignment: str, episodes: int, *works: str) -> list[float]:
-    table = tmp_path / "grades.csv"
-    arguments = ["--assignment", assignment, "--episodes", str(episodes), "--out", str(table)]
-    if assignment == "force-model":
-        assert (
-            main(
-                ["collect", "--out", str(tmp_path / "flights"), "--teams", "SS", "--world", "hall"]
-            )
-            == 0
-        )
-        arguments += ["--data", str(tmp_path / "flights" / "rows.npz")]
-    assert main(["grade", *arguments, "--agent", *works]) == 0
-    with table.open(newline="") as file:
-        return [float(line["points"]) for line in csv.DictReader(file)]
-
-
 DRAFTS = {
     "controller": ("controller.py", "Observer", "Stiff", 16),
     "swap": ("swap.py", "Late", "Obstacles", 32),
     "distributed-mpc": ("planner.py", "Swerving", "Constrained", 64),
     "force-model": ("force_model.py", "FewWakes", "Wakes", 1),
+    "learning": ("learner.py", "Level", "Searched", 256),
 }
 
 
@@ -215,24 +182,24 @@ DRAFTS = {
 def test_points_are_spread_over_drafts(tmp_path, assignment):
     """The starter, a better draft and a good solution, each in another third or further apart."""
     file, better, best, episodes = DRAFTS[assignment]
-    starter = str(STARTERS / assignment / ASSIGNMENTS[assignment].work)
-    solutions = [f"{SOLUTIONS / file}:{name}" for name in (better, best)]
-    first, second, third = points_of(tmp_path, assignment, episodes, starter, *solutions)
-    assert first < 45.0
-    assert first + 2.0 < second < third - 10.0
+    table, flights = tmp_path / "grades.csv", tmp_path / "flights"
+    arguments = ["--assignment", assignment, "--episodes", str(episodes), "--out", str(table)]
+    if assignment == "force-model":
+        assert main(["collect", "--out", str(flights), "--teams", "SS", "--world", "hall"]) == 0
+        arguments += ["--data", str(flights / "rows.npz")]
+    works = [str(STARTERS / assignment / ASSIGNMENTS[assignment].work)]
+    works += [f"{SOLUTIONS / file}:{name}" for name in (better, best)]
+    assert main(["grade", *arguments, "--agent", *works]) == 0
+    with table.open(newline="") as lines:
+        first, second, third = (float(line["points"]) for line in csv.DictReader(lines))
+    learned = assignment == "learning"  # there the starter learns already
+    assert first > 0.0 if learned else first < 45.0
+    assert first + (10.0 if learned else 2.0) < second < third - (5.0 if learned else 10.0)
     assert third > 75.0
 
 
-@pytest.mark.slow
-def test_what_is_learned_in_a_minute_counts(tmp_path):
-    starter = str(STARTERS / "learning" / "learner.py:MyLearner")
-    better, best = (f"{SOLUTIONS / 'learner.py'}:{name}" for name in ("Level", "Searched"))
-    first, second, third = points_of(tmp_path, "learning", 256, starter, better, best)
-    assert 0.0 < first < second - 10.0
-    assert second < third - 5.0
-
-
 LEARNER = """
+import pathlib
 import numpy as np
 class Learner:
     requires, privileged, trained_s = {'action': 'acceleration', 'decision_rate': 10}, False, 0.0
@@ -241,16 +208,24 @@ class Learner:
     def act(self, observations, view): return {n: np.zeros(3, np.float32) for n in observations}
 class Silent(Learner):
     train = None
+class Remembers(Learner):
+    def train(self, seconds): pathlib.Path(__file__).with_name('weights').read_bytes()
 """
 
 
 def test_a_learner_is_trained_before_it_flies(tmp_path, capsys):
-    file = tmp_path / "learner.py"
+    file, heavy = tmp_path / "learner.py", tmp_path / "heavy" / "learner.py"
+    heavy.parent.mkdir()
     file.write_text(LEARNER, encoding="utf-8")
-    works = [f"{file}:Learner", f"{file}:Silent"]
+    heavy.write_text(LEARNER + f"WEIGHTS = {list(range(1000))}", encoding="utf-8")
+    (tmp_path / "weights").touch()
+    works = [*(f"{file}:{name}" for name in ("Learner", "Silent", "Remembers")), f"{heavy}:Learner"]
     arguments = ["--assignment", "learning", "--episodes", "1", "--agent", *works]
     assert main(["grade", *arguments]) == 1
-    assert capsys.readouterr().out.count("FAILED") == 1
+    said = capsys.readouterr().out
+    assert said.count("FAILED") == 3
+    assert "Permission denied" in said or "No such file" in said
+    assert "its constants are" in said
 
 
 def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):
@@ -262,7 +237,7 @@ def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):
     )
     arguments = ["--assignment", "controller", "--episodes", "1", "--agent", f"{file}:Fine"]
     assert main(["grade", *arguments]) == 1
-    assert "it requires 'controller', which is what" in capsys.readouterr().out
+    assert "unknown required option 'controller'" in capsys.readouterr().out
 
 
 PLANNER = """
@@ -283,8 +258,10 @@ def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
     file.write_text(PLANNER, encoding="utf-8")
     works = [f"{file}:Still", f"{file}:Strong"]
     arguments = ["--assignment", "distributed-mpc", "--episodes", "2", "--agent", *works]
-    assert main(["grade", *arguments]) == 1
+    assert main(["grade", *arguments, "--feedback", str(tmp_path / "feedback")]) == 1
     said = capsys.readouterr().out
+    (page,) = tmp_path.rglob("failure.html")  # of who flew
+    assert "No success: the time limit was reached" in page.read_text("utf-8")
     assert re.search(r"planner.py:Still +0.0  0\n", said)  # who stands still never arrives
     assert "accelerates by 6 m/s^2 on one axis, but may by at most 5" in said
 
@@ -330,6 +307,14 @@ def test_feedback_names_the_rubric_and_shows_the_first_failure(tmp_path, work):
     assert rows[0]["assignment"] == "swap" and rows[0]["student_id"] == tmp_path.name
 
 
+def test_the_feedback_says_where_the_class_stands(tmp_path):
+    grades = [Grade("a.py:A", 0.0, value, "", False, "") for value in (0.1, 0.2, 0.3)]
+    write_feedback(tmp_path, ASSIGNMENTS["swap"], grades)
+    for place in tmp_path.iterdir():
+        said = json.loads((place / "results.json").read_text())["output"]
+        assert "quartiles of the 3 works so far: 0.15, 0.2, 0.25" in said
+
+
 def test_assignments_are_listed_and_begun(tmp_path, capsys):
     assert main(["assignment", "list"]) == 0
     listed = capsys.readouterr().out
@@ -352,19 +337,16 @@ def test_assignments_are_listed_and_begun(tmp_path, capsys):
     assert "did you mean 'swap'?" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["distributed-mpc", "force-model"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("controller", "swap", "learning")]
+
+
+@pytest.mark.parametrize("name", ["distributed-mpc", "force-model", *SLOW])
 def test_the_tests_that_students_are_given_pass(tmp_path, name):
     folder = tmp_path / name
     assert main(["assignment", "start", name, str(folder)]) == 0
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stdout
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["controller", "swap", "learning"])
-def test_the_tests_of_students_who_fly_pass(tmp_path, name):
-    test_the_tests_that_students_are_given_pass(tmp_path, name)
 
 
 @pytest.mark.parametrize(

@@ -33,8 +33,6 @@ class Assignment:
     """Its value, or better, that is worth 100 points."""
     flown: Mapping[str, Any] = field(default_factory=dict)
     """Options of `swarm-envs evaluate`; empty where nothing is flown in an environment."""
-    own: tuple[str, ...] = ()
-    """Options that the work may not require: what they do is the exercise."""
     train_s: float = 0.0
     """Time that the work's `train` is given before the flights, s; 0 if it has none."""
 
@@ -64,7 +62,6 @@ ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
             zero=0.08,
             full=0.015,
             flown={"task": "swap", "layout": "stacked", "drones": 3, "world": "hall"},
-            own=("controller",),
         ),
         "force-model": Assignment(
             summary="learn the downwash from flight logs of the hall",

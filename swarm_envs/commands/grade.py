@@ -9,18 +9,15 @@ from __future__ import annotations
 
 import glob
 import select
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import tempfile
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from swarm_envs.arguments import POSITIVE_S, Count, Seed
 from swarm_envs.assignments import ASSIGNMENTS, Assignment, AssignmentName
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 from swarm_envs.commands.grading.grades import Grade, grade_table, write_feedback, write_grades
-
-if TYPE_CHECKING:
-    from swarm_envs.commands.grading.remote import RemoteWork
 
 
 @command_options
@@ -50,6 +47,9 @@ class GradeOptions:
     """for `force-model`: the rows.npz of a `swarm-envs collect`, whose validation rows grade"""
     limit_s: Annotated[float, POSITIVE_S] = 600.0
     """time that each may take, s"""
+    unprotected: bool = False
+    """grade where nothing keeps what was handed in from renaming or removing your files: for a
+    container or virtual machine that serves nothing else"""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be graded."""
@@ -68,9 +68,10 @@ def run_grade(options: GradeOptions) -> int:
     """
     from tqdm import tqdm
 
-    _check_system()
+    from swarm_envs.commands.grading.confinement import probe
     from swarm_envs.commands.grading.remote import package_state
 
+    _check_system(options.unprotected)
     if options.out is not None:
         check_file("--out", options.out, (".csv", ".json"))
     if options.feedback is not None:
@@ -79,14 +80,17 @@ def run_grade(options: GradeOptions) -> int:
         _check_rows(options.data)
     assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.agent)
     _check_works(works)
+    if probe().can_rename:
+        _rehearse(options, assignment)
     grades: list[Grade] = []
+    before = package_state()
     try:
         for work in tqdm(works, desc="grading", unit="file"):
-            before = package_state()
-            grades.append(_grade(work, works, options, assignment))
-            _write(options, grades)
+            grade = _grade(work, works, options, assignment)
             if package_state() != before:
                 raise Misuse(f"{work!r} has changed the package; install it again, and grade again")
+            grades.append(grade)
+            _write(options, grades)
     except KeyboardInterrupt:
         print(grade_table(assignment, grades))
         raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None
@@ -96,11 +100,11 @@ def run_grade(options: GradeOptions) -> int:
     return sum(bool(grade.error) for grade in grades)
 
 
-def _check_system() -> None:
+def _check_system(unprotected: bool) -> None:
     """Say once what this system does not keep a work from.
 
     Raises:
-        Misuse: it has no pipes that can be polled.
+        Misuse: it has no pipes that can be polled, or protects no file and `unprotected` is False.
     """
     if not hasattr(select, "poll"):
         raise Misuse("works are graded on Linux or macOS; on Windows, in its Linux subsystem")
@@ -108,6 +112,26 @@ def _check_system() -> None:
 
     for missing in probe().missing:
         print(f"a work is not confined as it should be here: {missing}")
+    if probe().can_rename and not unprotected:
+        raise Misuse(
+            "nothing keeps a work from renaming and removing your files here; grade on Linux with "
+            "user namespaces or Landlock, or add --unprotected in a container of its own"
+        )
+
+
+def _rehearse(options: GradeOptions, assignment: Assignment) -> None:
+    """Grade the starter first: what is imported, compiled and read by then, no work can replace."""
+    from swarm_envs import assignments
+    from swarm_envs.commands.grade_flights import rehearse
+
+    if assignment.flown:
+        rehearse(assignment)
+    starter = str(Path(assignments.__file__).parent / options.assignment / assignment.work)
+    with tempfile.TemporaryDirectory() as folder:
+        out = options.out and Path(folder) / options.out.name
+        trial = replace(options, out=out, feedback=Path(folder), episodes=32)
+        short = replace(assignment, train_s=min(assignment.train_s, 1.0))
+        _write(trial, [_grade(starter, [starter], trial, short)])
 
 
 def _write(options: GradeOptions, grades: list[Grade]) -> None:
@@ -172,7 +196,7 @@ def _check_rows(path: Path) -> None:
     if not 0 < held < len(rows):
         raise Misuse(
             f"--data is {str(path)!r}, where {held} of {len(rows)} rows are for validation; "
-            "some must be, and others not"
+            "some must be, and others not: collect more flights"
         )
 
 
@@ -180,60 +204,33 @@ def _report(
     work: str, works: list[str], options: GradeOptions, assignment: Assignment
 ) -> dict[str, Any]:
     """What the grader finds of a work; or, under `error`, why it has no points."""
+    # Before the first work begins: what is imported later, it might have replaced.
+    from swarm_envs.agents.evaluation import frozen_seeds
+    from swarm_envs.commands.grade_flights import grade_agent
+    from swarm_envs.commands.grade_force import grade_model
+    from swarm_envs.commands.grade_planner import grade_planner
     from swarm_envs.commands.grading.confinement import Limits
-    from swarm_envs.commands.grading.remote import opened
+    from swarm_envs.commands.grading.copies import MOST_CONSTANTS, constants_size, copied_files
+    from swarm_envs.commands.grading.remote import WorkFailed, opened, path_of
 
-    limits = Limits(work_s=options.limit_s)
-    what = "fly" if assignment.flown else "fit"
+    limits, copied = Limits(work_s=options.limit_s), copied_files(work)
+    seeds = frozen_seeds(options.seed, options.episodes)
+    shown = None if options.feedback is None else Path(work).name
     try:
+        if assignment.train_s and (size := constants_size(path_of(work))) > MOST_CONSTANTS:
+            raise WorkFailed(
+                f"its constants are {size} characters, but may be {MOST_CONSTANTS}: what counts is "
+                "learned in train()"
+            )
         if options.assignment == "distributed-mpc":
-            from swarm_envs.commands.grade_planner import grade_planner
-
-            return grade_planner(work, works, limits, options.seed, options.episodes)
-        with opened(work, what, works, limits) as (process, made):
-            if options.data is not None:
-                from swarm_envs.commands.grade_force import grade_model
-
-                return grade_model(process, options.data)
-            return _flown(work, process, made, options, assignment)
+            found = grade_planner(work, works, limits, seeds, shown)
+        elif options.data is not None:
+            with opened(work, "fit", works, limits) as (process, _):
+                found = grade_model(process, options.data)
+        else:
+            with opened(work, "fly", works, limits, not assignment.train_s) as (process, made):
+                found = grade_agent(process, made, assignment, seeds, shown)
     except Exception as error:  # a stranger's work may fail in any way, and the next is graded
         known = isinstance(error, RuntimeError)
         return {"error": str(error) if known else f"{type(error).__name__}: {error}"}
-
-
-def _flown(
-    work: str,
-    process: RemoteWork,
-    made: Mapping[str, Any],
-    options: GradeOptions,
-    assignment: Assignment,
-) -> dict[str, Any]:
-    """The scores of `swarm-envs evaluate`, and who has helped the work."""
-    from swarm_envs import make
-    from swarm_envs.agents import record_episode
-    from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds, score_episodes
-    from swarm_envs.agents.protocol import check_options_agree
-    from swarm_envs.commands.evaluate import EvaluateOptions
-    from swarm_envs.commands.fly import find_task
-    from swarm_envs.commands.grading.copies import copied_acts, copied_files
-    from swarm_envs.commands.grading.remote import WorkFailed, remote_agent, train_work
-
-    if assignment.train_s:
-        train_work(process, assignment.train_s)
-    setting = EvaluateOptions(**assignment.flown)
-    agent, given = remote_agent(process, made), setting.setting()
-    for name in set(assignment.own) & set(agent.requires):
-        raise WorkFailed(f"it requires {name!r}, which is what this assignment asks you to write")
-    check_options_agree(agent, given)
-    env = make(find_task(setting.task), **{**given, **agent.requires})
-    try:
-        seeds = frozen_seeds(options.seed, options.episodes)
-        episodes = [*evaluate_agent(env, agent, seeds)]
-        scores = score_episodes(episodes)
-        failed = [e["seed"] for e in episodes if not e["metrics"]["success"]]
-        if options.feedback is not None and failed:
-            scores["failure"] = record_episode(env, agent, failed[0], name=Path(work).name)
-        copied = copied_files(work) or copied_acts(env, agent.kept)
-    finally:
-        env.close()
-    return {**scores, "privileged": agent.asked, "copied": copied}
+    return {**found, "copied": copied or found.get("copied", "")}

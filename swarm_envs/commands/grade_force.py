@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm_envs.commands.grading.copies import copied_forces
 from swarm_envs.commands.grading.messages import Array
 from swarm_envs.commands.grading.remote import RemoteWork
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows
@@ -38,7 +39,7 @@ def score(predicted: Any, held_out: InteractionRows) -> dict[str, float]:
     }
 
 
-def grade_model(work: RemoteWork, data: Path) -> dict[str, float]:
+def grade_model(work: RemoteWork, data: Path) -> dict[str, Any]:
     """Fit a student's model to the training rows of a table, and score it on the others.
 
     Its process is given no label of a held-out row.
@@ -48,7 +49,7 @@ def grade_model(work: RemoteWork, data: Path) -> dict[str, float]:
         data: the table.
 
     Returns:
-        As `score`.
+        As `score`, and under `copied` the shipped model that predicts the same.
 
     Raises:
         WorkFailed: it failed.
@@ -60,7 +61,8 @@ def grade_model(work: RemoteWork, data: Path) -> dict[str, float]:
     unknown = np.zeros_like(held_out.force_g)
     hidden = dataclasses.replace(held_out, force_g=unknown, torque=None)
     _, given = work.ask("predict", *_packed(hidden), most=8 * len(held_out))
-    return score(given[0] if len(given) == 1 else np.zeros(0), held_out)
+    predicted = given[0] if len(given) == 1 else np.zeros(0)
+    return {**score(predicted, held_out), "copied": copied_forces(predicted, held_out)}
 
 
 def _packed(rows: InteractionRows) -> tuple[dict[str, Any], list[Array]]:

@@ -8,15 +8,19 @@ they promise each other. The processes share nothing but what this radio deliver
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.agents.evaluation import frozen_seeds, rate_interval
+from swarm_envs import make
+from swarm_envs.agents.evaluation import rate_interval
 from swarm_envs.commands.grading.confinement import Limits
 from swarm_envs.commands.grading.remote import RemoteWork, WorkFailed, opened
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
+from swarm_envs.viewing import Recording
+from swarm_envs.viewing.record import Recorder
 
 DRONES, HORIZON, ROUND_S, CLOCK_S = 6, 15, 0.2, 12.0
 """Drones, rounds of a plan, length of a round, and the time in which all are to arrive."""
@@ -69,13 +73,14 @@ def fly_scenario(
         rng: decides what is lost.
 
     Returns:
-        `success`, `collided`, `time_s` until the last one has arrived or the end, and
-        `least_distance_m`.
+        `success`, `collided`, `time_s` until the last one has arrived or the end,
+        `least_distance_m`, `states` (T, N, 6) of the rounds, and `goals`.
 
     Raises:
         WorkFailed: a planner failed, or planned what no drone can fly.
     """
     state = np.concatenate([scenario.starts, np.zeros((DRONES, 3))], axis=1)
+    places = [state]
     heard = np.full((DRONES, DRONES, HORIZON, 3), np.nan)  # receiver, sender
     ages = np.full((DRONES, DRONES), -1.0)
     least = np.inf
@@ -91,6 +96,7 @@ def fly_scenario(
         ages[reaches] = 1.0
         least = min(least, _least_distance(state, plans[:, 0]))
         state = _after(state, plans[:, 0], ROUND_S)
+        places.append(state)
         off = np.abs(state - np.concatenate([scenario.goals, np.zeros((DRONES, 3))], axis=1))
         arrived = bool((off < ARRIVED).all())
         time_s += ROUND_S
@@ -100,6 +106,8 @@ def fly_scenario(
         "collided": collided,
         "time_s": time_s,
         "least_distance_m": least,
+        "states": np.stack(places),
+        "goals": scenario.goals,
     }
 
 
@@ -140,7 +148,7 @@ def _least_distance(state: FloatArray, acceleration: FloatArray) -> float:
 
 
 def grade_planner(
-    work: str, works: list[str], limits: Limits, seed: int, episodes: int
+    work: str, works: list[str], limits: Limits, seeds: list[int], shown: str | None
 ) -> dict[str, Any]:
     """Fly a student's planner: the share of episodes in which all arrive, and of those that crash.
 
@@ -148,12 +156,12 @@ def grade_planner(
         work: its name, as of `swarm_envs.agents.load`.
         works: all names; it sees none of the others.
         limits: on each drone's process.
-        seed: the episodes are drawn from it.
-        episodes: how many.
+        seeds: of the episodes.
+        shown: its name in the recording of the first failure; None for no recording.
 
     Returns:
-        `success_rate` and `collision_rate`, with Wilson's interval of the first, and the median
-        `time_s` of the successes.
+        `success_rate` and `collision_rate`, with Wilson's interval of the first, the median
+        `time_s` of the successes, and `failure`, the recording.
 
     Raises:
         WorkFailed: it failed.
@@ -162,14 +170,34 @@ def grade_planner(
         planners = [
             stack.enter_context(opened(work, "plan", works, limits))[0] for _ in range(DRONES)
         ]
-        flown = []
-        for each in frozen_seeds(seed, episodes):
-            rng = np.random.default_rng(each)
+        flown, failure = [], None
+        for seed in seeds:
+            rng = np.random.default_rng(seed)
             flown.append(fly_scenario(planners, draw_scenario(rng), rng))
+            if shown is not None and failure is None and not flown[-1]["success"]:
+                failure = _recorded(flown[-1], Recorder(shown, seed))
     good = [flight["time_s"] for flight in flown if flight["success"]]
     return {
-        "success_rate": len(good) / episodes,
-        "collision_rate": sum(flight["collided"] for flight in flown) / episodes,
+        "success_rate": len(good) / len(seeds),
+        "collision_rate": sum(flight["collided"] for flight in flown) / len(seeds),
         "time_s": float(np.median(good)) if good else None,
-        "intervals": {"success_rate": rate_interval(len(good), episodes)},
+        "intervals": {"success_rate": rate_interval(len(good), len(seeds))},
+        "failure": failure,
     }
+
+
+def _recorded(flight: dict[str, Any], recorder: Recorder) -> Recording:
+    """A flight of points as one of level drones, a metre and a half above the ground."""
+    env = make("swap_v1", num_drones=DRONES, physics="batch", layout="random")
+    drones, environments, _ = env.core.world
+    env.reset(seed=0)
+    for number, state in enumerate(flight["states"]):
+        drones["position"][0], drones["velocity"][0] = state[:, :3] + [0.0, 0.0, 1.5], state[:, 3:]
+        drones["goal"][0] = flight["goals"] + [0.0, 0.0, 1.5]
+        environments["time"] = ROUND_S * number
+        recorder.take(env)
+    env.close()
+    recording = recorder.record()
+    said = {name: flight[name] for name in ("success", "time_s", "least_distance_m")}
+    about = replace(recording.about, task="distributed-mpc", metrics=said)
+    return replace(recording, about=about)

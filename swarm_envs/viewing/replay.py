@@ -10,6 +10,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Sequence
+from functools import cache
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -206,6 +207,7 @@ def _legend(recording: Recording, marked: Sequence[Event]) -> str:
     return "".join(entries)
 
 
+@cache
 def asset(name: str) -> str:
     """A file of the folder `page`."""
     folder = resources.files("swarm_envs.viewing").joinpath("page")

@@ -1,4 +1,4 @@
-"""A disk that fails at the n-th operation: opening, writing, syncing, replacing, making folders."""
+"""A disk that fails at the n-th operation: opening, writing, syncing, renaming, removing ..."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import builtins
 import errno
 import io
 import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Any
 from unittest import mock
 
+from tests.helpers.imports import ROOT
+
 NEVER = 1 << 60
+_OPERATIONS = ("replace", "rename", "mkdir", "unlink", "fsync", "sendfile")  # of `os`
 
 
 class FaultyDisk:
@@ -21,23 +26,33 @@ class FaultyDisk:
     Reading never fails. What was buffered when a write failed is lost, as on a full disk.
     """
 
-    def __init__(self, folder: Path, fails_at: int = NEVER) -> None:
+    def __init__(self, folder: Path, fails_at: int = NEVER, error: type[Exception] = OSError):
         self.done: list[str] = []
-        self._folder, self._fails_at = str(folder), fails_at
+        self.places: dict[tuple[Any, ...], list[int]] = {}
+        """Numbers of the operations by the lines of the package that they come from."""
+        self._folder, self._fails_at, self._error = str(folder), fails_at, error
 
     def step(self, what: str, path: Any) -> None:
-        """Count an operation, and raise OSError if it is the one that fails."""
-        if isinstance(path, int) or not str(os.fspath(path)).startswith(self._folder):
+        """Count an operation, and raise if it is the one that fails."""
+        if isinstance(path, int):
+            path = Path(f"/proc/self/fd/{path}").readlink()
+        if not str(os.fspath(path)).startswith(self._folder):
             return
         self.done.append(what)
+        self.places.setdefault((what, *_lines()), []).append(len(self.done))
         if len(self.done) == self._fails_at:
+            if self._error is not OSError:
+                raise self._error
             raise OSError(errno.ENOSPC, f"No space left on device ({what})", str(path))
+
+    def ends(self) -> list[int]:
+        """The first and the last operation of each place."""
+        return sorted({n for numbers in self.places.values() for n in (numbers[0], numbers[-1])})
 
     @contextmanager
     def mounted(self) -> Iterator[FaultyDisk]:
         """Files are on this disk while the context lasts."""
-        real, replace, mkdir, fsync = io.open, os.replace, os.mkdir, os.fsync
-        disk = self
+        real, disk = io.open, self
 
         class Raw(io.FileIO):
             def write(self, data: Any) -> int:
@@ -56,22 +71,30 @@ class FaultyDisk:
             options = {name: options.get(name) for name in names}
             return buffered if "b" in mode else io.TextIOWrapper(buffered, **options)
 
-        def noted(what: str, function: Any) -> Any:
+        def noted(name: str) -> Any:
+            function = getattr(os, name)
+
             def called(path: Any, *given: Any, **named: Any) -> Any:
-                disk.step(what, path)
+                disk.step(name, path)
                 return function(path, *given, **named)
 
             return called
 
-        def faulty_fsync(descriptor: int) -> None:
-            disk.step("fsync", Path(f"/proc/self/fd/{descriptor}").readlink())
-            fsync(descriptor)
-
-        with (
-            mock.patch.object(io, "open", faulty_open),
-            mock.patch.object(builtins, "open", faulty_open),
-            mock.patch.object(os, "replace", noted("replace", replace)),
-            mock.patch.object(os, "mkdir", noted("mkdir", mkdir)),
-            mock.patch.object(os, "fsync", faulty_fsync),
-        ):
+        with ExitStack() as patches:
+            for module in (io, builtins):
+                patches.enter_context(mock.patch.object(module, "open", faulty_open))
+            for name in _OPERATIONS:
+                patches.enter_context(mock.patch.object(os, name, noted(name)))
             yield self
+
+
+def _lines() -> tuple[tuple[str, int], ...]:
+    """Where in the package this was called from."""
+    frame: FrameType | None = sys._getframe(2)
+    found: list[tuple[str, int]] = []
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if name.startswith(str(ROOT)) and "/tests/" not in name:
+            found.append((name, frame.f_lineno))
+        frame = frame.f_back
+    return tuple(found)

@@ -14,9 +14,8 @@ import os
 import resource
 import sys
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +27,6 @@ from swarm_envs.agents import fly_episode, load
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.files import write_json
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BulletPhysics
 from swarm_envs.physics.bullet import import_bullet
@@ -188,30 +186,6 @@ CLIENTS = 1024
 """Bullet numbers its clients up to this."""
 
 
-@dataclass
-class Log:
-    """What a soak has seen."""
-
-    memory: list[tuple[float, float]] = field(default_factory=list)
-    """(hours, MiB resident) after each round of the rota."""
-    lives: int = 0
-    """How many."""
-    episodes: int = 0
-    """How many ended."""
-    drift: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    """By options: the largest difference between the engines."""
-    compared: int = 0
-    """Decisions of environments at which the engines were compared."""
-    agents: int = 0
-    """Episodes of agents that ship."""
-
-    def add(self, name: str, life: Life) -> None:
-        """Note a life."""
-        self.lives, self.episodes = self.lives + 1, self.episodes + life.episodes
-        self.drift[name] = max(self.drift[name], life.drift)
-        self.compared += life.compared
-
-
 def resident_mib() -> float:
     """Memory that the process holds now."""
     gc.collect()
@@ -226,58 +200,41 @@ def open_clients() -> int:
     return sum(bool(entry["isConnected"]) for entry in info)
 
 
-def soak(options: argparse.Namespace) -> Log:
-    """Live, fly and fail until the time is up; whole rounds of the rota."""
-    log, begun, before = Log(), time.monotonic(), open_clients()
+def soak(options: argparse.Namespace) -> dict[str, Any]:
+    """Live, fly and fail until the time is up, in whole rounds of the rota.
+
+    Returns:
+        `memory_mib` by time in hours; `drift`, the largest by options; and counts.
+    """
+    memory: list[tuple[float, float]] = []
+    drift: dict[str, float] = defaultdict(float)
+    counts = Counter[str]()
+    begun, before = time.monotonic(), open_clients()
     hours, agents = options.minutes / 60.0, itertools.cycle(AGENTS[options.task])
     task = f"{options.task}_v0"
     words = np.random.default_rng(options.seed)
     with tqdm(total=round(3600 * hours), unit="s", mininterval=1.0) as bar:
-        while (passed := (time.monotonic() - begun) / 3600) < hours or len(log.memory) < 4:
+        while (passed := (time.monotonic() - begun) / 3600) < hours or len(memory) < 4:
             for entry in ROTA:
                 seed = int(words.integers(2**31))
                 life = live(task, entry, ENGINES[options.backend], seed, options.steps)
-                log.add(" ".join([entry["action"], *sorted(set(entry) - {"action"})]), life)
+                name = " ".join([entry["action"], *sorted(set(entry) - {"action"})])
+                drift[name] = max(drift[name], life.drift)
+                counts += Counter(lives=1, episodes=life.episodes, compared=life.compared)
             fly_agent(task, next(agents), options.backend, int(words.integers(2**31)))
-            log.agents += 1
             fail(task, options.backend)
-            log.memory.append((passed, resident_mib()))  # collects what `fail` left behind
+            memory.append((passed, resident_mib()))  # collects what `fail` left behind
             left = open_clients() - before
             assert left == 0, f"{left} Bullet clients were left connected"
             bar.update(round(3600 * min(passed, hours)) - bar.n)
-            bar.set_postfix_str(f"{log.memory[-1][1]:.1f} MiB, drift {max(log.drift.values()):.1e}")
-    return log
+            bar.set_postfix_str(f"{memory[-1][1]:.1f} MiB, drift {max(drift.values()):.1e}")
+    return {"memory_mib": memory, "drift": dict(drift), **counts}
 
 
-def growth(memory: list[tuple[float, float]]) -> dict[str, float]:
-    """The line through resident memory after the first third, and its growth over that time."""
+def growth(memory: list[tuple[float, float]]) -> float:
+    """By how much a line through resident memory grows after the first third, MiB."""
     hours, mib = np.array(memory[len(memory) // 3 :]).T
-    slope = float(np.polyfit(hours, mib, 1)[0])
-    return {
-        "first_mib": memory[0][1],
-        "after_warm_up_mib": float(mib[0]),
-        "last_mib": float(mib[-1]),
-        "slope_mib_per_hour": slope,
-        "growth_mib": slope * float(hours[-1] - hours[0]),
-    }
-
-
-def report(options: argparse.Namespace, log: Log) -> dict[str, Any]:
-    """Everything that was measured, and what was wrong."""
-    memory = growth(log.memory)
-    wrong = [f"drift {d:.2e} with {n}" for n, d in log.drift.items() if d > DRIFT_M]
-    if memory["growth_mib"] > GROWTH_MIB:
-        wrong.append(f"memory grew by {memory['growth_mib']:.1f} MiB")
-    return {
-        **{name: value for name, value in vars(options).items() if name != "json"},
-        "episodes": log.episodes,
-        "agent_episodes": log.agents,
-        "lives": log.lives,
-        "decisions_compared": log.compared,
-        "drift": dict(log.drift),
-        "memory": memory,
-        "wrong": wrong,
-    }
+    return float(np.polyfit(hours, mib, 1)[0] * (hours[-1] - hours[0]))
 
 
 def main() -> int:
@@ -288,14 +245,11 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="how long")
     parser.add_argument("--steps", type=int, default=200, help="decisions of a life")
     parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn")
-    parser.add_argument("--json", type=Path, help="write what was measured to this file")
-    options = parser.parse_args()
-    found = report(options, soak(options))
-    if options.json is not None:
-        write_json(options.json, found)
-    for name, value in found.items():
-        print(f"{name:20} {value}")
-    return 1 if found["wrong"] else 0
+    found = soak(parser.parse_args())
+    grown, drift = growth(found["memory_mib"]), max(found["drift"].values())
+    for name, value in {**found, "growth_mib": grown}.items():
+        print(f"{name:12} {value}")
+    return 1 if grown > GROWTH_MIB or drift > DRIFT_M else 0
 
 
 if __name__ == "__main__":

@@ -186,6 +186,14 @@ def test_manifest_and_files_agree(collection):
     assert sum(flight.validation for flight in flights) == 2  # of two walks, by two teams
 
 
+def test_of_single_flights_the_last_is_held_out(tmp_path):
+    alone = dataclasses.replace(SHORT, walks=1, low_walks=0, swaps=0, duration_s=3.0)
+    assert [flight.validation for flight in collect(alone, tmp_path, progress=False)] == [
+        False,
+        True,
+    ]
+
+
 def test_rows_say_what_the_logs_say(collection):
     _, flights = collection
     rows = interaction_rows(flights)

@@ -268,13 +268,20 @@ def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[
             name=name,
             team=batch.team,
             log=read_log(flight_file(out, name, config.format), team),
-            validation=_is_held_out(index, batch.count),
+            validation=_is_held_out(config, batch, index),
             rate_hz=config.log_rate,
         )
         for index, name in enumerate(batch.names)
     ]
 
 
-def _is_held_out(index: int, count: int) -> bool:
-    """Whether flight `index` of `count` is for validation: every fifth, or the last of fewer."""
-    return count > 1 and index % HELD_OUT_EVERY == min(HELD_OUT_EVERY, count) - 1
+def _is_held_out(config: CollectionConfig, batch: FlightBatch, index: int) -> bool:
+    """Whether a flight is for validation: of each batch every fifth, or the last of fewer.
+
+    Of batches of a single flight, the last batch's.
+    """
+    batches = config.batches()
+    if all(each.count == 1 for each in batches):
+        return batch == batches[-1] and len(batches) > 1
+    fifth = min(HELD_OUT_EVERY, batch.count) - 1
+    return batch.count > 1 and index % HELD_OUT_EVERY == fifth

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from swarm_envs.arguments import typed
@@ -40,8 +40,8 @@ METADATA_KEY = "swarm_envs"
 def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
     """Write a safetensors file so that a reader sees the old file or the whole new one."""
     with written_whole(path) as partial:
-        save_file({name: t.contiguous() for name, t in tensors.items()}, partial, metadata=metadata)
-        partial.chmod(0o644)  # safetensors makes files that only their owner can read
+        content = save({name: t.contiguous() for name, t in tensors.items()}, metadata)
+        partial.write_bytes(content)  # its own writer raises no OSError
 
 
 @typed

@@ -30,9 +30,7 @@ from tqdm import tqdm
 from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json
-from swarm_envs.interactions import load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
-from swarm_envs.interactions.forces import all_forces
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.compare import fitted_force_g, flight_folds
@@ -43,6 +41,7 @@ from swarm_envs.training.force_model.force_fit_config import (
     with_mode_defaults,
 )
 from swarm_envs.training.force_model.labels import flown, treat
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
@@ -152,7 +151,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
 def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
     """(R, 3) modelled force, drag included, gram-force."""
     if config.force not in FITTED:
-        return force_of_file(rows, config.force)
+        return modelled_force_g(rows, config.force)
     model: Any = config.force
     given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
     options = with_mode_defaults(given, given.mode, model)
@@ -162,26 +161,6 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
         treated = treat(dataclasses.replace(rows, validation=held), options)
         drag = treated.drag[rows.ego_type] * rows.velocity / GRAM_FORCE
         found[held] = (fitted_force_g(treated.target, options, config.rows) - drag)[held]
-    return found
-
-
-def force_of_file(rows: InteractionRows, name: str) -> FloatArray:
-    """Force (R, 3) of a model as it is, gram-force."""
-    model, found = load(name), np.zeros((len(rows), 3))
-    place = np.array([model.types.index(kind) for kind in rows.types])
-    for count in range(rows.neighbor_type.shape[1] + 1):
-        own = rows.select(rows.has_neighbor.sum(axis=1) == count)
-        if not len(own):
-            continue
-        order = np.argsort(~own.has_neighbor, axis=1, kind="stable")[:, :count]
-        pair = np.take_along_axis(own.neighbor, order[..., None], axis=1)
-        others = np.take_along_axis(own.neighbor_type, order, axis=1)
-        position = np.concatenate([own.position[:, None], own.position[:, None] + pair[..., :3]], 1)
-        velocity = np.concatenate([own.velocity[:, None], own.velocity[:, None] + pair[..., 3:]], 1)
-        kinds = place[np.concatenate([own.ego_type[:, None], others], axis=1)]
-        out = np.empty_like(position)
-        all_forces(model.packed, kinds, position, velocity, out)
-        found[rows.has_neighbor.sum(axis=1) == count] = out[:, 0] / GRAM_FORCE
     return found
 
 

@@ -1,7 +1,6 @@
 """How submissions are graded: they return actions, and cannot influence their marks.
 
 Order of reading: `messages` (what passes between grader and work), `confinement` (what the work's
-process may do), `child` (what runs there), `requirements` and `views` (what passes, as data),
-`remote` (the work as an agent of the grader), `copies` (included agents, recognised), `text` (what
-is printed of submissions' messages).
+process may do), `child` (what runs there), `remote` (the work as an agent of the grader), `copies`
+(included agents, recognised), `text` (what is printed of submissions' messages).
 """

@@ -7,6 +7,7 @@ says is believed: it can only act badly.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -14,107 +15,43 @@ import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from swarm_envs.commands.grading.confinement import (
-    LINUX,
     Limits,
     drop_capabilities,
     hide_files,
     keep_in_memory,
     limit_self,
+    see_only,
+    stay_on_one_core,
 )
 from swarm_envs.commands.grading.messages import Array, Channel
-
-if TYPE_CHECKING:
-    from swarm_envs.commands.grading.views import ViewCopy
-    from swarm_envs.trajectories import Reference
 
 _LONGEST = 2000  # characters of an error; the grader keeps fewer
 
 
-class StandIn:
-    """What a work is given for an environment: names, spaces and layout; nothing flies.
+def _twin(header: Mapping[str, Any], requires: Mapping[str, Any], channel: Channel) -> Any:
+    """An environment of the same options as the grader's, where nothing flies.
 
-    Args:
-        header: of the grader's message.
-        requires: options that the agent requires.
-        channel: to ask the grader for the truth.
+    Its `view` is a copy of what the grader's shows now; the grader notes who asks for it.
     """
+    from swarm_envs.envs.options import blueprint_of
+    from swarm_envs.envs.parallel import SwarmParallelEnv
+    from swarm_envs.envs.view import View
 
-    physics_name = "batch"
-    """The engine that flies at the grader's."""
+    class Twin(SwarmParallelEnv):
+        @property
+        def view(self) -> View:
+            channel.send({"kind": "view"})
+            tables = channel.receive()[1]
+            for mine, given in zip(self.core.world, tables, strict=True):
+                mine[...] = given.view(mine.dtype).reshape(mine.shape)
+            return super().view
 
-    def __init__(
-        self, header: Mapping[str, Any], requires: Mapping[str, Any], channel: Channel
-    ) -> None:
-        from swarm_envs.envs.actions import ACTIONS
-        from swarm_envs.envs.config import EnvConfig
-        from swarm_envs.envs.observation import observation_layout, shaper
-        from swarm_envs.vehicles import parse_team
-
-        config, team = EnvConfig(**requires), parse_team(header["team"])
-        obstacles = config.obstacles_observed(0)
-        self.possible_agents = [f"drone_{i}" for i in range(len(team))]
-        self.agents = list(self.possible_agents)
-        extra = (bool(config.observe_load), config.observe_force is not None)
-        self._form = (config.num_neighbors, obstacles, *extra)
-        self.observation_layout = observation_layout(*self._form)
-        self.core = SimpleNamespace(
-            config=config,
-            mode=ACTIONS[config.action],
-            num_drones=len(team),
-            num_obstacles=obstacles,
-            task=SimpleNamespace(name=header["task"], team=team, obstacles=()),
-        )
-        self.metadata = {"name": header["task"], "render_fps": config.decision_rate}
-        self.shape = shaper(config.observation, *self._form)
-        self._channel = channel
-
-    @property
-    def observation_spaces(self) -> dict[str, Any]:
-        """The space of each agent's observation."""
-        from swarm_envs.envs.observation import observation_space
-
-        space = observation_space(self.core.config.observation, *self._form)
-        return dict.fromkeys(self.possible_agents, space)
-
-    @property
-    def action_spaces(self) -> dict[str, Any]:
-        """The Box of each agent's action."""
-        import numpy as np
-        from gymnasium import spaces
-
-        mode = self.core.mode
-        edge = 1.0 if mode.bounded else np.inf
-        return {
-            agent: spaces.Box(-edge, edge, (mode.width,), np.float32)
-            for agent in self.possible_agents
-        }
-
-    def observation_space(self, agent: str) -> Any:
-        """The space of an agent's observation."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Any:
-        """The Box of an agent's action."""
-        return self.action_spaces[agent]
-
-    @property
-    def view(self) -> ViewCopy:
-        """A copy of the truth as it is now; the grader notes who asks for it."""
-        from swarm_envs.commands.grading.views import ViewCopy
-
-        self._channel.send({"kind": "view"})
-        header, arrays = self._channel.receive()
-        return ViewCopy(header, arrays, self._reference)
-
-    def _reference(self, time: float) -> Reference:
-        from swarm_envs.trajectories import Reference
-
-        self._channel.send({"kind": "reference", "time": float(time)})
-        return Reference(*self._channel.receive()[1])
+    twin = Twin(*blueprint_of(header["task"], **{**header["options"], **requires})[:2])
+    twin.agents = list(twin.possible_agents)
+    return twin
 
 
 class _Flyer:
@@ -123,15 +60,14 @@ class _Flyer:
     def __init__(self, name: str, channel: Channel) -> None:
         from swarm_envs.agents.protocol import BatchAgent
         from swarm_envs.agents.registry import load_agent
-        from swarm_envs.commands.grading.requirements import to_plain
 
         self._agent: Any = load_agent(name)
         self._requires = dict(self._agent.requires)
         self._privileged = bool(self._agent.privileged)
         self._channel = channel
-        self._env: StandIn | None = None
+        self._env: Any = None
         self.made = {
-            "requires": to_plain(self._requires),
+            "requires": json.loads(json.dumps(self._requires, default=_plain)),
             "privileged": self._privileged,
             "batched": isinstance(self._agent, BatchAgent),
         }
@@ -143,25 +79,26 @@ class _Flyer:
 
     def reset(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
         """Prepare the agent for an episode."""
-        self._env = self._env or StandIn(header, self._requires, self._channel)
+        self._env = self._env or _twin(header, self._requires, self._channel)
         self._agent.reset(self._env, header["seed"])
         return []
 
     def act(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
         """Actions (1, N, width) for rows (N, row width)."""
-        from swarm_envs.envs.parallel import join_actions
-
-        env: Any = self._env
-        rows = map(env.shape, arrays[0])
+        env = self._env
         view = env.view if self._privileged else None
-        given = self._agent.act(dict(zip(env.agents, rows, strict=True)), view)
-        return [join_actions(env.core.mode, env.agents, given)]
+        return [env.join(self._agent.act(env.split(arrays[0][None]), view))]
 
     def batch(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
         """Actions (E, N, width) for rows (E, N, row width)."""
         import numpy as np
 
         return [np.asarray(self._agent.act_batch(arrays[0])).astype(np.float64)]
+
+
+def _plain(value: Any) -> Any:
+    """What JSON cannot say, as a number or in words, which no option takes."""
+    return value.item() if hasattr(value, "item") else repr(value)
 
 
 class _Model:
@@ -256,19 +193,21 @@ def _described(error: BaseException, name: str) -> dict[str, Any]:
 
 
 def _confine(header: Mapping[str, Any]) -> None:
-    scratch = Path(header["scratch"])
-    limits = Limits(*header["limits"])
+    scratch, limits = Path(header["scratch"]), Limits(*header["limits"])
     if header["mounts"]:
         keep_in_memory(scratch, limits.disk)
     if header["kernels"] is not None:
-        shutil.copytree(header["kernels"], scratch / "kernels", dirs_exist_ok=True)
-    if not header["landlock"]:  # it could write into any file of this user
+        with suppress(OSError):  # another user's, which this one may not read
+            shutil.copytree(header["kernels"], scratch / "kernels", dirs_exist_ok=True)
+    if not (header["mounts"] or header["landlock"]):  # it could write where everybody may
         limits = limits._replace(file_size=0)
     limit_self(limits, header["tasks"])
-    if LINUX:
-        drop_capabilities()
+    if header["mounts"]:
+        see_only(header["readable"], scratch)
+    drop_capabilities()
     if header["landlock"]:
         hide_files(header["landlock"], header["readable"], [str(scratch), os.devnull])
+    stay_on_one_core(header["core"])
 
 
 if __name__ == "__main__":

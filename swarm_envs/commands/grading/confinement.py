@@ -1,19 +1,22 @@
 """What the process of a work may do: limits, namespaces, Landlock, and an end for all it began.
 
 On Linux the process has a network, processes, users and mounts of its own (`unshare` of
-util-linux), reads Python, the package and its own files, and writes into a folder in memory
-(Landlock, docs.kernel.org/userspace-api/landlock.html). Each of these may be missing; what holds
-everywhere are POSIX's limits, an empty environment, and that only numbers come back. Nothing here
-imports more than the standard library: the work's process confines itself before it imports more.
+util-linux); it sees Python, the package and its own files, and writes into a folder in memory
+(mounts, and Landlock: docs.kernel.org/userspace-api/landlock.html). Each of these may be missing.
+Without mounts it runs, of root, as another user. What holds everywhere are POSIX's limits, an empty
+environment, and that only numbers come back. Nothing here imports more than the standard library:
+the work's process confines itself before it imports more.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import re
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -35,6 +38,14 @@ _READ = (1 << 0) | (1 << 2) | (1 << 3)  # execute, read a file, read a folder
 _ON_FILES = (1 << 0) | (1 << 1) | (1 << 2) | (1 << 14)
 _SIGNALS_STAY = 6  # the version of Landlock from which on signals do not leave it
 _MANY_PIDS = 301  # the system itself keeps the first 300
+_NOBODY = 65534
+_PIPE = (
+    1 << 20
+)  # bytes that a pipe holds: with fewer, grader and work wait for each other more often
+_MOUNT_SETATTR, _BIND, _WITH_ALL_BELOW = 442, 4096, 16384  # of mount_setattr(2) and mount(2)
+_SECCOMP = 22  # of prctl(2)
+_MACHINES = {"x86_64": (0xC000003E, 203), "aarch64": (0xC00000B7, 122)}
+"""By machine: its number in linux/audit.h, and that of sched_setaffinity(2)."""
 
 
 class Limits(NamedTuple):
@@ -64,10 +75,18 @@ class Protections(NamedTuple):
     landlock: int
     """Version of Landlock; 0 if there is none."""
 
+    user: int | None = None
+    """Another user that may write nothing of this one's; None for the same."""
+
     @property
     def own_processes(self) -> bool:
         """Whether a work sees its own processes alone."""
         return "--pid" in self.unshare
+
+    @property
+    def can_rename(self) -> bool:
+        """Whether nothing keeps a work from replacing this user's files, Python's among them."""
+        return not self.unshare and not self.landlock and self.user is None
 
     @property
     def missing(self) -> list[str]:
@@ -75,17 +94,22 @@ class Protections(NamedTuple):
         found = []
         if not self.unshare:
             found.append("it can use the network, and fill the disk")
-        if not self.own_processes and self.landlock < _SIGNALS_STAY:
+        if not self.own_processes and self.landlock < _SIGNALS_STAY and self.user is None:
             found.append("it can end other processes of this user")
-        if not self.own_processes and not self.landlock:
-            found.append("it can read this command's line, and so its --seed")
-        if not self.landlock:
-            found.append("it can read, rename and remove this user's files; it can write into none")
-        if LINUX and os.getuid() == 0 and not (self.own_processes and _pids_can_be_few()):
+        if not self.unshare and not self.landlock:
+            whose = "this user's files" if self.user is None else "files that any user may read"
+            found.append(f"it can read {whose}")
+        if self.can_rename:
+            found.append("it can rename and remove this user's files, and so ruin the system")
+        if LINUX and os.getuid() == 0 and self.user is None and not self._few_processes:
             found.append("it can start any number of processes, as root")
         if not LINUX:
             found.append("what it began may outlive it in a session of its own")
         return found
+
+    @property
+    def _few_processes(self) -> bool:
+        return self.own_processes and _pids_can_be_few()
 
 
 @cache
@@ -95,22 +119,32 @@ def probe() -> Protections:
         return Protections((), 0)
     command = shutil.which("unshare", path="/usr/bin:/bin:/usr/sbin:/sbin")
     wanted = [(command, *_UNSHARE, *_PIDS), (command, *_UNSHARE)] if command else []
-    works = [each for each in wanted if command and _runs_with([str(part) for part in each])]
+    works = [each for each in wanted if _is_at_least(5, 12) and _runs([*map(str, each), "true"])]
     version = int(_libc().syscall(_CREATE_RULESET, None, 0, 1))
-    return Protections(tuple(map(str, works[0])) if works else (), max(version, 0))
+    return Protections(tuple(map(str, works[0])) if works else (), max(version, 0), _other_user())
 
 
-def _runs_with(command: list[str]) -> bool:
-    result = subprocess.run(
-        [*command, "true"], stdin=subprocess.DEVNULL, capture_output=True, timeout=30, check=False
-    )
-    return result.returncode == 0
+def _other_user() -> int | None:
+    """Of root, a user that can read the package."""
+    reads = [sys.executable, "-c", "import swarm_envs"]
+    return _NOBODY if os.getuid() == 0 and _runs(reads, user=_NOBODY) else None
+
+
+def _runs(command: list[str], user: int | None = None) -> bool:
+    try:
+        quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "capture_output": True}
+        return subprocess.run(command, user=user, timeout=60, **quiet).returncode == 0
+    except OSError:
+        return False
 
 
 def _pids_can_be_few() -> bool:
     """Whether each space of processes has a limit of its own: before 6.14 it was the system's."""
-    release = os.uname().release.split(".")
-    return [int(part) for part in release[:2]] >= [6, 14] if release[0].isdigit() else False
+    return _is_at_least(6, 14)
+
+
+def _is_at_least(*release: int) -> bool:
+    return tuple(map(int, re.findall(r"\d+", os.uname().release)[:2])) >= release
 
 
 @cache
@@ -127,6 +161,7 @@ def guarded() -> Iterator[None]:
     if not LINUX or not _libc().prctl(_GET_DUMPABLE, 0, 0, 0, 0):  # guarded already
         yield
         return
+    _hide_command_line()
     _libc().prctl(_SET_DUMPABLE, 0, 0, 0, 0)
     _libc().prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     try:
@@ -134,6 +169,14 @@ def guarded() -> Iterator[None]:
     finally:
         _libc().prctl(_SET_CHILD_SUBREAPER, 0, 0, 0, 0)
         _libc().prctl(_SET_DUMPABLE, 1, 0, 0, 0)
+
+
+def _hide_command_line() -> None:
+    """Write zeros over what others read in /proc/PID/cmdline: there is the seed of the mark."""
+    numbers = Path("/proc/self/stat").read_text(errors="replace").rpartition(")")[2].split()
+    start, end = map(int, numbers[45:47])  # of the arguments in memory, proc(5)
+    if 0 < start < end:
+        ctypes.memset(start, 0, end - start)
 
 
 class Confined:
@@ -150,6 +193,9 @@ class Confined:
         self, module: str, paths: Sequence[str], scratch: Path, protections: Protections
     ) -> None:
         self._before = descendants()
+        user = None if protections.unshare else protections.user
+        if user is not None:
+            os.chown(scratch, user, user)
         self.process: subprocess.Popen[bytes] = subprocess.Popen(
             [*protections.unshare, sys.executable, "-P", "-m", module],
             env=_environment(paths, scratch),
@@ -158,7 +204,11 @@ class Confined:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             bufsize=0,
+            pipesize=_PIPE,
             start_new_session=True,
+            user=user,
+            group=user,
+            extra_groups=None if user is None else (),
         )
         assert self.process.stderr is not None
         self._said = _Tail(self.process.stderr)
@@ -257,12 +307,12 @@ def _end_all_but(spared: set[int]) -> None:
                 os.waitpid(process, os.WNOHANG)
 
 
-def tasks_of_this_user() -> int:
-    """Processes and threads that its limit counts already."""
+def tasks_of(user: int) -> int:
+    """Processes and threads of a user, which the limit of theirs counts."""
     count = 0
     for process in Path("/proc").glob("[0-9]*") if LINUX else ():
         with suppress(OSError):
-            if process.stat().st_uid == os.getuid():
+            if process.stat().st_uid == user:
                 count += len(list((process / "task").iterdir()))
     return count
 
@@ -275,7 +325,7 @@ def limit_self(limits: Limits, tasks: int) -> None:
 
     Args:
         limits: on it.
-        tasks: those of its user, `tasks_of_this_user`, which the system counts too.
+        tasks: those of its user, `tasks_of`, which the system counts too.
     """
     for kind, most in (
         (resource.RLIMIT_AS, limits.memory),
@@ -297,6 +347,8 @@ def limit_self(limits: Limits, tasks: int) -> None:
 
 def drop_capabilities() -> None:
     """Be root no more in anything but name: capabilities(7); root would read any memory."""
+    if not LINUX:
+        return
     for capability in range(64):
         _libc().prctl(_DROP_FROM_BOUNDS, capability, 0, 0, 0)  # those that there are
     header = (ctypes.c_uint32 * 2)(_CAPABILITIES_3, 0)
@@ -306,11 +358,66 @@ def drop_capabilities() -> None:
 
 def keep_in_memory(scratch: Path, size: int) -> None:
     """Put a folder into memory, of so many bytes; for a process with mounts of its own."""
-    options = f"size={size},mode=700".encode()
     no_devices_no_setuid = 2 | 4
-    target = os.fsencode(scratch)
-    if _libc().mount(b"tmpfs", target, b"tmpfs", no_devices_no_setuid, options) == 0:
-        os.chdir(scratch)
+    options = f"size={size},mode=700".encode()
+    _mount("tmpfs", scratch, no_devices_no_setuid, b"tmpfs", options)
+
+
+def see_only(readable: Sequence[str], scratch: Path) -> None:
+    """Let this process see these files and folders alone, read-only, and its own folder.
+
+    For one with mounts of its own, which has called `keep_in_memory`.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    root = scratch / "root"
+    own = root / scratch.relative_to("/")
+    own.mkdir(parents=True)
+    _mount(root, root, _BIND)
+    for path in sorted(map(Path, readable), key=lambda path: len(path.parts)):
+        place = root / path.relative_to("/")
+        if path.exists() and not place.exists():  # else it lies within another
+            (place if path.is_dir() else place.parent).mkdir(parents=True, exist_ok=True)
+            if not path.is_dir():
+                place.touch()
+            _mount(path, place, _BIND | _WITH_ALL_BELOW)
+    read_only = struct.pack("4Q", 1, 0, 0, 0)
+    here, all_below = -100, 0x8000
+    _checked(_libc().syscall(_MOUNT_SETATTR, here, os.fsencode(root), all_below, read_only, 32))
+    _mount(scratch, own, _BIND)
+    os.chroot(root)
+    os.chdir(scratch)
+
+
+def _mount(
+    source: str | Path, target: Path, flags: int, kind: bytes | None = None, data: bytes = b""
+) -> None:
+    _checked(_libc().mount(os.fsencode(source), os.fsencode(target), kind, flags, data))
+
+
+def stay_on_one_core(number: int) -> None:
+    """Run on one core from now on, and all that it begins: seccomp(2) refuses to leave it.
+
+    Call `drop_capabilities` before.
+
+    Args:
+        number: which, counted among those that it may use, and around.
+    """
+    machine, call = _MACHINES.get(os.uname().machine, (0, 0))
+    if not LINUX or not machine:
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[number % len(cores)]})
+    load, equal, least, end = 0x20, 0x15, 0x35, 0x06  # of linux/filter.h
+    rules = (
+        *((load, 0, 0, 4), (equal, 0, 4, machine), (load, 0, 0, 0)),
+        *((least, 2, 0, 1 << 30), (equal, 1, 0, call)),  # from 2^30 on calls have other numbers
+        *((end, 0, 0, 0x7FFF0000), (end, 0, 0, 0x00050001)),  # allow it, or refuse: EPERM
+    )
+    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *rule) for rule in rules))
+    program = struct.pack("HxxxxxxP", len(rules), ctypes.addressof(code))
+    _checked(_libc().prctl(_SECCOMP, 2, program, 0, 0))
 
 
 class _Ruleset(ctypes.Structure):

@@ -3,42 +3,83 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Sequence
+import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 import swarm_envs
 from swarm_envs.agents import load
-from swarm_envs.agents.policy import read_policy
 from swarm_envs.agents.registry import FILTER, SHIPPED
+from swarm_envs.agents.safety import ACTED, Safety, SafetyFilter
 from swarm_envs.commands.grading.messages import Array
 from swarm_envs.commands.grading.remote import path_of
 from swarm_envs.envs.observation import Float32Array, ObservationField, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions import load as load_forces
+from swarm_envs.training.interaction_rows import InteractionRows
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 
 ALIKE = 0.1
 """Difference of actions that are the same but for a disguise, over their size."""
+ALIKE_FORCES = 0.995
+"""Correlation of forces from which on a model says what another does. Those that ship, which were
+fitted to the same flights in different ways, reach 0.988."""
+_FILTER = "SafetyFilter"
 _NOBODYS = ("hover", "random")  # whoever does nothing has not copied it
 _LARGEST = 1 << 26  # bytes of a file that is looked at
+_SHORTEST = 400  # letters of a syntax tree: of less, two people write the same
+MOST_CONSTANTS = 2000
+"""Characters of all constants in a source that holds code, and no weights."""
+_PACKAGE = Path(swarm_envs.__file__).parent
 Twins = dict[str, SwarmParallelEnv]
 """Environments that shipped agents are made for, by their options: many share one."""
 
 
 def copied_files(name: str) -> str:
-    """Name of the shipped agent whose weights or source are in a work's files; "" for none."""
+    """What ships and is in a work's files: a class, or weights; "" for nothing."""
     path = path_of(name)
-    if path.suffix == ".py" and path.is_file() and (found := _copied_source(path)):
-        return found
-    folder = path if path.is_dir() else path.parent
-    beside = [path] if path.suffix == ".safetensors" else sorted(folder.glob("*.safetensors"))
-    for file in beside:
-        if file.is_file() and file.stat().st_size < _LARGEST and (found := _copied_weights(file)):
-            return found
+    files = sorted((path if path.is_dir() else path.parent).glob("*")) if path.exists() else []
+    weights = [file for file in [path, *files] if file.suffix in (".safetensors", ".json")]
+    try:
+        if path.suffix == ".py" and path.is_file():
+            classes = _classes(ast.parse(path.read_bytes()))
+            shipped = _shipped_classes()
+            if found := {own: shipped[said] for said, own in classes.items() if said in shipped}:
+                return found.get(name.rpartition(":")[2]) or next(iter(found.values()))
+            if _FILTER.encode() in path.read_bytes():
+                return f"an agent behind {_FILTER}"
+        digests = [_digest(file) for file in weights if file.stat().st_size < _LARGEST]
+    except (SyntaxError, ValueError, OSError, RecursionError, MemoryError):
+        return ""  # what cannot be read is no copy
+    return next((_shipped_weights()[each] for each in digests if each in _shipped_weights()), "")
+
+
+def copied_forces(predicted: Array, rows: InteractionRows) -> str:
+    """Name of the shipped force model that says nearly the same of rows; "" for none.
+
+    Args:
+        predicted: (R,) vertical forces of a work, gram-force.
+        rows: R of them.
+    """
+    for name, model in _force_models().items():
+        shipped = modelled_force_g(rows, model)[:, 2]
+        spread = np.std(shipped) * np.std(predicted)
+        if np.mean((shipped - shipped.mean()) * predicted) > ALIKE_FORCES * spread > 0.0:
+            return name
     return ""
+
+
+@cache
+def _force_models() -> dict[str, InteractionModel]:
+    files = [*_weights("interactions"), *_weights("baselines")]
+    return {"wake": load_forces("wake"), **{file.stem: load_forces(file) for file in files}}
 
 
 def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]]) -> str:
@@ -63,7 +104,24 @@ def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]
             continue
         if any(_alike(one, acts) for one in own):
             return name
-    return ""
+    return f"an agent behind {_FILTER}" if _filtered(env, rows, acts) else ""
+
+
+def _filtered(env: SwarmParallelEnv, rows: Float32Array, acts: Array) -> bool:
+    """Whether actions lie exactly where a safety filter that ships ends to change them."""
+    if env.core.mode.name != "acceleration":
+        return False
+    k, changed = env.core.config.num_neighbors, []
+    twin = SwarmParallelEnv(env.core.task, replace(env.core.config, observation="flat"))
+    for room_m in (0.0, 0.003):
+        given: Any = SimpleNamespace(requires={"num_neighbors": k}, privileged=False)
+        given.reset, given.act = (lambda env, seed: None), (lambda observations, view: {})
+        given.act_batch = lambda rows: acts.astype(np.float32)
+        safety = Safety(num_neighbors=k, margin_m=Safety.margin_m + room_m)
+        behind: Any = SafetyFilter(given, safety)
+        behind.reset(twin, 0)
+        changed.append(np.mean(np.abs(behind.act_batch(rows) - acts).max(axis=-1) > ACTED))
+    return bool(20.0 * changed[0] < changed[1])
 
 
 def _shipped_acts(
@@ -94,7 +152,7 @@ def _alike(own: Array, acts: Array) -> bool:
     factor = np.median(np.sum(own * acts, axis=-1) / size**2)
     for scale, most in ((1.0, 0.5), (factor, 0.9)):
         apart = np.linalg.norm(scale * own - acts, axis=-1)
-        if np.mean(apart <= ALIKE * abs(scale) * size) > most:
+        if scale > ALIKE and np.mean(apart <= ALIKE * scale * size) > most:
             return True
     return False
 
@@ -119,57 +177,58 @@ def _shipped(name: str) -> Any:
     return load(name)
 
 
+def _weights(folder: str) -> list[Path]:
+    return sorted((_PACKAGE / folder).resolve().rglob("weights/*.safetensors"))
+
+
 @cache
 def _shipped_weights() -> dict[str, str]:
-    """Names of shipped policies by the digests of their weights."""
-    agents = {name: _shipped(name) for name, path in SHIPPED.items() if "agents.policy" in path}
-    return {one.digest: name for name, agent in agents.items() for one in agent.policies}
+    """Names of shipped weights by their digests."""
+    files = [file for part in ("agents", "baselines", "interactions") for file in _weights(part)]
+    files.append(_PACKAGE / "interactions" / "weights" / "wake.json")
+    return {_digest(file): file.stem for file in files}
 
 
-def _copied_weights(file: Path) -> str:
-    try:
-        return _shipped_weights().get(read_policy(file).digest, "")
-    except (ValueError, OSError, RecursionError, MemoryError):
-        return ""  # no policy, or none that could fly
+def _digest(file: Path) -> str:
+    """Of a file; of safetensors without the header, which can be written in many ways."""
+    content = file.read_bytes()
+    start = 8 + int.from_bytes(content[:8], "little") if file.suffix == ".safetensors" else 0
+    return hashlib.sha256(content[start:]).hexdigest()
 
 
 @cache
-def _shipped_sources() -> dict[str, str]:
-    """Names of shipped agents by what their classes say."""
+def _shipped_classes() -> dict[str, str]:
+    """Names of the classes of shipped agents, and of those beside them, by what they say."""
+    modules = {place.partition(":")[0].partition(".")[2] for place in SHIPPED.values()}
+    named = {_PACKAGE / f"{module.replace('.', '/')}.py" for module in modules}
     found: dict[str, str] = {}
-    for name, place in SHIPPED.items():
-        module, _, path = place.partition(":")
-        source = "" if name in _NOBODYS else _source_of(module, path.partition(".")[0])
-        for said in _classes(ast.parse(source)):
-            found.setdefault(said, name)
-    return found
+    for file in sorted({*named, *(_PACKAGE / "agents").glob("*.py")}):
+        if file.is_file():
+            found |= _classes(ast.parse(file.read_bytes()))
+    return {said: name for said, name in found.items() if len(said) >= _SHORTEST}
 
 
-def _source_of(module: str, kind: str) -> str:
-    """The file that defines a class; "" for a function. Planners are slow to import: it is read."""
-    path = Path(swarm_envs.__file__).parent.joinpath(*module.split(".")[1:])
-    for file in sorted(path.glob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
-        if f"\nclass {kind}" in (text := file.read_text("utf-8")):
-            return text
-    return ""
-
-
-def _copied_source(file: Path) -> str:
+def constants_size(file: Path) -> int:
+    """Characters of all constants in a source but for docstrings; 0 if it cannot be read."""
     try:
-        classes = [*_classes(ast.parse(file.read_bytes()))]
+        nodes = list(ast.walk(ast.parse(file.read_bytes())))
     except (SyntaxError, ValueError, OSError, RecursionError, MemoryError):
-        return ""
-    return next((_shipped_sources()[said] for said in classes if said in _shipped_sources()), "")
+        return 0
+    texts = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    constants = (n.value for n in nodes if isinstance(n, ast.Constant) and id(n) not in texts)
+    return sum(len(repr(value)) for value in constants)
 
 
-def _classes(tree: ast.Module) -> Iterator[str]:
-    """What each class of a source says, but for its name, comments and docstrings."""
+def _classes(tree: ast.Module) -> dict[str, str]:
+    """Names of a source's classes by what each says, but for its name, comments, docstrings."""
+    found: dict[str, str] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef):
             for part in ast.walk(node):
                 if isinstance(part, ast.ClassDef | ast.FunctionDef):
                     part.body = [line for line in part.body if not _is_text(line)]
-            yield "\n".join(ast.dump(part) for part in node.body)
+            found["\n".join(ast.dump(part) for part in node.body)] = node.name
+    return found
 
 
 def _is_text(node: ast.stmt) -> bool:

@@ -107,6 +107,7 @@ def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -
     if grade.failure is not None:
         said.append(f"the first episode that failed has seed {grade.failure.about.seed}")
     if len(reached) > 1:
-        said.append(f"median of {len(reached)} works so far: {statistics.median(reached):.4g}")
+        quarters = ", ".join(f"{q:.4g}" for q in statistics.quantiles(reached, method="inclusive"))
+        said.append(f"quartiles of the {len(reached)} works so far: {quarters}")
     shown = {"output": "\n".join(said), "visibility": "visible"}
     return {"score": grade.points, "max_score": 100.0, **shown}

@@ -1,8 +1,8 @@
 """Messages between the grader and the process of a work: a small header, and raw numbers.
 
 A message is 12 bytes (`SWRM`, and the lengths of header and numbers, little-endian), a header in
-JSON, and the arrays that the header lists, one after another. Nothing in it can become code. What
-is longer than allowed, or does not fit what it says of itself, is refused before it is read.
+JSON, and arrays as safetensors. Nothing in it can become code. What is longer than allowed, or does
+not fit what it says of itself, is refused.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
 
 _PREFIX = struct.Struct("<4sII")
 _MAGIC = b"SWRM"
@@ -25,11 +27,10 @@ MOST_HEADER = 1 << 16
 """Bytes of a header."""
 MOST_NUMBERS = 1 << 31
 """Bytes of the numbers of a message to the work, which the grader alone sends."""
-_TYPES = {"f4": np.float32, "f8": np.float64, "i8": np.int64, "b1": np.bool_}
-_CHUNK = 1 << 16  # bytes that a pipe holds
+_CHUNK = 1 << 20  # bytes that are read at once
 
 Array = npt.NDArray[Any]
-"""Numbers of one of four types: float32, float64, int64, truth values."""
+"""Numbers or truth values of a type that safetensors has."""
 
 
 class BadMessage(ValueError):
@@ -61,17 +62,15 @@ class Channel:
 
         Args:
             header: what JSON can say.
-            arrays: of the four types.
+            arrays: numbers or truth values.
             until: time of `time.monotonic` at which to give up, s.
 
         Raises:
             TooLate: the other side did not take it in time.
             OSError: there is no other side.
         """
-        arrays = [np.ascontiguousarray(array) for array in arrays]
-        listed = [[array.dtype.str.lstrip("<|"), array.shape] for array in arrays]
-        head = json.dumps({**header, "arrays": listed}).encode()
-        numbers = b"".join(array.tobytes() for array in arrays)
+        head = json.dumps(header).encode()
+        numbers = save({str(k): np.ascontiguousarray(array) for k, array in enumerate(arrays)})
         left = memoryview(_PREFIX.pack(_MAGIC, len(head), len(numbers)) + head + numbers)
         while left:
             try:
@@ -97,7 +96,7 @@ class Channel:
         if magic != _MAGIC or length > MOST_HEADER or size > most:
             raise BadMessage(f"begins with {magic!r} and {length} + {size} bytes")
         header = _header(self._read(length, until))
-        return header, _arrays(header.get("arrays"), self._read(size, until))
+        return header, _arrays(self._read(size, until))
 
     def _read(self, count: int, until: float) -> bytes:
         while len(self._held) < count:
@@ -136,34 +135,9 @@ def _header(text: bytes) -> dict[str, Any]:
     return header
 
 
-def _arrays(listed: Any, numbers: bytes) -> list[Array]:
-    if not isinstance(listed, list) or len(listed) > 64:
-        raise BadMessage("its header lists no arrays")
-    arrays: list[Array] = []
-    start = 0
-    for entry in listed:
-        kind, shape = _checked(entry)
-        count = math.prod(shape)
-        stop = start + count * np.dtype(kind).itemsize
-        if stop > len(numbers):
-            raise BadMessage("its numbers are fewer than its header says")
-        arrays.append(np.frombuffer(numbers, kind, count, start).reshape(shape).copy())
-        start = stop
-    if start != len(numbers):
-        raise BadMessage("its numbers are more than its header says")
-    return arrays
-
-
-def _checked(entry: Any) -> tuple[type, list[int]]:
-    fits = (
-        isinstance(entry, list)
-        and len(entry) == 2
-        and isinstance(entry[0], str)
-        and entry[0] in _TYPES
-        and isinstance(entry[1], list)
-        and len(entry[1]) <= 4
-        and all(type(size) is int and 0 <= size < 1 << 32 for size in entry[1])
-    )
-    if not fits:
-        raise BadMessage("its header lists what is no array")
-    return _TYPES[entry[0]], entry[1]
+def _arrays(numbers: bytes) -> list[Array]:
+    try:
+        found = load(numbers)
+        return [found[str(k)].copy() for k in range(len(found))]
+    except (SafetensorError, ValueError, TypeError, KeyError) as error:
+        raise BadMessage(f"its numbers cannot be read: {error}") from error

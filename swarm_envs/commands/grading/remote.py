@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import math
+import os
 import sys
 import tempfile
 import time
@@ -23,24 +23,28 @@ from swarm_envs.commands.grading.confinement import (
     Protections,
     guarded,
     probe,
-    tasks_of_this_user,
+    tasks_of,
 )
 from swarm_envs.commands.grading.messages import Array, BadMessage, Channel, TooLate
-from swarm_envs.commands.grading.requirements import from_plain
 from swarm_envs.commands.grading.text import printable
-from swarm_envs.commands.grading.views import pack_view
 from swarm_envs.compiled import kernel_folder
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
-from swarm_envs.vehicles import team_string
+from swarm_envs.errors import check_integer, check_name
 
 KEPT = 256
 """Decisions of a work that are kept, to be compared with those of agents that ship."""
+OPTIONS = (
+    *("action", "decision_rate", "observation"),
+    *("num_neighbors", "num_obstacles", "observe_load"),
+)
+"""Options that a work may require. All others say what is flown and when it is a success."""
+MOST_SEEN = 64
+"""Neighbours, or obstacles, that it may ask to observe."""
 _MODULE = "swarm_envs.commands.grading.child"
 _SETUP_S = 60.0  # for imports and compilation, before a work trains
 _DECISIONS = ("act", "batch", "plan")
-_NEEDED_LATER = ("scipy.stats", "swarm_envs.agents.evaluation")
 _SPARE = 1 << 20  # bytes by which an answer may be too long and still be understood
 
 
@@ -149,6 +153,7 @@ def opened(
     what: str,
     others: Sequence[str] = (),
     limits: Limits | None = None,
+    beside: bool = True,
 ) -> Iterator[tuple[RemoteWork, dict[str, Any]]]:
     """Start the process of a work, and end it and all that it began.
 
@@ -157,6 +162,7 @@ def opened(
         what: `fly`, or `fit` for a force model.
         others: names of all works; it sees none of these.
         limits: on it; None for the usual.
+        beside: whether it may read what lies beside its file.
 
     Returns:
         The work, and what it says of itself; nothing of it is checked.
@@ -170,6 +176,7 @@ def opened(
     with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder, guarded():
         scratch = Path(folder).resolve()
         process = Confined(_MODULE, _import_paths(), scratch, offered)
+        user = os.getuid() if offered.unshare or offered.user is None else offered.user
         try:
             work = RemoteWork(process, limits)
             work.tell(
@@ -179,15 +186,14 @@ def opened(
                     "work": name,
                     "scratch": str(scratch),
                     "limits": limits,
-                    "tasks": tasks_of_this_user(),
+                    "tasks": tasks_of(user),
+                    "core": os.getpid(),
                     "mounts": bool(offered.unshare),
                     "landlock": offered.landlock,
-                    "readable": [*_readable(offered), *files_of(name, others)],
+                    "readable": [*_readable(offered), *files_of(name, others, beside)],
                     "kernels": None if kernels is None else str(kernels),
                 }
             )
-            for module in _NEEDED_LATER:  # while the process starts
-                importlib.import_module(module)
             try:
                 made, _ = work.ask("")
             except WorkRefused as error:
@@ -209,29 +215,29 @@ def path_of(name: str) -> Path:
     return Path(name.rpartition(":")[0] if ".py:" in name else name)
 
 
-def files_of(name: str, others: Sequence[str]) -> list[str]:
+def files_of(name: str, others: Sequence[str], beside: bool) -> list[str]:
     """What a work may read of its own: its folder, or its file where others lie in the folder."""
     path = path_of(name)
     if not path.exists():
         return []
     folder = path.parent if path.is_file() else path
     rest = [path_of(absolute(other)) for other in others if path_of(absolute(other)) != path]
-    shared = any(folder in other.parents for other in rest)
+    shared = not beside or any(folder in other.parents for other in rest)
     return [str(path if shared else folder)]
 
 
 def package_state() -> dict[str, str]:
-    """Digests of the package's sources and weights, by file: they change if anybody changes one.
+    """Digests of the package's files, by path: they change if anybody changes one.
 
     Times are not compared, because a hard link to a file, as builds make them, changes its time;
     nor caches, which other processes may fill meanwhile.
     """
-    package = Path(swarm_envs.__file__).parent
-    parts = [package, *(part for part in package.iterdir() if part.is_symlink())]
-    files = [file for part in parts for file in part.resolve().rglob("*.*")]
-    kept = (".py", ".safetensors", ".json")
-    sources = (f for f in files if f.suffix in kept and "__pycache__" not in f.parts)
-    return {str(file): _digest(file) for file in sources}
+    package, found = Path(swarm_envs.__file__).parent, {}
+    for part in [package, *(part for part in package.iterdir() if part.is_symlink())]:
+        for folder, within, files in os.walk(part.resolve()):
+            within[:] = [name for name in within if name != "__pycache__"]
+            found.update({f"{folder}/{name}": _digest(Path(folder, name)) for name in files})
+    return found
 
 
 def _digest(file: Path) -> str:
@@ -270,26 +276,43 @@ def train_work(work: RemoteWork, seconds: float) -> None:
     work.ask("train", {"seconds": seconds}, limit_s=1.5 * seconds + _SETUP_S)
 
 
+def _checked(requires: Any) -> dict[str, Any]:
+    """What a work requires of the environment.
+
+    Raises:
+        ValueError: it is no mapping, or requires what it may not choose.
+        TypeError: a number of drones or obstacles is none.
+    """
+    if not isinstance(requires, dict):
+        raise ValueError(f"requires is {requires!r:.80}, but must be a mapping of options")
+    for name, value in requires.items():
+        check_name("required option", name, OPTIONS)
+        if name.startswith("num_") and value is not None:
+            check_integer(name, value, 0, MOST_SEEN)
+    return requires
+
+
 class RemoteAgent:
     """A work that flies, as an agent of the grader.
 
     Args:
         work: its process.
         made: what it says of itself.
+        flown: the task's name and the options of the environment, which it is told.
 
     Raises:
         ValueError: it requires what it may not.
         TypeError: likewise.
     """
 
-    def __init__(self, work: RemoteWork, made: Mapping[str, Any]) -> None:
-        self.requires: Mapping[str, Any] = from_plain(made.get("requires"))
+    def __init__(self, work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any]) -> None:
+        self.requires: Mapping[str, Any] = _checked(made.get("requires"))
         self.privileged = made.get("privileged") is True
         self.asked = self.privileged
         """Whether it has asked for the truth."""
         self.kept: list[tuple[Float32Array, Array]] = []
         """Some of its decisions: rows (N, row width), and actions (N, width)."""
-        self._work = work
+        self._work, self._flown = work, flown
         self._resets = self._decisions = 0
         self._rng = np.random.default_rng(0)
         self._env: SwarmParallelEnv | None = None
@@ -299,10 +322,9 @@ class RemoteAgent:
         self._env = env
         if not self._resets:  # the seed is of the episode, which the work does not know
             self._rng = np.random.default_rng(seed)
-        core = env.core
-        header = {"seed": self._resets, "task": core.task.name}
+        header = {"seed": self._resets, **self._flown}
         self._resets += 1
-        self._ask("reset", {**header, "team": team_string(core.task.team)}, [], 0)
+        self._ask("reset", header, [], 0)
 
     def act(self, observations: Observations, view: View | None) -> Actions:
         """The work's actions for what its drones observe."""
@@ -322,8 +344,7 @@ class RemoteAgent:
         most: int,
         shape: tuple[int, ...] | None = None,
     ) -> Array:
-        questions = {"view": self._show_view, "reference": self._show_reference}
-        _, given = self._work.ask(kind, header, arrays, most, questions)
+        _, given = self._work.ask(kind, header, arrays, most, {"view": self._show_view})
         if shape is None:
             return np.zeros(0)
         if len(given) != 1 or given[0].dtype != np.float64:
@@ -335,16 +356,8 @@ class RemoteAgent:
     def _show_view(self, header: Mapping[str, Any]) -> tuple[dict[str, Any], list[Array]]:
         self.asked = True
         assert self._env is not None
-        said, arrays = pack_view(self._env.view)
-        return {"kind": "view", **said}, arrays
-
-    def _show_reference(self, header: Mapping[str, Any]) -> tuple[dict[str, Any], list[Array]]:
-        self.asked = True
-        assert self._env is not None
-        when = header.get("time")
-        if not isinstance(when, float) or not math.isfinite(when):
-            raise BadMessage("it asks for the reference at no time")
-        return {"kind": "reference"}, list(self._env.view.reference(when))
+        tables = self._env.core.world
+        return {"kind": "view"}, [np.frombuffer(table.tobytes(), np.uint8) for table in tables]
 
     def _keep(self, rows: Float32Array, actions: Array) -> None:
         """Keep decisions of all flights evenly, of one team each: which, no work can foresee."""
@@ -370,14 +383,16 @@ class RemoteBatchAgent(RemoteAgent):
         return actions
 
 
-def remote_agent(work: RemoteWork, made: Mapping[str, Any]) -> RemoteAgent:
-    """A work as an agent, by what it says of itself.
+def remote_agent(
+    work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any]
+) -> RemoteAgent:
+    """A work as an agent, by what it says of itself; the arguments are those of `RemoteAgent`.
 
     Raises:
         WorkFailed: it requires what it may not.
     """
     kind = RemoteBatchAgent if made.get("batched") is True else RemoteAgent
     try:
-        return kind(work, made)
+        return kind(work, made, flown)
     except (ValueError, TypeError) as error:
         raise WorkFailed(printable(f"cannot be flown: {error}")) from error

@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-import unicodedata
-
 LONGEST = 500
 """Characters that are kept of a message."""
-_HIDDEN = (
-    "Cc",
-    "Cf",
-    "Cs",
-    "Co",
-    "Cn",
-    "Zl",
-    "Zp",
-)  # Unicode's control, format and line characters
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
 def printable(words: str, longest: int = LONGEST) -> str:
     """Words on one line: control characters as escapes, and no more of them than `longest`."""
-    shown = "".join(_shown(letter) for letter in words[: longest + 1])
+    letters = [c if c.isprintable() else ascii(c)[1:-1] for c in words[: longest + 1]]
+    shown = "".join(letters)
     return shown if len(shown) <= longest else shown[: longest - 1] + "…"
-
-
-def _shown(letter: str) -> str:
-    if unicodedata.category(letter) in _HIDDEN:
-        return letter.encode("unicode_escape").decode()
-    return letter
 
 
 def cell(words: str) -> str:

@@ -9,8 +9,8 @@ import pytest
 
 from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
 from swarm_envs.training.flight_table import from_columns
-from swarm_envs.training.force_model.residual_fit import force_of_file
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 
 EXACT = LogOptions(smoothing_s=0.0, keep_every=1, min_scenario_rows=1, min_quiet_rows=0)
 
@@ -25,7 +25,7 @@ def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_ta
     rows, report = read_logs(tmp_path / "flight.csv", EXACT)
     (file,) = report.files
     assert file.acceleration == ("logged" if accelerometer else "differentiated")
-    truth = force_of_file(rows, "learned")
+    truth = modelled_force_g(rows, "learned")
     assert np.abs(truth[:, 2]).max() > 0.3  # there is something to find
     error = rows.force_g - truth
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.05
