@@ -30,7 +30,6 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
     Trajectory,
     all_positions_from,
     least_distances,
-    positions_from,
 )
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned
 from swarm_envs.baselines.mlr_dmpc.unit_planner import (
@@ -267,7 +266,7 @@ class ComputeUnit:
         least = config.sampled_distance_m - _CONTRADICTION
         owner, paths = info.trackers.candidates(others)
         theirs = all_positions_from(paths, start, config)
-        path = positions_from(own, start, config)
+        path = all_positions_from([own], start, config)[0]
         near = least_distances(path, theirs, config.inverse_scaling) < least
         if near.any() and info.membership.joining[drone]:
             return None

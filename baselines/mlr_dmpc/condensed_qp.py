@@ -152,8 +152,6 @@ def _instants(step: float, count: int) -> FloatArray:
     return np.arange(1, count + 1, dtype=np.float64) * step
 
 
-SOLVERS = ("daqp", "quadprog", "osqp")
-"""Names of the solvers."""
 _OSQP_TOLERANCE = 1e-6
 _TOLERANCE = 1e-8
 
@@ -180,7 +178,7 @@ def solver(name: str) -> Solver:
         ValueError: there is no such solver; the message names the nearest.
         ImportError: it is not installed; the message says how to install it.
     """
-    return _SOLVERS[check_name("solver", name, SOLVERS)]
+    return SOLVERS[check_name("solver", name, SOLVERS)]
 
 
 def _daqp(
@@ -248,4 +246,5 @@ def _module(name: str) -> ModuleType:
         ) from error
 
 
-_SOLVERS: dict[str, Solver] = {"daqp": _daqp, "quadprog": _quadprog, "osqp": _osqp}
+SOLVERS: dict[str, Solver] = {"daqp": _daqp, "quadprog": _quadprog, "osqp": _osqp}
+"""Every solver by its name."""

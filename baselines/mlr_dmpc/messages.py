@@ -241,11 +241,6 @@ class Codec:
         lower, span = (side[: kinematics.shape[-2]] for side in (self._lower, self._span))
         return np.asarray(lower + self._steps(kinematics) * (span / _STEPS))
 
-    def carried_targets(self, targets: FloatArray) -> FloatArray:
-        """(N, 3) targets as 16 bit carry them."""
-        steps = np.rint((targets - self._lower[0]) / self._span[0] * _STEPS)
-        return np.asarray(self._lower[0] + steps * (self._span[0] / _STEPS))
-
     def pack_states(self, states: DroneStates) -> list[bytes]:
         """The messages of those drones that say something, at most 32 bytes each."""
         heads = np.zeros(len(states.said), dtype=_HEAD)

@@ -194,7 +194,7 @@ class SwarmNodes(ABC):
             np.isin(np.arange(len(drones)), list(present)),
             np.array([drone.flying.identity.number for drone in drones]),
             np.array([drone.view.id.number for drone in drones]),
-            self.codec.carried_targets(targets),
+            self.codec.carried(targets[:, None])[:, 0],
             kinematics,
             resting,
             joining=np.array([not drone.airborne for drone in drones]) & ~gone,

@@ -247,6 +247,8 @@ class PaperNodes(SwarmNodes):
         ValueError: drones are to join: the paper has no way to.
     """
 
+    _trusting = False
+
     def __init__(
         self,
         hovers: list[Trajectory],
@@ -265,11 +267,10 @@ class PaperNodes(SwarmNodes):
 
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
         """A unit with the information given before the first round, or with none."""
-        return self._make(PaperUnit, unit, targets, [] if since else self._hovers)
-
-    def _make(
-        self, kind: type[PaperUnit], unit: int, targets: FloatArray, known: list[Trajectory]
-    ) -> PaperUnit:
+        known = [] if since else self._hovers
+        kind = PaperUnit
+        if self._trusting:
+            known, kind = [drone.flying for drone in self.drones], TrustingUnit
         candidates = [{one.identity: one} for one in known] or [{} for _ in targets]
         return kind(unit, candidates, targets.copy(), Planner(self.options))
 
@@ -281,6 +282,4 @@ class PaperNodes(SwarmNodes):
 class TrustingNodes(PaperNodes):
     """Nodes that ignore loss: units know what drones fly when they start, and what was sent."""
 
-    def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
-        """A unit that knows what all drones fly."""
-        return self._make(TrustingUnit, unit, targets, [drone.flying for drone in self.drones])
+    _trusting = True

@@ -188,23 +188,17 @@ class LossProcess:
         return (key >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
     def _mask(self, who: Who) -> BoolArray:
+        counts = {"drone": self._num_drones, "unit": self._nodes - self._num_drones}
+        nodes = [(kind, i) for kind, count in counts.items() for i in range(count)]
         mask = np.zeros(self._nodes, dtype=bool)
-        kinds = {
-            "all": slice(None),
-            "drones": slice(self._num_drones),
-            "units": slice(self._num_drones, None),
-        }
         for name in _names(who):
-            if name in kinds:
-                mask[kinds[name]] = True
-                continue
-            kind, number = name.split()
-            base, count = (0, self._num_drones)
-            if kind == "unit":
-                base, count = self._num_drones, self._nodes - self._num_drones
-            if int(number) >= count:
-                raise ValueError(f"a jam names {name!r}, but there are {count} {kind}s")
-            mask[base + int(number)] = True
+            meant = [name in ("all", f"{kind}s", f"{kind} {i}") for kind, i in nodes]
+            if not any(meant):
+                raise ValueError(
+                    f"a jam names {name!r}, but there are "
+                    f"{counts['drone']} drones and {counts['unit']} units"
+                )
+            mask |= meant
         return mask
 
 

@@ -164,63 +164,51 @@ class Program:
     """Samples from one half-space of a trajectory to the next in the first programs."""
 
 
-class RowGeneration:
-    """The optimum of a program: solved with ever more rows until it breaks none of the others."""
+class RowSolution(NamedTuple):
+    """What was found."""
 
-    def __init__(self, problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> None:
-        """`first`: rows (m, 3) as in `active`, to try as active first."""
-        self.z = -problem.slope
-        """(n, 3) variables."""
-        self.failure = f"no end of rows after {_MOST_PROGRAMS} programs"
-        """Why there is no optimum, or nothing."""
-        self.solve_ms = 0.0
-        """In the solver, CPU time of this thread, ms."""
-        self._problem, self._solver = problem, solver(solver_name)
-        self._parts: list[_WorkingSet] = []
-        self._picked, self._active = NO_ROWS, np.zeros(0, dtype=bool)
-        self._add(first, True)
-        self._run()
+    z: FloatArray
+    """(n, 3) variables."""
+    failure: str
+    """Why there is no optimum, or nothing."""
+    solve_ms: float
+    """In the solver, CPU time of this thread, ms."""
+    num_rows: int
+    """Rows of the last program."""
+    active: IntArray
+    """(m, 3) rows that hold with equality, as `broken_rows` names them."""
 
-    @property
-    def num_rows(self) -> int:
-        """Rows of the last program."""
-        return len(self._active)
 
-    @property
-    def active(self) -> IntArray:
-        """(m, 3) rows that hold with equality, as `broken_rows` names them."""
-        return self._picked[self._active]
+def solve_by_rows(problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> RowSolution:
+    """The optimum of a program: solved with ever more rows until it breaks none of the others.
 
-    def _run(self) -> None:
-        rows, stride = self._problem.rows, self._problem.stride
-        self._add(broken_rows(rows, self._problem.shifted, _FIRST_SLACK, stride))
-        for programs in range(1, _MOST_PROGRAMS + 1):
-            if not self._solve():
-                self.failure = "the solver found no plan"
-                return
-            picked = broken_rows(rows, self.z, _BROKEN, stride if programs == 1 else 1)
-            if not len(picked):
-                self.failure = ""
-                return
-            self._add(picked)
-
-    def _add(self, picked: IntArray, active: bool = False) -> None:
-        """Take in rows (m, 3)."""
-        self._parts.append(_working_set(self._problem.rows, picked))
-        self._picked = np.concatenate([self._picked, picked])
-        self._active = np.concatenate([self._active, np.full(len(picked), active)])
-
-    def _solve(self) -> bool:
-        """Solve for the rows so far; whether there is a solution."""
-        matrix, bound, scale = (np.concatenate([part[k] for part in self._parts]) for k in range(3))
+    `first`: rows (m, 3) as in `active`, to try as active first.
+    """
+    rows, stride, solve, solve_ms = problem.rows, problem.stride, solver(solver_name), 0.0
+    parts, picked, active = [_working_set(rows, first)], first, np.ones(len(first), dtype=bool)
+    more = broken_rows(rows, problem.shifted, _FIRST_SLACK, stride)
+    z, failure = -problem.slope, f"no end of rows after {_MOST_PROGRAMS} programs"
+    free = len(z)
+    for programs in range(_MOST_PROGRAMS + 1):
+        parts.append(_working_set(rows, more))
+        picked = np.concatenate([picked, more])
+        active = np.concatenate([active, np.zeros(len(more), dtype=bool)])
+        if programs == _MOST_PROGRAMS:
+            break
+        matrix, bound, scale = (np.concatenate([part[k] for part in parts]) for k in range(3))
         soft = np.flatnonzero(scale)
         margins = np.zeros((len(bound), len(soft)))
         margins[soft, np.arange(len(soft))] = scale[soft]
-        slope = np.concatenate([self._problem.slope.T.ravel(), np.zeros(len(soft))])
+        slope = np.concatenate([problem.slope.T.ravel(), np.zeros(len(soft))])
         begin = time.thread_time()
-        found = self._solver(slope, np.hstack([matrix, margins]), bound, self._active)
-        self.solve_ms += 1e3 * (time.thread_time() - begin)
-        self._active = found.active
-        free = len(self._problem.slope)
-        self.z = np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
-        return found.solved
+        found = solve(slope, np.hstack([matrix, margins]), bound, active)
+        solve_ms += 1e3 * (time.thread_time() - begin)
+        active, z = found.active, np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
+        if not found.solved:
+            failure = "the solver found no plan"
+            break
+        more = broken_rows(rows, z, _BROKEN, stride if programs == 0 else 1)
+        if not len(more):
+            failure = ""
+            break
+    return RowSolution(z, failure, solve_ms, len(active), picked[active])

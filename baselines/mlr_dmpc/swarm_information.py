@@ -44,35 +44,6 @@ _LEAST_SILENT_ROUNDS = 6
 """Rounds of silence below which no unit is left out of a view."""
 
 
-class _Absences:
-    """For how long each unit has been silent, weighed by how much else was lost meanwhile.
-
-    A round in which most messages were lost says little about a missing one; in a blackout no unit
-    is left out.
-    """
-
-    def __init__(self, num_units: int) -> None:
-        self.count = num_units
-        self._rounds = [0] * num_units
-        self._evidence = [0.0] * num_units
-
-    def observe(self, heard: frozenset[int], log_odds: float) -> None:
-        """Note who was heard, and minus the logarithm of the share lost in that round."""
-        for unit in range(len(self._rounds)):
-            silent = unit not in heard
-            self._rounds[unit] = self._rounds[unit] + 1 if silent else 0
-            self._evidence[unit] = self._evidence[unit] + log_odds if silent else 0.0
-
-    def gone(self, unit: int) -> bool:
-        """Whether a unit has been silent for too long for loss alone."""
-        enough = self._rounds[unit] >= _LEAST_SILENT_ROUNDS
-        return enough and self._evidence[unit] >= _SILENCE
-
-    def present(self, unit: int) -> bool:
-        """Whether a unit was heard lately."""
-        return self._rounds[unit] < _LEAST_SILENT_ROUNDS
-
-
 class Membership:
     """The view of one compute unit, which starts or comes back in round `since`."""
 
@@ -82,7 +53,10 @@ class Membership:
         self._adopt(view, since, num_drones)
         self._unit, self._since = unit, since
         self._highest = view.id
-        self._absences = _Absences(num_units)
+        # (M,) for how many rounds each unit has been silent, weighed by how much else was lost: a
+        # round in which most was says little about a missing one; in a blackout nobody is left out.
+        self._silent = np.zeros(num_units, dtype=np.int64)
+        self._evidence = np.zeros(num_units)
         self.joining: BoolArray = np.zeros(num_drones, dtype=bool)
         """(N,) who has said that they are not in the air yet."""
         self.gone: BoolArray = np.zeros(num_drones, dtype=bool)
@@ -96,7 +70,10 @@ class Membership:
         """Take in a round, in which units were `present`; whether another view is now in force."""
         drones, states = len(self.view.drones), inbox.states
         lost = max(drones - int(states.said.sum()), 0)
-        self._absences.observe(present, -math.log((lost + 0.5) / (drones + 1)))
+        silent = ~np.isin(np.arange(len(self._silent)), list(present))
+        self._silent = np.where(silent, self._silent + 1, 0)
+        self._evidence -= math.log((lost + 0.5) / (drones + 1))
+        self._evidence[~silent] = 0.0
         locks = states.lock[states.said]
         self._highest = max(self._highest, messages.ViewId.of(int(locks.max(initial=0))))
         self._heard_of |= states.said
@@ -132,7 +109,7 @@ class Membership:
             return self._proposed(round_)
         if self._unit not in self.view.units:
             return round_ >= self._retry and self._proposed(round_)
-        gone = {unit for unit in self.view.units if self._absences.gone(unit)}
+        gone = self._silent_units()
         new, left = self._heard_of & ~self.drones & ~self.gone, self.gone & self.drones
         if not (gone or (new | left).any()):
             return False
@@ -149,6 +126,11 @@ class Membership:
         new = self.view.id.epoch > 0 and round_ - self.adopted < _ANNOUNCED_ROUNDS
         return self.view if new or self._others_behind else None
 
+    def _silent_units(self) -> set[int]:
+        """Units of the view that have been silent for too long for loss alone."""
+        silent = (self._silent >= _LEAST_SILENT_ROUNDS) & (self._evidence >= _SILENCE)
+        return {unit for unit in self.view.units if silent[unit]}
+
     def _proposed(self, round_: int) -> bool:
         """Adopt a view with all members, of an identity that was never used before.
 
@@ -156,8 +138,8 @@ class Membership:
         Epochs grow by at least one with each proposal, and in a round r none is above r + 1. So a
         unit that comes back uses none that it may have used before.
         """
-        units = {unit for unit in self.view.units if not self._absences.gone(unit)} | {self._unit}
-        units |= {unit for unit in range(self._absences.count) if self._absences.present(unit)}
+        units = {*self.view.units} - self._silent_units() | {self._unit}
+        units |= {*np.flatnonzero(self._silent < _LEAST_SILENT_ROUNDS).tolist()}
         id_ = messages.ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
         self._retry = round_ + 2 * (self._retry - self._since)  # less and less often
         drones, gone = self._heard_of & ~self.gone, self.gone

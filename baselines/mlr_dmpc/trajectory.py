@@ -116,15 +116,10 @@ def _all_positions(trajectory: Trajectory, step: float, count: int) -> FloatArra
     return np.concatenate([flown, np.repeat(flown[-1:], count, axis=0)])
 
 
-def positions_from(trajectory: Trajectory, start_round: int, config: MlrDmpcConfig) -> FloatArray:
-    """Positions (S + 1, 3) at t, t + T_c, t + 2 T_c, ... of a round's start t, m."""
-    return all_positions_from([trajectory], start_round, config)[0]
-
-
 def all_positions_from(
     trajectories: Sequence[Trajectory], start_round: int, config: MlrDmpcConfig
 ) -> FloatArray:
-    """Positions (C, S + 1, 3) of several, as `positions_from` gives them, m."""
+    """Positions (C, S + 1, 3) of several at t, t + T_c, ... of a round's start t, m."""
     out = np.empty((len(trajectories), config.num_samples + 1, 3))
     step, count, parts = config.collision_sampling_s, config.num_samples, config.samples_per_round
     for path, one in zip(out, trajectories, strict=True):
@@ -137,7 +132,7 @@ def sampled_positions(
     trajectory: Trajectory, start_round: int, config: MlrDmpcConfig
 ) -> FloatArray:
     """Positions (S, 3) at the collision samples t + T_c, t + 2 T_c, ... of a round's start t, m."""
-    return positions_from(trajectory, start_round, config)[1:]
+    return all_positions_from([trajectory], start_round, config)[0, 1:]
 
 
 @lru_cache(maxsize=4096)

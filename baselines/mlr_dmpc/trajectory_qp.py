@@ -24,7 +24,7 @@ from swarm_envs.baselines.mlr_dmpc.row_generation import (
     NO_ROWS,
     Program,
     ProgramRows,
-    RowGeneration,
+    solve_by_rows,
 )
 from swarm_envs.baselines.mlr_dmpc.trajectory import (
     Identity,
@@ -284,7 +284,7 @@ def _solve(task: _Task, chosen: IntArray, around: _Solution | None) -> _Solution
     among = task.neighbors.some(chosen)
     plan = None if around is None else around.plan
     problem = program(task.own, task.start_round, among, task.target, config, task.planes, plan)
-    found = RowGeneration(problem, task.solver_name, NO_ROWS if around is None else around.active)
+    found = solve_by_rows(problem, task.solver_name, NO_ROWS if around is None else around.active)
     jerk = fixed.jerks.at(problem.state, found.z)
     jerk[-1] = 0.0  # it is not sent: the plan ends at rest
     identity = Identity(task.start_round, task.compute_unit)

@@ -90,21 +90,14 @@ MAP_CASES = tuple(
 """The panels of Fig. 5."""
 
 
-class _Reading(NamedTuple):
-    """A number that the paper reads off Fig. 5."""
-
-    name: str  # of the number that is read off
-    what: str  # what it says
-    paper_g: float  # the paper's value, g
-    published_weights_g: float  # the same from the weights that the authors published
-
-
 READINGS = (
-    _Reading("ground_effect", "(a): small drone at (0, 0.05)", 5.0, 1.7),
-    _Reading("two_above", "(e): small drone at (0, 0.3)", -10.0, -12.4),
-    _Reading("superposition_gap", "(g): largest gap to the sum of pairs", 11.4, 3.7),
+    # name, what it says, the paper's value, the same from the weights that the authors published, g
+    ("ground_effect", "(a): small drone at (0, 0.05)", 5.0, 1.7),
+    ("two_above", "(e): small drone at (0, 0.3)", -10.0, -12.4),
+    ("superposition_gap", "(g): largest gap to the sum of pairs", 11.4, 3.7),
 )
-"""The first and the last are not reproduced by the published weights: nothing is tuned to them."""
+"""Numbers read off Fig. 5. The published weights give neither the first nor the last: nothing is
+tuned to them."""
 
 
 def force_on_ego_g(
@@ -205,9 +198,8 @@ def summarise_maps(maps: list[_ForceMap], model: str) -> dict[str, Any]:
         "two_above": by_letter["e"].at(0.0, 0.3),
         "superposition_gap": abs(by_letter["g"].extreme_gap(free_only=False)[0]),
     }
-    readings = [
-        {**reading._asdict(), "ours_g": round(ours[reading.name], 3)} for reading in READINGS
-    ]
+    keys = ("name", "what", "paper_g", "published_weights_g", "ours_g")
+    readings = [dict(zip(keys, (*row, round(ours[row[0]], 3)), strict=True)) for row in READINGS]
     moving = np.abs(by_letter["d"].force_g - by_letter["c"].force_g)
     b = by_letter["b"]
     return {

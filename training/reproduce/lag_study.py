@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,28 +28,14 @@ TEAM = "L2S"
 _EPISODES = 20
 
 
-class _LagVariant(NamedTuple):
-    """One controller of the study."""
-
-    gains: str  # `soft`, `mid` or `stiff`
-    oracle: bool  # whether it feeds forward the exact force; else it is the uncompensated baseline
-    lag: bool  # whether it compensates the motors' lag, eq. (22)
-
-    @property
-    def name(self) -> str:
-        """Also its cell's name."""
-        force = "exact force" if self.oracle else "no force"
-        return f"{self.gains}, {force}, lag {'compensated' if self.lag else 'not compensated'}"
-
-    @property
-    def look(self) -> tuple[str, str]:
-        """Force and lag in rows."""
-        force = "exact" if self.oracle else "none"
-        return force, "compensated" if self.lag else "not compensated"
+_FORCES, _LAGS = ("none", "exact"), ("not compensated", "compensated")
+LAG_VARIANTS = tuple(itertools.product(GAINS, _FORCES, _LAGS))
+"""What is flown: gains, the force that is fed forward, whether the motors' lag is compensated."""
 
 
-LAG_VARIANTS = tuple(itertools.starmap(_LagVariant, itertools.product(GAINS, *[(False, True)] * 2)))
-"""What is flown: gains, beliefs, with and without lag compensation."""
+def _name(gains: str, force: str, lag: str) -> str:
+    """Of a variant's cell."""
+    return f"{gains}, {'no' if force == 'none' else force} force, lag {lag}"
 
 
 def _settings(options: Any) -> dict[str, Any]:
@@ -66,13 +52,13 @@ def _grid(options: Any) -> Cells:
     """The same swaps by every variant."""
     seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
     engine = options.engine or default_engine()
-    return {v.name: partial(_measure, v, seeds, engine) for v in LAG_VARIANTS}
+    return {_name(*v): partial(_measure, *v, seeds, engine) for v in LAG_VARIANTS}
 
 
-def _measure(variant: _LagVariant, seeds: Sequence[int], engine: str) -> Cell:
+def _measure(gains: str, force: str, lag: str, seeds: Sequence[int], engine: str) -> Cell:
     """Fly one variant: worst height errors of the lowest drone, and the first flight's errors."""
-    belief = load(TRUTH) if variant.oracle else None
-    controller = ControllerConfig(GAINS[variant.gains], belief, variant.lag)
+    belief = load(TRUTH) if force == "exact" else None
+    controller = ControllerConfig(GAINS[gains], belief, lag == "compensated")
     flights = fly(swap_test(TEAM, truth=TRUTH, engine=engine), controller, seeds)
     height = flights.position[0, :, -1, 2] - flights.reference[0, :, -1, 2]
     return {
@@ -81,11 +67,10 @@ def _measure(variant: _LagVariant, seeds: Sequence[int], engine: str) -> Cell:
     }
 
 
-def _row(variant: _LagVariant, cell: Cell) -> dict[str, Any]:
+def _row(gains: str, force: str, lag: str, cell: Cell) -> dict[str, Any]:
     worst = np.array(cell["worst_cm"])
-    force, lag = variant.look
     return {
-        "gains": variant.gains,
+        "gains": gains,
         "force": force,
         "lag": lag,
         "median_cm": round(float(np.median(worst)), 3),
@@ -98,17 +83,17 @@ def _row(variant: _LagVariant, cell: Cell) -> dict[str, Any]:
 def reductions(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """How many times smaller the median error is with lag compensation, by force and gains."""
     median = {(r["force"], r["gains"], r["lag"]): r["median_cm"] for r in rows}
-    off, on = "not compensated", "compensated"
+    off, on = _LAGS
     return {
         force: {g: round(median[force, g, off] / median[force, g, on], 2) for g in GAINS}
-        for force in ("none", "exact")
+        for force in _FORCES
     }
 
 
 def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
-    rows = [_row(variant, cells[variant.name]) for variant in LAG_VARIANTS]
+    rows = [_row(*variant, cells[_name(*variant)]) for variant in LAG_VARIANTS]
     summary = {**_settings(options), "rows": rows, "reductions": reductions(rows)}
-    traces = {v.name: cells[v.name]["height_m"] for v in LAG_VARIANTS}
+    traces = [cells[_name(*variant)]["height_m"] for variant in LAG_VARIANTS]
     draw = partial(_plot, rows=rows, traces=traces)
     return Report(summary, _text(summary), rows, {"lag.png": draw})
 
@@ -118,7 +103,7 @@ def _text(summary: Mapping[str, Any]) -> str:
     median = {(r["force"], r["gains"], r["lag"]): r["median_cm"] for r in summary["rows"]}
     for force, ratios in summary["reductions"].items():
         for gains, ratio in ratios.items():
-            off, on = (median[force, gains, f"{no}compensated"] for no in ("not ", ""))
+            off, on = (median[force, gains, lag] for lag in _LAGS)
             name = "exact (oracle)" if force == "exact" else "none"
             lines.append((gains, name, f"{off:.2f}", f"{on:.2f}", f"{ratio:.1f}"))
     return "\n".join(
@@ -140,14 +125,12 @@ _LOOK = {
 _SAMPLES_PER_SECOND = 48
 
 
-def _plot(
-    path: Path, rows: Sequence[Mapping[str, Any]], traces: Mapping[str, Sequence[float]]
-) -> None:
+def _plot(path: Path, rows: Sequence[Mapping[str, Any]], traces: Sequence[Sequence[float]]) -> None:
     """Height errors of the first swap over time, default gains, and medians by gains."""
     headline = "A small drone passes under a large one: lag compensation, eq. (22)"
     with picture(path, 11.0, 4.2, headline) as figure:
         over_time, medians = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
-        for row, trace in zip(rows, traces.values(), strict=True):
+        for row, trace in zip(rows, traces, strict=True):
             if row["gains"] == "mid":
                 color, label = _LOOK[row["force"], row["lag"]]
                 time = np.arange(len(trace)) / _SAMPLES_PER_SECOND

@@ -132,7 +132,7 @@ def test_drones_states_take_32_bytes_and_no_two_have_the_same(seed, flags):
             np.array([True]),
             np.array([Identity(int(rng.integers(round_ + 1)), 2).number]),
             np.array([ViewId(int(rng.integers(9)), 1).number]),
-            codec.carried_targets(rng.uniform(lower, upper, (1, 3))),
+            codec.carried(rng.uniform(lower, upper, (1, 1, 3)))[:, 0],
             (still if said_so[0] else moving)[None],
             resting,
             joining,
@@ -153,7 +153,7 @@ def test_drones_states_take_32_bytes_and_no_two_have_the_same(seed, flags):
 def test_what_16_bit_carry_is_finer_than_a_tenth_of_a_millimetre():
     codec, rng = Codec(16, 3, CONFIG), np.random.default_rng(0)
     points = rng.uniform(CONFIG.box[0], CONFIG.box[1], (1000, 3))
-    assert np.abs(codec.carried_targets(points) - points).max() < 1e-4
+    assert np.abs(codec.carried(points[:, None])[:, 0] - points).max() < 1e-4
 
 
 @pytest.mark.parametrize("kind", list(PaperKind))
@@ -239,7 +239,7 @@ def test_bursts_last_as_long_as_their_model_says():
             lambda: LossProcess(
                 LossModel(jams=(Jam(first_round=0, last_round=1, senders="unit 2"),)), 3, 2, 0
             ),
-            "there are 2 units",
+            "there are 3 drones and 2 units",
         ),
     ],
 )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach, reachable_boxes
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.row_generation import Program, RowGeneration
+from swarm_envs.baselines.mlr_dmpc.row_generation import Program, solve_by_rows
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import program
 from tests.helpers.mlr_rounds import situation
 
@@ -35,7 +35,7 @@ def extreme(problem: Program, rng: np.random.Generator) -> np.ndarray:
     alone = fresh(problem.rows)
     alone.done[:], alone.soft_done[:] = True, True
     slope = rng.normal(size=problem.slope.shape) * rng.choice([1.0, 100.0, 1e3], size=(1, 3))
-    found = RowGeneration(replace(problem, rows=alone, slope=slope), "daqp")
+    found = solve_by_rows(replace(problem, rows=alone, slope=slope), "daqp")
     assert not found.failure
     return found.z
 
@@ -62,7 +62,7 @@ def test_rows_left_out_change_no_optimum(seed, rounds):
     problem = program(*situation(seed, rounds, 20, WIDE, 4), WIDE)
     assert problem.rows.done.any()
     whole = replace(problem, rows=fresh(problem.rows))
-    found, expected = RowGeneration(problem, "daqp"), RowGeneration(whole, "daqp")
+    found, expected = solve_by_rows(problem, "daqp"), solve_by_rows(whole, "daqp")
     assert not found.failure and not expected.failure
     assert np.allclose(found.z, expected.z, atol=1e-6)
 

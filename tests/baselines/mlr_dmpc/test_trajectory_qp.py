@@ -15,7 +15,7 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import SPARE_M, Neighbors
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import SOLVERS, condensed
 from swarm_envs.baselines.mlr_dmpc.formations import circle_swap
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.row_generation import Program, RowGeneration
+from swarm_envs.baselines.mlr_dmpc.row_generation import Program, solve_by_rows
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover, sampled_positions
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import ACCEPTED, broken, plan_trajectory, program
@@ -70,7 +70,7 @@ def by_cvxpy(problem: Program) -> tuple[np.ndarray, float]:
 @pytest.mark.parametrize("case", CASES)
 def test_the_optimum_is_that_of_the_whole_program(case):
     expected, _ = by_cvxpy(posed(case))
-    found = RowGeneration(posed(case), "daqp")
+    found = solve_by_rows(posed(case), "daqp")
     assert not found.failure
     assert np.allclose(found.z, expected, atol=2e-4)
 
@@ -80,7 +80,7 @@ def test_the_optimum_is_that_of_the_whole_program(case):
 def test_solvers_agree(case, name):
     if name == "quadprog":
         pytest.importorskip("quadprog")
-    found, expected = RowGeneration(posed(case), name), RowGeneration(posed(case), "daqp")
+    found, expected = solve_by_rows(posed(case), name), solve_by_rows(posed(case), "daqp")
     assert not found.failure
     assert np.allclose(found.z, expected.z, atol=1e-4)
 
