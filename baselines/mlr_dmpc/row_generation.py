@@ -50,17 +50,12 @@ class ProgramRows(NamedTuple):
     """(2, B, 3) bounds in the program, lower and upper."""
 
 
-class _WorkingSet(NamedTuple):
-    """The rows in the program: matrix @ z + scale * (soft variable of the row) >= bound."""
-
-    matrix: FloatArray  # (m, 3 n)
-    bound: FloatArray  # (m,)
-    scale: FloatArray  # (m,) 0 for a row without soft variable
-
-
 @kernel
-def _working_set(rows: ProgramRows, picked: IntArray) -> _WorkingSet:
-    """The rows `picked` (m, 3) of `broken_rows`, now done."""
+def _working_set(rows: ProgramRows, picked: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The rows `picked` (m, 3) of `broken_rows`, now done: matrix (m, 3 n), bound and scale (m,).
+
+    They are matrix @ z + scale * (soft variable of the row) >= bound; scale is 0 where there is none.
+    """
     free, count = rows.by_variables.shape[1], picked.shape[0]
     matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
     scale = np.zeros(count)
@@ -84,7 +79,7 @@ def _working_set(rows: ProgramRows, picked: IntArray) -> _WorkingSet:
             bound[m] -= rows.normals[r, s, i] * rows.base[s, i]
             for k in range(free):
                 matrix[m, i * free + k] = rows.normals[r, s, i] * rows.by_variables[s, k]
-    return _WorkingSet(matrix, bound, scale)
+    return matrix, bound, scale
 
 
 @kernel

@@ -8,8 +8,9 @@ nothing spoiled it flies as the environment's loop does.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
@@ -75,11 +76,11 @@ def fly_imperfectly(
         most = core.world.drones["nominal_max_rotor_thrust"][..., None]
         straight = np.zeros((core.num_envs, core.num_drones))
         rng = np.random.default_rng(list(seeds))
-        belief = _Belief(core, controller.feedforward, imperfection, rng)
+        belief = _believed(core, controller.feedforward, imperfection, rng)
         while core.running.any():
             state = _measure(core.physics.state, imperfection, rng)
             setpoint = Setpoint(*reference_of(core.world.drones), straight, straight)
-            commands = loop.commands(state, setpoint, belief.force(state))
+            commands = loop.commands(state, setpoint, belief(state))
             core.step(2.0 * commands / most - 1.0)
         drones = core.world.drones
         crashed = np.asarray((drones["crashed"] > 0.0).any(axis=1))
@@ -100,35 +101,30 @@ def _measure(state: SwarmState, imperfection: Imperfection, rng: np.random.Gener
     )
 
 
-class _Belief:
-    """The predicted force that controllers are given, step by step: scaled, noisy and late."""
+def _believed(
+    core: SwarmCore,
+    model: InteractionModel | None,
+    imperfection: Imperfection,
+    rng: np.random.Generator,
+) -> Callable[[SwarmState], FloatArray | None]:
+    """Gives, step by step, the force (E, N, 3) that is fed forward, N: scaled, noisy and late."""
+    shape = (core.num_envs, core.num_drones)
+    steps = round(float(core.settings["horizon_s"][0]) * PHYSICS_RATE) + 1
+    size = imperfection.noise_g * GRAM_FORCE
+    noise = size * slow_noise(rng, (*shape, steps)) if size > 0.0 else None
+    delay = round(imperfection.delay_s * PHYSICS_RATE)
+    late, step = deque([np.zeros((*shape, 3))] * delay), itertools.count()
 
-    def __init__(
-        self,
-        core: SwarmCore,
-        model: InteractionModel | None,
-        imperfection: Imperfection,
-        rng: np.random.Generator,
-    ) -> None:
-        self._team, self._model, self._scale = core.task.team, model, imperfection.scale
-        shape = (core.num_envs, core.num_drones)
-        steps = round(float(core.settings["horizon_s"][0]) * PHYSICS_RATE) + 1
-        size = imperfection.noise_g * GRAM_FORCE
-        self._noise = size * slow_noise(rng, (*shape, steps)) if size > 0.0 else None
-        delay = round(imperfection.delay_s * PHYSICS_RATE)
-        self._late = deque([np.zeros((*shape, 3))] * delay)
-        self._step = 0
-
-    def force(self, state: SwarmState) -> FloatArray | None:
-        """(E, N, 3) the force that is fed forward in the next step, N; None if none is."""
-        if self._model is None:
+    def force(state: SwarmState) -> FloatArray | None:
+        if model is None:
             return None
-        force = self._scale * self._model.forces(state.position, state.velocity, self._team)
-        if self._noise is not None:
-            force[..., 2] += self._noise[..., self._step]
-        self._step += 1
-        self._late.append(force)
-        return self._late.popleft()
+        found = imperfection.scale * model.forces(state.position, state.velocity, core.task.team)
+        if noise is not None:
+            found[..., 2] += noise[..., next(step)]
+        late.append(found)
+        return late.popleft()
+
+    return force
 
 
 def slow_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
