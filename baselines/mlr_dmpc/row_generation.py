@@ -54,7 +54,7 @@ class ProgramRows(NamedTuple):
 def _working_set(rows: ProgramRows, picked: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The rows `picked` (m, 3) of `broken_rows`, now done: matrix (m, 3 n), bound and scale (m,).
 
-    They are matrix @ z + scale * (soft variable of the row) >= bound; scale is 0 where there is none.
+    They are matrix @ z + scale * (soft variable of the row) >= bound; scale 0 where there is none.
     """
     free, count = rows.by_variables.shape[1], picked.shape[0]
     matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
