@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -24,8 +23,9 @@ from swarm_envs.deploy.pieces import (
     fit_pieces,
     largest_jump,
     write_pieces,
+    write_rows,
 )
-from swarm_envs.files import claimed, write_json, written_whole
+from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Vehicle
 from swarm_envs.viewing.record import Solid
@@ -366,10 +366,7 @@ def _write_samples(path: Path, pieces: Pieces, rate: float) -> None:
     time = np.append(np.arange(0.0, pieces.total_s - 0.5 / rate, 1.0 / rate), pieces.total_s)
     parts = [evaluate(pieces, time, order) for order in range(3)]
     rows = np.column_stack([time, *(part[:, :3] for part in parts), parts[0][:, 3]])
-    with written_whole(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(SAMPLE_COLUMNS)
-        writer.writerows([[f"{value:.6g}" for value in row] for row in rows])
+    write_rows(path, SAMPLE_COLUMNS, [[f"{value:.6g}" for value in row] for row in rows])
 
 
 _MOST_COMPARED = 64
