@@ -308,7 +308,7 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
             }
             for sign, bad in harm.items():  # the median made worse; drones made to crash
                 points = [row["value"] for row in bad], [row["compensated_cm"] for row in bad]
-                look = {"markersize": 10, "markerfacecolor": "none", "markeredgewidth": 1.6}
+                look: Any = {"markersize": 10, "markerfacecolor": "none", "markeredgewidth": 1.6}
                 axis.plot(*points, sign, color=_HARM, **look)
             if belief == "exact":
                 axis.plot(x, [row["without_cm"] for row in own], "--", color=color)
