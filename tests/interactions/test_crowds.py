@@ -67,15 +67,6 @@ def test_more_neighbours_never_push_less() -> None:
     assert (before < -GRAM_FORCE).any()
 
 
-def test_what_the_deep_set_of_before_does_in_crowds() -> None:
-    """The reason for the change: of those whom pairs push down it lifts a third."""
-    position, velocity = crowd(16, 0.0, 0.7)
-    model = load("learned-v0")
-    force = model.forces(position, velocity, "S" * 16)[..., 2]
-    pushed = summed_pairs(model, position, velocity, "S" * 16) < -2.0
-    assert (force[pushed] > 0.0).mean() > 0.2
-
-
 @pytest.mark.parametrize(("pair", "pull"), [("LL", 2.5), ("LS", 1.7), ("SS", 0.3)])
 def test_the_air_pulls_towards_the_axis(pair: str, pull: float) -> None:
     """The lower drone first; means of the measured flights at 8 to 13 cm, in grams."""

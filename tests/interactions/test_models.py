@@ -9,7 +9,7 @@ import pytest
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import write_forces
-from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
+from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
 
 MODELS = ("wake", "learned", "learned-v0")
 
@@ -47,27 +47,6 @@ def test_drag_opposes_motion(model: InteractionModel) -> None:
     assert force[0, 0, 0] <= 0.0
     assert force[1, 0, 1] >= 0.0
     np.testing.assert_allclose(force[0, 0, 1:], 0.0, atol=1e-12)
-
-
-def test_forces_do_not_depend_on_the_order_of_neighbours(model: InteractionModel) -> None:
-    rng = np.random.default_rng(1)
-    position, velocity = swarm(rng, 20, 5)
-    team = parse_team("SLSSL")
-    order = rng.permutation(5)
-    shuffled = model.forces(position[:, order], velocity[:, order], [team[i] for i in order])
-    np.testing.assert_allclose(
-        shuffled, model.forces(position, velocity, team)[:, order], atol=1e-12
-    )
-
-
-def test_forces_do_not_depend_on_where_in_the_plane(model: InteractionModel) -> None:
-    position, velocity = swarm(np.random.default_rng(2), 20, 4)
-    there = position + np.array([3.0, -7.0, 0.0])
-    np.testing.assert_allclose(
-        model.forces(there, velocity, "SLSS"),
-        model.forces(position, velocity, "SLSS"),
-        atol=1e-9,
-    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

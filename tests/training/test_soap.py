@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from swarm_envs.training.force_model.optimisers import FlatWeights, Soap, _eigenvectors
+from swarm_envs.training.force_model.optimisers import FlatWeights, Soap
 
 RATE = 1e-2
 
@@ -72,27 +72,6 @@ def test_matrices_move_as_published() -> None:
     assert found.numpy() == pytest.approx(wanted, abs=1e-3 * float(np.linalg.norm(wanted)))
 
 
-def test_gradients_of_low_rank_give_whole_bases() -> None:
-    """A few in a thousand of these defeat LAPACK in float32, on one processor or another."""
-    rng = torch.Generator().manual_seed(0)
-    for rank in (1, 2, 5):
-        tall = torch.randn(2000, 40, rank, generator=rng)
-        gradient = 1e-2 * tall @ torch.randn(2000, rank, 20, generator=rng)
-        gradient[torch.rand(2000, 40, generator=rng) < 0.5] = 0.0  # units that no row opens
-        check_bases(gradient @ gradient.mT)
-
-
-def check_bases(symmetric: torch.Tensor) -> None:
-    """Bases are orthogonal, and those of the matrices: nearly diagonal in them, falling."""
-    basis = _eigenvectors(symmetric)
-    assert torch.allclose(basis.mT @ basis, torch.eye(len(symmetric[0])), atol=1e-5)
-    turned = basis.mT @ symmetric @ basis
-    size = symmetric.norm(dim=(1, 2))[:, None]
-    values = turned.diagonal(dim1=1, dim2=2)
-    assert bool(((turned - torch.diag_embed(values)).norm(dim=(1, 2)) < 1e-5 * size[:, 0]).all())
-    assert bool((values.diff(dim=1) < 1e-5 * size).all())
-
-
 @pytest.mark.parametrize("failure", ["silent", "raised"])
 @pytest.mark.parametrize("failing", [{torch.float32}, {torch.float32, torch.float64}])
 def test_what_lapack_cannot_do_stops_no_step(
@@ -120,12 +99,6 @@ def test_what_lapack_cannot_do_stops_no_step(
         assert 0.5 < float(found.norm() / sound.norm()) < 2.0
     else:
         assert torch.allclose(found, sound, atol=1e-3 * float(sound.norm()))
-
-
-def test_a_closure_is_refused() -> None:
-    optimiser = Soap(FlatWeights(nn.Linear(2, 2)), RATE)
-    with pytest.raises(ValueError, match="without a closure"):
-        optimiser.step(lambda: 0.0)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -109,24 +109,6 @@ def test_a_lone_drone_aloft_feels_drag_alone(model: InteractionModel) -> None:
     np.testing.assert_allclose(force, -0.04 * velocity, rtol=1e-6)
 
 
-def test_pairwise_forces_add_up_and_deep_sets_do_not() -> None:
-    position, velocity = swarm(12, 50, 3)
-    position[..., 2] += 0.6
-    gaps = {}
-    for kind in KINDS:
-        made = random_network(kind)
-        alone = torch_force_g(made, position[:, :1], velocity[:, :1], "S")[:, 0]
-        pairs = sum(
-            torch_force_g(made, position[:, [0, j]], velocity[:, [0, j]], "SL")[:, 0] - alone
-            for j in (1, 2)
-        )
-        joint = torch_force_g(made, position, velocity, "SLL")[:, 0]
-        gaps[kind] = float(np.abs(joint - alone - pairs).max())
-    assert gaps["pairwise"] < 1e-12
-    assert gaps["deep-set"] > 0.01
-    assert gaps["composed"] > 0.01
-
-
 @pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])
 def test_a_type_that_cannot_be_filed_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match="cannot name a vehicle type"):

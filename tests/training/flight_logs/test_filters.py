@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.training.collection.table import DroneRows, rows_of_drones
+from swarm_envs.training.collection.table import DroneRows
 from swarm_envs.training.flight_logs import LogOptions
 from swarm_envs.training.flight_logs.clock import filtered
 from swarm_envs.training.flight_logs.log_options import held_out_blocks, is_guarded, is_held_out
@@ -52,15 +52,6 @@ def test_the_authors_filter():
     assert kept.step.tolist() == [k for k, reason in enumerate(reasons) if reason is None]
     for reason in set(reasons) - {None}:
         assert kept.dropped[reason] == reasons.count(reason)
-
-
-def test_empty_slots_hold_no_neighbour():
-    alone = rows_of([1.0], [0.0], [(0.0, 0.0, 0.3)])
-    table = rows_of_drones([alone], 3, [0], [0], np.zeros(1, dtype=np.bool_))
-    neighbor, kinds = table.neighbor, table.neighbor_type
-    assert neighbor.shape == (1, 3, 6)
-    assert kinds.tolist() == [[0, -1, -1]]
-    assert not neighbor[0, 1:].any()
 
 
 @pytest.mark.parametrize("lengths", [[1], [2, 1], [5, 5, 5, 5], [3] * 40])
