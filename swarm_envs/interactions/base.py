@@ -93,10 +93,7 @@ class InteractionModel:
         return digest.hexdigest()
 
     def forces(
-        self,
-        position: npt.ArrayLike,
-        velocity: npt.ArrayLike,
-        team: str | Sequence[Vehicle],
+        self, position: npt.ArrayLike, velocity: npt.ArrayLike, team: str | Sequence[Vehicle]
     ) -> FloatArray:
         """Forces on every drone of every environment.
 

@@ -221,11 +221,7 @@ def write_forces(
 
 
 def all_forces(
-    field: PackedField,
-    types: IntArray,
-    position: FloatArray,
-    velocity: FloatArray,
-    out: FloatArray,
+    field: PackedField, types: IntArray, position: FloatArray, velocity: FloatArray, out: FloatArray
 ) -> None:
     """Write the forces `out` (E, N, 3), N, world frame, on drones of any number of environments.
 

@@ -10,15 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from swarm_envs.training.force_model.examples import (
-    Examples,
-    shuffled,
-    turned_rows,
-)
-from swarm_envs.training.force_model.force_fit_config import (
-    TrainConfig,
-    with_mode_defaults,
-)
+from swarm_envs.training.force_model.examples import Examples, shuffled, turned_rows
+from swarm_envs.training.force_model.force_fit_config import TrainConfig, with_mode_defaults
 from swarm_envs.training.force_model.network import DeepSet, swarm_batch
 from swarm_envs.training.force_model.optimisers import hold_spectral_norms
 from swarm_envs.training.force_model.train import to_batch, train

@@ -13,11 +13,7 @@ import pytest
 import torch
 
 from docs.model_card import REPORTS, CardConfig, write_card
-from swarm_envs.training.force_model.evaluate import (
-    mean_squared_errors,
-    predict_rows,
-    scan_swarms,
-)
+from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows, scan_swarms
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz

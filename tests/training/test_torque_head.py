@@ -17,12 +17,7 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.examples import turned_labels
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.force_model.network import (
-    OUTER_FADE,
-    DeepSet,
-    DeepSetSpec,
-    swarm_batch,
-)
+from swarm_envs.training.force_model.network import OUTER_FADE, DeepSet, DeepSetSpec, swarm_batch
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE

@@ -18,13 +18,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.training.collection.flight import CalibrationErrors, fly_motion
-from swarm_envs.training.collection.log import (
-    FlightLog,
-    Label,
-    SensorNoise,
-    resampled,
-    with_noise,
-)
+from swarm_envs.training.collection.log import FlightLog, Label, SensorNoise, resampled, with_noise
 from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, StackedSwaps, TeamMotion
 from swarm_envs.training.collection.storage import Format, flight_file, read_log, save_log
 from swarm_envs.training.collection.table import CollectedFlight, scenario_counts

@@ -131,11 +131,7 @@ def repulsion(clearance: float, potential: Potential) -> float:
 
 @kernel
 def push_apart(
-    position: FloatArray,
-    radius: FloatArray,
-    neighbor: Potential,
-    floor: Potential,
-    out: FloatArray,
+    position: FloatArray, radius: FloatArray, neighbor: Potential, floor: Potential, out: FloatArray
 ) -> None:
     """Write the acceleration (E, N, 3), m/s^2, by which drones repel each other and the floor.
 

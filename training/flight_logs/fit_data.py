@@ -33,11 +33,7 @@ from swarm_envs.training.flight_logs.read import (
     table_key,
 )
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows
-from swarm_envs.training.interaction_rows.row_tables import (
-    check_row_table,
-    join_rows,
-    notes_of,
-)
+from swarm_envs.training.interaction_rows.row_tables import check_row_table, join_rows, notes_of
 from swarm_envs.training.provenance import file_sha256
 
 __all__ = ["data_sha256", "read_data"]

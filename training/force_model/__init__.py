@@ -26,13 +26,7 @@ _HOMES = {
     "save_network": "export",
 }
 
-__all__ = [
-    "DeepSet",
-    "FitConfig",
-    "fit",
-    "load_network",
-    "save_network",
-]
+__all__ = ["DeepSet", "FitConfig", "fit", "load_network", "save_network"]
 
 
 def __getattr__(name: str) -> Any:

@@ -22,10 +22,7 @@ from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.state import FloatArray
 from swarm_envs.training.flight_logs import LogReport
 from swarm_envs.training.force_model.labels import Treated
-from swarm_envs.training.force_model.lipschitz import (
-    lipschitz_bound,
-    measure_lipschitz,
-)
+from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
 from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.training.interaction_rows.calibration import subtract_offsets

@@ -44,12 +44,7 @@ from swarm_envs.training.force_model.train import teacher_checkpoint, train_taug
 from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.provenance import (
-    changed_options,
-    differing,
-    json_ready,
-    scalar_writer,
-)
+from swarm_envs.training.provenance import changed_options, differing, json_ready, scalar_writer
 
 __all__ = ["REPORTS", "fit"]
 
@@ -200,10 +195,7 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
     if config.mode == "anchored":
         measured = measured_range(rows)
         spec = dataclasses.replace(
-            spec,
-            window=OUTER_FADE,
-            input_range=measured,
-            anchor_height_m=config.anchor_height_m,
+            spec, window=OUTER_FADE, input_range=measured, anchor_height_m=config.anchor_height_m
         )
     else:
         spec = dataclasses.replace(spec, window=EVERYWHERE, input_range=None, anchor_height_m=None)

@@ -370,11 +370,7 @@ def teacher_config(config: TrainConfig, number: int) -> TrainConfig:
     """How a teacher is trained: on labels alone, for `teacher_epochs`, from a seed of its own."""
     seed = int(np.random.SeedSequence([config.seed, number]).generate_state(1)[0])
     return dataclasses.replace(
-        config,
-        steps=None,
-        epochs=config.teacher_epochs,
-        seed=seed,
-        teachers=0,
+        config, steps=None, epochs=config.teacher_epochs, seed=seed, teachers=0
     )
 
 

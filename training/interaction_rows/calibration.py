@@ -19,14 +19,7 @@ import numpy as np
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 
-__all__ = [
-    "NO_OFFSETS",
-    "RULE",
-    "Offsets",
-    "estimate_offsets",
-    "quiet_rows",
-    "subtract_offsets",
-]
+__all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
 
 QUIET_HEIGHT_M = 0.3
 """A row below this height is not quiet, m."""
