@@ -136,9 +136,28 @@ def _collect(options: Any) -> None:
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.reproduce import reproduce_paper
+    from swarm_envs.training.reproduce import papers
 
-    return reproduce_paper(arguments, _read)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(papers.overview(f"{PROGRAM} reproduce"))
+        return DONE if arguments else MISUSED
+    paper, rest = arguments[0], arguments[1:]
+    if paper not in (papers.ALL, *papers.PAPERS):
+        raise Misuse(unknown_name("paper", paper, (papers.ALL, *papers.PAPERS)))
+    if paper != papers.ALL:
+        options = _read(f"reproduce {paper}", papers.load_paper(paper).OPTIONS, rest)
+        if options.chosen.needs_torch:
+            need_torch()
+        print(_load("training.reproduce.reproduce_all:run_chosen")(options))
+        return DONE
+    options = _read(
+        "reproduce all", _load("training.reproduce.reproduce_all:ReproduceAllOptions"), rest
+    )
+    if not options.list:
+        check_outputs(options.out, options.json)
+    said, complete = _load("training.reproduce.reproduce_all:reproduce_all")(options)
+    print(said)
+    return DONE if complete else FAILED
 
 
 def _export(arguments: Sequence[str]) -> int:

@@ -52,16 +52,6 @@ def test_a_flight_is_printed_and_written(capsys, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.json", "a.npz"]
 
 
-def test_the_hall_is_flown_by_name(tmp_path):
-    worst = []
-    for world in ("ideal", "hall"):
-        path = tmp_path / f"{world}.json"
-        assert main([*STACKED, "--world", world, "--horizon-s", "1", "--json", str(path)]) == 0
-        worst.append(json.loads(path.read_text())["metrics"]["worst_height_error_m"])
-    assert worst[0] != worst[1]
-    assert main([*STACKED, "--world", "attic"]) == 2
-
-
 def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
     numbers = tmp_path / "a.json"
     agent = f"{crash(tmp_path)}:Down"

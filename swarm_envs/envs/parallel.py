@@ -199,7 +199,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self._check_open("render")
         if self.render_mode == "rgb_array":
             if self._screen is None:
-                from swarm_envs.viewing.frames import Screen
+                from swarm_envs.viewing.camera import Screen
 
                 self._screen = Screen(self.core)
             return self._screen.render(self.view)
