@@ -87,7 +87,7 @@ class RllibConfig:
         return PolicyNote(TASK, count, "acceleration", 10, self.num_neighbors, fewest=count)
 
 
-class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has no types
+class FeatureEnv(BaseParallelWrapper):  # PettingZoo has no types
     """Observes the features of each drone's row, as the policies of this package do."""
 
     def __init__(self, env: SwarmParallelEnv) -> None:
