@@ -32,7 +32,7 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
-__all__ = ["TUNED", "Avoidance"]
+__all__ = ["TUNED", "Avoidance", "Cruise", "RoundaboutAgent"]
 
 _KEEP_M, _SLOPE = 0.25, 2.5
 """Drones approach obstacles at most as fast as `_SLOPE` times what they are farther away, 1/s."""

@@ -39,13 +39,10 @@ __all__ = ["costs", "policy_header"]
 CYCLES_PER_PRODUCT, CYCLES_PER_FUNCTION, CLOCK_HZ = 6.0, 150.0, 168e6
 """Assumed of a Cortex-M4F (STM32F405) that runs from flash: load two numbers, multiply, add; and
 one tanhf, expf or sqrtf of newlib."""
-SAMPLES = 16
-"""States in the header's self-test."""
-_UNSEEN = 2
-"""Largest number of others, in these states, beyond those that the policy observes."""
+SAMPLES = 16  # states in the header's self-test
+_UNSEEN = 2  # at most as many others, in these states, beyond those that the policy observes
 _TAKEN = ("TYPES", "SELF_TEST", "POLICY_H", "NEIGHBOURS", "ACTIONS")
-_STEERING = ("acceleration", "velocity")
-"""Actions that move a set-point."""
+_STEERING = ("acceleration", "velocity")  # actions that move a set-point
 _MOTIONS = ("position", "velocity", "acceleration")
 _GOAL_OWN = "    float time_left;   /* share of the clock that is left, from 1 to 0 */"
 _REFERENCE_OWN = """\
@@ -65,24 +62,18 @@ _POOLED = {
     "mean": "count > 0 ? sum[k] / (float)count : 0.0f",
     "sum": "sum[k]",
     "max": "count > 0 ? largest[k] : 0.0f",
-}
-"""Of each way of pooling: what comes out."""
-_ACTIVE = {"tanh": "tanhf(sum)", "relu": "(sum > 0.0f ? sum : 0.0f)"}
-"""What follows a hidden layer."""
+}  # of each way of pooling: what comes out
+_ACTIVE = {"tanh": "tanhf(sum)", "relu": "(sum > 0.0f ? sum : 0.0f)"}  # after a hidden layer
 
 
 @dataclass(frozen=True)
 class Costs:
     """What one decision takes."""
 
-    weights: int
-    """Numbers of all networks."""
-    products: int
-    """Multiply-adds of one decision with every neighbour there."""
-    functions: int
-    """Calls of tanhf, expf and sqrtf."""
-    stack_bytes: int
-    """About."""
+    weights: int  # numbers of all networks
+    products: int  # multiply-adds of one decision with every neighbour there
+    functions: int  # calls of tanhf, expf and sqrtf
+    stack_bytes: int  # about
 
     @property
     def flash_bytes(self) -> int:
@@ -122,13 +113,11 @@ def _all_layers(policy: Policy) -> list[tuple[Float32Array, Float32Array]]:
     return [layer for layers in parts for layer in layers or ()]
 
 
-def _code(policy: Policy) -> int:
-    """Width of a set's codes; 1 where there is no set."""
+def _code(policy: Policy) -> int:  # width of a set's codes; 1 where there is no set
     return max(len(n.phi[-1][1]) if n.phi else 1 for n in policy.networks.values())
 
 
-def _products(layers: Layers) -> tuple[int, int]:
-    """Multiply-adds, and outputs of all layers."""
+def _products(layers: Layers) -> tuple[int, int]:  # multiply-adds, and outputs of all layers
     return sum(w.size for w, _ in layers), sum(b.size for _, b in layers)
 
 

@@ -40,6 +40,7 @@ __all__ = [
     "CONFIDENCE",
     "RESAMPLES",
     "TIMED",
+    "AgentRefused",
     "Episode",
     "EpisodeFile",
     "bootstrap_interval",

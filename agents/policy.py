@@ -53,6 +53,7 @@ __all__ = [
     "PolicyAgent",
     "PolicyNote",
     "read_policy",
+    "senses",
     "write_policy",
 ]
 

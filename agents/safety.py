@@ -44,6 +44,8 @@ from swarm_envs.envs.view import View
 from swarm_envs.tasks.base import ACCELERATION_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
+__all__ = ["ACTED"]
+
 MOST_AT_ONCE = 13
 """Of drones that fly straight through one place at the same time, what a filter keeps apart: in
 circles of 13 all succeed, of 14 two in five, of 15 none."""

@@ -73,6 +73,8 @@ FILMS = {
     "tracking-compensated-adaptive": Take("swap_v1", "tracking-compensated-adaptive", HALL),
     "air-blind": Take("delivery_v0", "air-blind", {}),
     "air-blind-adaptive": Take("delivery_v0", "air-blind-adaptive", {}),
+    "air-nearest": Take("columns_v0", "air-nearest", {}),
+    "air-on-top": Take("columns_v0", "air-on-top", {}),
     "detour": Take("swap_v1", "detour", {"num_drones": 8, "layout": "circle"}),
     "mlr-dmpc-compensated": Take("swap_v1", "mlr-dmpc-compensated", {"team": "SSLL"}),
     "rth3d": Take("formation_v1", "rth3d", {"num_drones": 10, "interactions": "none"}),

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["SENSED_TYPE", "Field", "World", "clear_environments"]
+__all__ = ["SENSED_TYPE", "Field", "Records", "World", "clear_environments"]
 
 Records = npt.NDArray[np.void]
 """An array of records, whose fields are read by name."""

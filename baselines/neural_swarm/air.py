@@ -25,7 +25,7 @@ from swarm_envs.tasks.motion import LINES
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team
 
-__all__ = ["TUNED", "AirNumbers"]
+__all__ = ["TUNED", "AirNumbers", "heavy_on_top"]
 
 _INTEGRAL_LIMIT = 3.0
 """Holds the largest force of these tasks, m."""

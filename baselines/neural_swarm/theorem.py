@@ -26,14 +26,7 @@ from swarm_envs.control.config import ControllerConfig, PositionGains
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
-__all__ = [
-    "clamped_radius",
-    "error_ball",
-    "error_envelope",
-    "fly_point_mass",
-    "integral_force",
-    "without_clamp",
-]
+__all__ = ["clamped_radius", "error_ball"]
 
 _Mass = Annotated[float, Range(0.0, above=True, unit="kg")]
 _Rate = Annotated[float, Range(0.0, unit="N/s")]

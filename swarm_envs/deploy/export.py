@@ -22,8 +22,8 @@ from swarm_envs.deploy.pieces import (
     evaluate,
     fit_pieces,
     largest_jump,
+    write_csv,
     write_pieces,
-    write_rows,
 )
 from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
@@ -366,7 +366,7 @@ def _write_samples(path: Path, pieces: Pieces, rate: float) -> None:
     time = np.append(np.arange(0.0, pieces.total_s - 0.5 / rate, 1.0 / rate), pieces.total_s)
     parts = [evaluate(pieces, time, order) for order in range(3)]
     rows = np.column_stack([time, *(part[:, :3] for part in parts), parts[0][:, 3]])
-    write_rows(path, SAMPLE_COLUMNS, [[f"{value:.6g}" for value in row] for row in rows])
+    write_csv(path, SAMPLE_COLUMNS, [[f"{value:.6g}" for value in row] for row in rows])
 
 
 _MOST_COMPARED = 64

@@ -148,7 +148,7 @@ def largest_jump(pieces: Pieces, derivative: int = 0) -> float:
     return float(np.linalg.norm((ends - begins)[:, :3], axis=1).max())
 
 
-def write_rows(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def write_csv(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Write a head and rows as CSV, whole or not at all."""
     with written_whole(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([head, *rows])
@@ -157,7 +157,7 @@ def write_rows(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -
 def write_pieces(path: str | Path, pieces: Pieces) -> None:
     """Write the CSV file, so that it is read back to the last bit."""
     rows = np.concatenate([pieces.duration[:, None], pieces.coefficients.reshape(-1, 32)], axis=1)
-    write_rows(Path(path), HEADER, [[str(value) for value in row] for row in rows.astype("f4")])
+    write_csv(Path(path), HEADER, [[str(value) for value in row] for row in rows.astype("f4")])
 
 
 @typed

@@ -25,7 +25,15 @@ from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
-__all__ = ["AirTaskOptions", "Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
+__all__ = [
+    "AirTaskOptions",
+    "Blueprint",
+    "NumDrones",
+    "TaskOptions",
+    "batch_of",
+    "blueprint_of",
+    "task_views",
+]
 
 P = ParamSpec("P")
 

@@ -28,7 +28,7 @@ from swarm_envs.physics.rigid_body import TUMBLING_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import LANES, Field, Records, record_type
 
-__all__ = ["Contacts", "distances", "nearest_point"]
+__all__ = ["BOX", "Contacts", "distances", "nearest_point"]
 
 BOX, COLUMN = 0.0, 1.0
 """Kinds of obstacles, as they stand first in a row."""

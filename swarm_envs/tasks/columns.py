@@ -29,7 +29,7 @@ from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["COLUMN_LAYOUTS", "ColumnsTask", "column_team"]
+__all__ = ["COLUMN_LAYOUTS", "ColumnsTask"]
 
 COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {

@@ -33,7 +33,7 @@ from swarm_envs.tasks.placing import (
 from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score, send_to
 
-__all__ = ["REWARD_WEIGHTS", "CrowdTask", "Layout"]
+__all__ = ["CROWD_LAYOUTS", "REWARD_WEIGHTS", "CrowdTask", "Layout"]
 
 CROWD_LAYOUTS = ("open", "forest", "buildings")
 """Obstacles of the layouts, by name."""

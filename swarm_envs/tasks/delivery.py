@@ -21,7 +21,7 @@ from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["DeliveryTask", "delivery_team"]
+__all__ = ["DeliveryTask"]
 
 DOCKS = 3
 """Docks, and couriers."""

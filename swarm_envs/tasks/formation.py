@@ -33,7 +33,7 @@ from swarm_envs.tasks.placing import WALL_MARGIN, derangement
 from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 
-__all__ = ["LABELS", "LAYOUTS", "STARTS", "FormationTask", "nearest_places", "shapes_of"]
+__all__ = ["FormationTask", "nearest_places"]
 
 SHAPES = ("plane", "pyramid", "cube", "sphere", "plane")
 """What is flown unless other shapes are asked for."""

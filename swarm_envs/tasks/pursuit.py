@@ -24,7 +24,7 @@ from swarm_envs.tasks.motion import PURSUIT, REST, Motion
 from swarm_envs.tasks.placing import ARENA_HEIGHT, WALL_MARGIN, derangement, draw_apart
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score
 
-__all__ = ["REWARD_WEIGHTS", "Layout", "PursuitTask"]
+__all__ = ["PURSUIT_LAYOUTS", "REWARD_WEIGHTS", "Layout", "PursuitTask"]
 
 PURSUIT_LAYOUTS = ("moving", "swap-goals", "chase")
 """What goals do, by name."""

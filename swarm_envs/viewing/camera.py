@@ -25,6 +25,8 @@ from swarm_envs.viewing.overlay import Overlay, draw_behind
 from swarm_envs.viewing.record import solids
 from swarm_envs.viewing.style import drone_colors
 
+__all__ = ["Screen"]
+
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
     from swarm_envs.envs.view import View

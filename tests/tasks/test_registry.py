@@ -110,12 +110,13 @@ def test_both_engines_fly_the_same(task, options, action):
         ("gates_v0", {"world": "ideal", "horizon_s": 8.0}),
         ("crowd_v0", {"layout": "open", "horizon_s": 7.0}),
         ("pursuit_v0", {"layout": "moving", "horizon_s": 3.0}),
-        ("pursuit_v0", {"layout": "swap-goals", "horizon_s": 3.0, "change_s": 1.5}),
+        ("pursuit_v0", {"layout": "swap-goals", "horizon_s": 5.0, "change_s": 3.0}),
         ("pursuit_v0", {"layout": "chase", "horizon_s": 3.0}),
     ],
 )
 def test_engines_agree_across_goals(task, options):
-    agent = load("tracking" if task == "pursuit_v0" else "straight-line")
+    agents = {"moving": "tracking", "chase": "tracking", "swap-goals": "fast-line"}
+    agent = load(agents.get(options.get("layout", ""), "straight-line"))
     flights = []
     for engine in ("batch", "bullet"):
         env = make(task, **{**options, "num_drones": 2, "physics": engine, **agent.requires})

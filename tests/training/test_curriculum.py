@@ -13,7 +13,7 @@ from swarm_envs.interactions import load
 from swarm_envs.training.collection.collect import FlightBatch
 from swarm_envs.training.collection.log import FlightLog
 from swarm_envs.training.collection.table import CollectedFlight as Flight
-from swarm_envs.training.curriculum import Closeness, CurriculumConfig, next_clearance
+from swarm_envs.training.curriculum import CurriculumConfig
 from swarm_envs.training.curriculum import run as run_module
 from swarm_envs.training.curriculum.curriculum_config import (
     Stage,
@@ -26,7 +26,13 @@ from swarm_envs.training.curriculum.curriculum_report import (
     rounds_table,
     sizes_as_json,
 )
-from swarm_envs.training.curriculum.run import curriculum_command, measure_closeness, run_curriculum
+from swarm_envs.training.curriculum.run import (
+    Closeness,
+    curriculum_command,
+    measure_closeness,
+    next_clearance,
+    run_curriculum,
+)
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import SMALL
 

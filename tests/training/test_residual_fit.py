@@ -85,7 +85,7 @@ def options(table: Path, out: Path, **given: object) -> ResidualConfig:
 def test_a_planted_process_is_found_under_the_true_force(table, tmp_path, monkeypatch):
     """With the force known, by the file of a model, nothing else is left over."""
     monkeypatch.setattr(
-        "swarm_envs.training.force_model.residual_fit.load", lambda name: load("wake")
+        "swarm_envs.training.interaction_rows.modelled.load", lambda name: load("wake")
     )
     report = fit_residual(options(table, tmp_path, force="wake.json"))
     found = {name: np.array(values) for name, values in report.residual.items()}

@@ -276,7 +276,14 @@ def test_who_waits_for_its_team_is_not_learned_from(algo):
 
 
 EASY: dict[str, Any] = {
-    **{"steps": 200_000, "n_steps": 16, "batch_size": 1024, "n_epochs": 8, "learning_rate": 3e-3},
+    **{
+        "seed": 1,
+        "steps": 200_000,
+        "n_steps": 16,
+        "batch_size": 1024,
+        "n_epochs": 8,
+        "learning_rate": 3e-3,
+    },
     **{"num_neighbors": 1, "second_stage": 0.0, "checkpoint_rollouts": 1000},
 }
 SAC = {"algo": "sac", "layout": "circle", "steps": 800_000}

@@ -10,19 +10,6 @@ explains, table, picture).
 Command: `swarm-envs curriculum --out DIR --seed 0`; the page is docs/reproduce.md.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 
-if TYPE_CHECKING:
-    from swarm_envs.training.curriculum.run import Closeness, next_clearance
-
-__all__ = ["Closeness", "CurriculumConfig", "next_clearance"]
-
-
-def __getattr__(name: str) -> Any:
-    """Load what flies when it is asked for: options are read without torch."""
-    if name in __all__:
-        return getattr(import_module(f"{__name__}.run"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__all__ = ["CurriculumConfig"]

@@ -10,6 +10,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
+__all__ = ["modelled_force_g"]
+
 
 def modelled_force_g(rows: InteractionRows, name: str | InteractionModel) -> FloatArray:
     """Force (R, 3) of a model that ships, or of a file, in each row, gram-force."""

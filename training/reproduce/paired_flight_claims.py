@@ -54,7 +54,7 @@ def _compensation(
             f"{paper:g}" if flown else "-",
             case[key]["median"],
             about(paper, _ERROR) if flown else None,
-            reasons,
+            reasons if flown else (),
             spread=(case[key]["lower_quartile"], case[key]["upper_quartile"]),
             spread_is="quartiles",
         )

@@ -179,9 +179,9 @@ def plain_networks(trunks: Trunks, head: nn.Linear) -> dict[str, Network]:
         last = (weight.detach().numpy().copy(), bias.detach().numpy().copy())
         phi = score = None
         if trunk.set is not None:
-            phi = layers_of(trunk.set.phi)
-            score = layers_of(trunk.set.score) if trunk.set.score else None
-        layers = (*layers_of(trunk.body), last)
+            phi = linear_layers(trunk.set.phi)
+            score = linear_layers(trunk.set.score) if trunk.set.score else None
+        layers = (*linear_layers(trunk.body), last)
         found[token] = Network(layers, phi, score, spec.pooling, spec.activation)
     return found
 
@@ -215,7 +215,7 @@ def _shapes(network: Network) -> list[list[tuple[int, ...]]]:
     return [[weight.shape for weight, _ in part or ()] for part in parts]
 
 
-def layers_of(network: nn.Module) -> Layers:
+def linear_layers(network: nn.Module) -> Layers:
     """Weights and biases of the linear layers in numpy, in order."""
     return tuple(
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())

@@ -18,7 +18,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from swarm_envs.agents.protocol import Agent, BatchAgent
+from swarm_envs.agents import Agent
+from swarm_envs.agents.protocol import BatchAgent
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACCELERATION_LAG
@@ -73,13 +74,13 @@ class Teacher:
         blueprint: what the core is made from.
 
     Raises:
-        ValueError: the agent acts otherwise than the student, decides at another rate, or needs
-            another controller.
+        ValueError: the agent acts otherwise than the student, is privileged and decides at another
+            rate, or needs another controller.
     """
 
     def __init__(self, name: str, blueprint: Blueprint) -> None:
         agent, config = load_agent(name), blueprint.config
-        _check(name, agent.requires, config)
+        _check(name, agent, config)
         self._name, self._agent = name, agent
         self._action = agent.requires.get("action", config.action)
         env = SwarmParallelEnv(blueprint.task, replace(config, **agent.requires))
@@ -146,15 +147,19 @@ def _environment(core: SwarmCore, view: View, names: list[str], form: Any) -> An
     )
 
 
-def _check(name: str, requires: Any, config: Any) -> None:
-    """Refuse an agent whose actions mean something else to the student's drones."""
+def _check(name: str, agent: Agent, config: Any) -> None:
+    """Refuse an agent whose actions mean something else to the student's drones.
+
+    Agents on rows judge each row by itself, and so teach policies of any decision rate.
+    """
+    requires = agent.requires
     action = requires.get("action", config.action)
     if config.action not in (action, *_STEERED.get(action, ())):
         raise ValueError(
             f"{name!r} cannot teach actions of {config.action!r}: its own are {action!r}"
         )
     rate = requires.get("decision_rate", config.decision_rate)
-    if rate != config.decision_rate:
+    if agent.privileged and rate != config.decision_rate:
         raise ValueError(
             f"{name!r} decides {rate} times a second and cannot teach a policy that decides "
             f"{config.decision_rate} times; give --decision-rate {rate}"

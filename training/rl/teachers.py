@@ -15,7 +15,7 @@ import numpy as np
 from swarm_envs.agents import Actions, Observations, Safety, SafetyFilter
 from swarm_envs.agents.avoiding import TUNED, Cruise, RoundaboutAgent
 from swarm_envs.agents.registry import controller_of
-from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
+from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.baselines.neural_swarm.air import heavy_on_top
 from swarm_envs.envs.actions import ACCELERATION_LAG
 from swarm_envs.envs.core import SwarmCore

@@ -16,7 +16,7 @@ from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.errors import unknown_name
 from swarm_envs.training.scoreboard.tasks import ScoredTask
 
-__all__ = ["ROSTER", "choose_agents", "episodes_of"]
+__all__ = ["ROSTER", "choose_agents"]
 
 LEAST = 8
 """Episodes that every agent flies at least."""

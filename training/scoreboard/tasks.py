@@ -32,7 +32,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.training.scoreboard.board import TaskInfo
 from swarm_envs.vehicles import parse_team
 
-__all__ = ["COMMON", "SEED", "TASKS", "choose_tasks", "digest", "make_scored"]
+__all__ = ["SEED", "TASKS", "choose_tasks", "digest", "make_scored"]
 
 SEED = 2026
 """What the frozen seeds are drawn from, for every task and agent: one on which nothing that ships

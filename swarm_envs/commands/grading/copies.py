@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 import swarm_envs
-from swarm_envs.agents import load
+from swarm_envs.agents import Safety, SafetyFilter, load
 from swarm_envs.agents.registry import FILTER, SHIPPED
-from swarm_envs.agents.safety import ACTED, Safety, SafetyFilter
+from swarm_envs.agents.safety import ACTED
 from swarm_envs.commands.grading.messages import Array
 from swarm_envs.commands.grading.remote import path_of
 from swarm_envs.envs.observation import Float32Array, ObservationField, observation_layout
