@@ -81,8 +81,7 @@ class CruiseAgent:
         {"action": "acceleration", "observation": "flat", "decision_rate": 20}
     )
     privileged = False
-    straight = True
-    """Whether it flies straight to its goal wherever others are."""
+    straight = True  # Whether it flies straight to its goal wherever others are
 
     def __init__(self, cruise: Cruise | None = None) -> None:
         self.cruise = cruise or Cruise()

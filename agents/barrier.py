@@ -28,8 +28,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import GRAVITY, VEHICLES
 
-TOLERANCE = 1e-9
-"""By how much a row of unit length may be broken, from rounding."""
+TOLERANCE = 1e-9  # By how much a row of unit length may be broken, from rounding
 _FLAT = 1e-10
 _HALVINGS = 40
 
@@ -37,16 +36,11 @@ _HALVINGS = 40
 class Workspace(NamedTuple):
     """Memory for the problems of fewer dimensions, with room for so many rows."""
 
-    plane: FloatArray
-    """(m, 2) rows within a plane."""
-    plane_bound: FloatArray
-    """(m,)."""
-    line: FloatArray
-    """(m,) rows along a line."""
-    line_bound: FloatArray
-    """(m,)."""
-    relaxed: FloatArray
-    """(m,) bounds that have been eased."""
+    plane: FloatArray  # (m, 2) rows within a plane
+    plane_bound: FloatArray  # (m,)
+    line: FloatArray  # (m,) rows along a line
+    line_bound: FloatArray  # (m,)
+    relaxed: FloatArray  # (m,) bounds that have been eased
 
 
 def new_workspace(rows: int) -> Workspace:
@@ -188,12 +182,9 @@ def least_broken(
     return enough
 
 
-LIMITS = 6
-"""Rows of the limits on acceleration, which come first."""
-WALLS = 6
-"""Rows of the arena's walls."""
-ESCAPE = 0.3
-"""Time in which drones that are closer than they should be are to be apart again, s."""
+LIMITS = 6  # Rows of the limits on acceleration, which come first
+WALLS = 6  # Rows of the arena's walls
+ESCAPE = 0.3  # Time in which drones that are closer than they should be are to be apart again, s
 BRAKING = 0.6 * ACCELERATION_LIMIT / SPEED_LIMIT
 """Speed towards a wall over the distance to it, 1/s: to slow down like this from the largest speed
 takes 0.6 of the largest acceleration."""
@@ -212,23 +203,17 @@ class Barrier(NamedTuple):
     stretch: float
     aside: float
     walls: bool
-    radial: bool
-    """Whether drones within reach must part (`velocity_barrier`), and obstacles count."""
+    radial: bool  # Whether drones within reach must part (`velocity_barrier`), and obstacles count
 
 
 class BarrierWorkspace(NamedTuple):
     """Memory of one drone's problem."""
 
-    rows: FloatArray
-    """Normals of the half-spaces."""
-    bound: FloatArray
-    """Their bounds."""
-    target: FloatArray
-    """What is asked for."""
-    out: FloatArray
-    """What is done."""
-    work: Workspace
-    """Memory of the solver."""
+    rows: FloatArray  # Normals of the half-spaces
+    bound: FloatArray  # Their bounds
+    target: FloatArray  # What is asked for
+    out: FloatArray  # What is done
+    work: Workspace  # Memory of the solver
 
 
 @kernel

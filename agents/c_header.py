@@ -353,20 +353,13 @@ def _constants(policy: Policy) -> dict[str, str]:
 class KnownState(NamedTuple):
     """What one drone knows: of all drones, itself first, and of itself alone. World frame, SI."""
 
-    position: Float32Array
-    """(M, 3) m."""
-    velocity: Float32Array
-    """(M, 3) m/s."""
-    goal: Float32Array
-    """(M, 3) m."""
-    types: npt.NDArray[np.int64]
-    """(M,) index among `VEHICLES`."""
-    up: Float32Array
-    """(3,) direction of thrust."""
-    thrust: np.float32
-    """Share of the largest."""
-    setpoint: Float32Array
-    """(3,) m."""
+    position: Float32Array  # (M, 3) m
+    velocity: Float32Array  # (M, 3) m/s
+    goal: Float32Array  # (M, 3) m
+    types: npt.NDArray[np.int64]  # (M,) index among `VEHICLES`
+    up: Float32Array  # (3,) direction of thrust
+    thrust: np.float32  # Share of the largest
+    setpoint: Float32Array  # (3,) m
     task: Float32Array
     """(1,) share of the clock that is left; or (9,) the reference's position, velocity and
     acceleration; or both."""

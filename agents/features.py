@@ -44,25 +44,17 @@ FULL = "full-1"
 TYPES = tuple(VEHICLES)
 """Types of vehicles in the order of their one-hot code."""
 
-GOAL_REACH = 0.5
-"""Beyond this distance the goal's vector is a direction, m."""
-NEAR = 0.4
-"""Length over which nearness falls by e, m."""
-AHEAD = 2.0
-"""How far ahead closest approaches are looked for, s."""
-OTHERS_GOAL = 1.0
-"""A neighbour's way to its goal is seen up to this length, m."""
+GOAL_REACH = 0.5  # Beyond this distance the goal's vector is a direction, m
+NEAR = 0.4  # Length over which nearness falls by e, m
+AHEAD = 2.0  # How far ahead closest approaches are looked for, s
+OTHERS_GOAL = 1.0  # A neighbour's way to its goal is seen up to this length, m
 OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
 """Goal features of a drone itself, and of each neighbour, whose mask is the last; types follow."""
 
-REACH = 0.2
-"""Beyond this distance from the reference its vector is a direction, m."""
-FAST = 0.5
-"""Unit of errors of velocity, m/s."""
-BESIDE = 0.2
-"""Length over which downwash falls by e to the side, m."""
-ABOVE = 0.5
-"""Height at which a neighbour counts as fully above or below, m."""
+REACH = 0.2  # Beyond this distance from the reference its vector is a direction, m
+FAST = 0.5  # Unit of errors of velocity, m/s
+BESIDE = 0.2  # Length over which downwash falls by e to the side, m
+ABOVE = 0.5  # Height at which a neighbour counts as fully above or below, m
 REFERENCE_OWN_WIDTH, REFERENCE_NEIGHBOR_WIDTH = 23, 12
 """Reference features of a drone, its type last, and of each neighbour, its type and mask last."""
 FULL_OWN_WIDTH, FULL_NEIGHBOR_WIDTH = 31, 25
@@ -86,16 +78,12 @@ class ObservationColumns(NamedTuple):
     type: int
     goal: int
     time_left: int
-    neighbors: int
-    """Of the nearest neighbour; 0 if none is observed."""
-    neighbor_width: int
-    """Numbers of a neighbour."""
-    num_neighbors: int
-    """Neighbours that a row has."""
+    neighbors: int  # Of the nearest neighbour; 0 if none is observed
+    neighbor_width: int  # Numbers of a neighbour
+    num_neighbors: int  # Neighbours that a row has
     obstacles: int
     """Of the nearest obstacle: three of the offset to it, m, and a mask; 0 if none is observed."""
-    num_obstacles: int
-    """Obstacles that a row has."""
+    num_obstacles: int  # Obstacles that a row has
 
 
 def observation_columns(fields: Mapping[str, slice]) -> ObservationColumns:
@@ -450,8 +438,7 @@ class FeatureSet(NamedTuple):
 
     sizes: Callable[..., FeatureSizes]
     """Of features of a row, by the form of the row: K, and for some sets M, load and force."""
-    make: Callable[..., Float32Array]
-    """Features (..., width) of flat rows, and their form."""
+    make: Callable[..., Float32Array]  # Features (..., width) of flat rows, and their form
 
 
 def _full_sizes(

@@ -30,8 +30,7 @@ ENCODERS = ("mlp", "deep-set", "attention")
 POOLINGS = ("mean", "max", "sum", "max-sum")
 """What becomes of a deep set's members: their mean, largest values, sum, or largest values and sum;
 zero if there are none."""
-ACTIVATIONS = ("tanh", "relu")
-"""What follows every hidden layer."""
+ACTIVATIONS = ("tanh", "relu")  # What follows every hidden layer
 ANY = ""
 """Stands for vehicles of every type."""
 

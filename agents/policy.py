@@ -61,8 +61,7 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
-FORMAT = "swarm-envs-policy-6"
-"""What a file of a policy says it is."""
+FORMAT = "swarm-envs-policy-6"  # What a file of a policy says it is
 _SENSES = {"num_obstacles", "observe_load", "observe_force", "controller"}
 _BEFORE = {
     "swarm-envs-policy-1": {
@@ -75,10 +74,8 @@ _BEFORE = {
     "swarm-envs-policy-5": _SENSES,
 }
 """Formats that are read, though no longer written: what their notes do not say."""
-MOST_DRONES = 10_000
-"""Largest team that a policy can have been trained for."""
-LARGEST = 1e4
-"""No weight of a policy that was trained comes near it; one beyond it was damaged."""
+MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
+LARGEST = 1e4  # No weight of a policy that was trained comes near it; one beyond it was damaged
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ Observations = Mapping[str, npt.NDArray[np.float32]]
 """What every agent observes, by its name."""
 Actions = dict[str, npt.NDArray[Any]]
 """What every agent does, by its name."""
-StepInfos = dict[str, dict[str, Any]]
-"""What the environment adds to a step, by agent name."""
+StepInfos = dict[str, dict[str, Any]]  # What the environment adds to a step, by agent name
 
 
 @runtime_checkable

@@ -84,8 +84,7 @@ class StraightLineAgent:
         {"action": "acceleration", "observation": "flat", "decision_rate": 48}
     )
     privileged = False
-    straight = True
-    """Whether it flies straight to its goal wherever others are."""
+    straight = True  # Whether it flies straight to its goal wherever others are
 
     def __init__(self) -> None:
         self._goal = self._velocity = slice(0)
@@ -188,10 +187,8 @@ class PlannedAgent(ABC, Generic[P]):
         self.plans.append(self.plan(self._task, view, self._seed))
 
 
-SAMPLES = 61
-"""Instants at which ways are compared."""
-SWEEPS = 12
-"""How often each drone chooses at most."""
+SAMPLES = 61  # Instants at which ways are compared
+SWEEPS = 12  # How often each drone chooses at most
 BESIDE_M, BELOW_M = 0.25, 0.6
 """Half axes, beyond the sum of radii, of the ellipsoid in which another drone costs, m."""
 TOUCHING_M = 0.12

@@ -65,12 +65,9 @@ class WrongKind(TypeError, ValueError):
 class Kind(NamedTuple):
     """What an annotation asks for."""
 
-    words: str
-    """Such as "an integer"."""
-    fits: Callable[[Any], bool]
-    """Whether a value is of this kind."""
-    names: tuple[str, ...] = ()
-    """What text it may be, where only some."""
+    words: str  # Such as "an integer"
+    fits: Callable[[Any], bool]  # Whether a value is of this kind
+    names: tuple[str, ...] = ()  # What text it may be, where only some
     typed: Callable[[Any], bool] | None = None
     """Whether a value has the right type, whatever its size; None: if it fits."""
 

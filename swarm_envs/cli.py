@@ -27,8 +27,7 @@ from swarm_envs.commands.checks import (
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import claimed, write_json
 
-PROGRAM = "swarm-envs"
-"""The command's name."""
+PROGRAM = "swarm-envs"  # The command's name
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
@@ -39,8 +38,7 @@ Options = TypeVar("Options")
 class Command:
     """A subcommand."""
 
-    summary: str
-    """One line for the list of commands."""
+    summary: str  # One line for the list of commands
     run: Callable[[Sequence[str]], int]
     """Takes the arguments after the command's name and gives the exit code."""
 

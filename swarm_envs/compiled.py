@@ -52,8 +52,7 @@ _DIGESTS = "digests.json"
 _EMPTY = hashlib.sha256().hexdigest()
 _DAY = 86400.0  # s
 _PATIENCE_S = 120.0
-_folders: set[Path] = set()
-"""Folders of the kernels of this process's modules."""
+_folders: set[Path] = set()  # Folders of the kernels of this process's modules
 
 
 def kernel(function: F) -> F:
@@ -119,8 +118,7 @@ def _within_kernels(function: F, **options: Any) -> F:
 
 
 _announced = False
-_bar: Any = None
-"""The progress bar of the innermost `compilation`."""
+_bar: Any = None  # The progress bar of the innermost `compilation`
 
 
 def announce_compilation(entry: Callable[..., Any]) -> None:

@@ -23,8 +23,7 @@ __all__ = ["Hall"]
 _STEP = 1.0 / 240.0
 _Share = Annotated[float, Range(0.0, 1.0)]
 _Positive = Annotated[float, Range(0.0, 1.0, above=True)]
-Shares = tuple[_Share, _Share]
-"""Of the weight: of a small vehicle, and of a large one."""
+Shares = tuple[_Share, _Share]  # Of the weight: of a small vehicle, and of a large one
 
 
 @typed

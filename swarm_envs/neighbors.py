@@ -15,8 +15,7 @@ from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records
 
-FEW = 24
-"""Up to so many drones, every pair is looked at."""
+FEW = 24  # Up to so many drones, every pair is looked at
 
 
 @part

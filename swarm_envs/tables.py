@@ -239,8 +239,7 @@ _BEGINS = (
 )
 """What restarts with each episode."""
 
-ENVIRONMENT = (*_KEPT, *_BEGINS)
-"""Every quantity of an environment."""
+ENVIRONMENT = (*_KEPT, *_BEGINS)  # Every quantity of an environment
 
 SETTINGS = (
     Field("level", (), "", None, "Where actions enter: SETPOINTS, RATES or ROTORS.", np.int64),
@@ -337,14 +336,11 @@ LANES = 8
 """Drones in a block. The same quantity of eight drones fills a row of 64 bytes, which is a register
 of AVX-512 and two of AVX2: loops over lanes become vector instructions."""
 
-DRONE_TYPE = record_type(DRONE)
-"""A drone: one record."""
+DRONE_TYPE = record_type(DRONE)  # A drone: one record
 SENSED_TYPE = record_type(_BODY)
 """What observations see of a drone where it is not the truth: one record."""
-ENVIRONMENT_TYPE = record_type(ENVIRONMENT)
-"""An environment: one record."""
-SETTINGS_TYPE = record_type(SETTINGS)
-"""The settings: one record."""
+ENVIRONMENT_TYPE = record_type(ENVIRONMENT)  # An environment: one record
+SETTINGS_TYPE = record_type(SETTINGS)  # The settings: one record
 BLOCK_TYPE = record_type(
     (
         *_BODY,
@@ -382,8 +378,7 @@ ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
 """Column that says whether a drone still flies."""
 
 
-LINE = 64
-"""Bytes of a cache line."""
+LINE = 64  # Bytes of a cache line
 
 
 def aligned(count: int, row: np.dtype[np.void]) -> Records:

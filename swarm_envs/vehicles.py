@@ -37,8 +37,7 @@ GRAM_FORCE = GRAVITY * 1e-3
 """Newton per gram-force: the papers give forces in grams."""
 
 
-Moment = Annotated[float, POSITIVE]
-"""A moment of inertia, kg m^2."""
+Moment = Annotated[float, POSITIVE]  # A moment of inertia, kg m^2
 
 
 @typed

@@ -251,8 +251,7 @@ def _by_hand(row: np.ndarray, neighbors: int) -> list[float]:
     return told
 
 
-FORM = 3, 2, True, True
-"""Three neighbours, two obstacles, loads and a force."""
+FORM = 3, 2, True, True  # Three neighbours, two obstacles, loads and a force
 
 
 def _shifted(row: np.ndarray, by: np.ndarray, form: tuple[Any, ...]) -> np.ndarray:

@@ -23,8 +23,7 @@ from swarm_envs.state import FloatArray
 
 __all__ = ["GROUPS", "SUFFIXES", "FlightTable", "read_table", "write_flight_table"]
 
-TEXT = ("drone", "type")
-"""Columns that hold names."""
+TEXT = ("drone", "type")  # Columns that hold names
 GROUPS: dict[str, tuple[str, ...]] = {
     "time": ("time",),
     "position": ("x", "y", "z"),
@@ -35,21 +34,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "voltage": ("voltage",),
 }
 """Columns of numbers by the field of `FlightTable` that holds them."""
-OPTIONAL = GROUPS["acceleration"]
-"""Columns that may be left out."""
-COLUMNS = (*TEXT, *itertools.chain.from_iterable(GROUPS.values()))
-"""Every column that is read."""
-REQUIRED = tuple(name for name in COLUMNS if name not in OPTIONAL)
-"""Columns that must be there."""
+OPTIONAL = GROUPS["acceleration"]  # Columns that may be left out
+COLUMNS = (*TEXT, *itertools.chain.from_iterable(GROUPS.values()))  # Every column that is read
+REQUIRED = tuple(name for name in COLUMNS if name not in OPTIONAL)  # Columns that must be there
 SUFFIXES = (".csv", ".parquet")
 """How names of logs end."""
 
-_OTHERWISE = "write the table as CSV"
-"""What to do without pyarrow."""
+_OTHERWISE = "write the table as CSV"  # What to do without pyarrow
 _EMPTY = "the file is empty; copy it again or delete it"
 
-Columns = Mapping[str, npt.NDArray[Any]]
-"""Columns by name, each (lines,)."""
+Columns = Mapping[str, npt.NDArray[Any]]  # Columns by name, each (lines,)
 
 
 @dataclass(frozen=True)

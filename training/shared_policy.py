@@ -31,8 +31,7 @@ except ImportError as error:
         "SharedPolicyVecEnv needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
     ) from error
 
-Infos = list[dict[str, Any]]
-"""What a step adds for each sub-environment."""
+Infos = list[dict[str, Any]]  # What a step adds for each sub-environment
 
 
 class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no types here

@@ -45,19 +45,15 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 SPARE_M = 2e-6
 """Rows keep this much more than the distance, m: what tolerances may take from a pair."""
-ROW_MARGIN = 1e-5
-"""Rows are built for this much more again, m: room for the solver's tolerance."""
+ROW_MARGIN = 1e-5  # Rows are built for this much more again, m: room for the solver's tolerance
 
 
 class Neighbors(NamedTuple):
     """Every candidate trajectory of every other drone, at the collision samples of a plan."""
 
-    positions: FloatArray
-    """(C, S, 3) at t + T_c, t + 2 T_c, ... for a plan that starts at t, m."""
-    drone: IntArray
-    """(C,) whose trajectory it is."""
-    concurrent: BoolArray
-    """(C,) whether that drone may be replanned in the same round."""
+    positions: FloatArray  # (C, S, 3) at t + T_c, t + 2 T_c, ... for a plan that starts at t, m.
+    drone: IntArray  # (C,) whose trajectory it is
+    concurrent: BoolArray  # (C,) whether that drone may be replanned in the same round
 
     def some(self, kept: BoolArray | IntArray) -> Neighbors:
         """Those of a mask (C,) or of indices."""
@@ -67,10 +63,8 @@ class Neighbors(NamedTuple):
 class HalfSpaces(NamedTuple):
     """Half-spaces normal . p >= offset that hold at one collision sample each."""
 
-    normals: FloatArray
-    """(P, S, 3), unit free."""
-    offsets: FloatArray
-    """(P, S), m."""
+    normals: FloatArray  # (P, S, 3), unit free
+    offsets: FloatArray  # (P, S), m
 
 
 def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig) -> HalfSpaces:

@@ -49,14 +49,10 @@ _CONTRADICTION = 1e-6
 class UnitRound:
     """What a unit did in a round, for the statistics."""
 
-    unit: int
-    """Who."""
-    doing: str = "idle"
-    """`planned`, or why not: `donated`, `unknown selection`, `not assigned`, ..."""
-    drone: int = NONE
-    """Whom it planned for."""
-    planned: Planned | None = None
-    """The plan, accepted or not."""
+    unit: int  # Who
+    doing: str = "idle"  # `planned`, or why not: `donated`, `unknown selection`, `not assigned`, ..
+    drone: int = NONE  # Whom it planned for
+    planned: Planned | None = None  # The plan, accepted or not
     voided: bool = False
     """Whether a drone gave up its reference lately, so that nothing is promised."""
 
@@ -69,8 +65,7 @@ class ComputeUnit:
     planner: Planner
     codec: Codec
     since: int = 0
-    report: UnitRound = field(init=False)
-    """What the unit did in the last round."""
+    report: UnitRound = field(init=False)  # What the unit did in the last round
     _recent: tuple[int, ...] = (UNSURE,) * RECENT
     _sent: UnitMessage | None = None
     _granted: dict[int, int] = field(default_factory=dict)

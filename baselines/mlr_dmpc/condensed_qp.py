@@ -42,28 +42,18 @@ class Condensed:
     the target taken off its position.
     """
 
-    positions: _Affine
-    """At the collision samples, m."""
+    positions: _Affine  # At the collision samples, m
     bounded: _Affine
     """Position, velocity and acceleration at the state samples, then jerks: what is bounded."""
-    jerks: _Affine
-    """Of each interval, m/s^3."""
-    jerks_inverse: FloatArray
-    """(n, h_s) variables by jerks that end at rest."""
-    gradient: FloatArray
-    """(n, 3) slope of the cost at z = 0."""
-    lower: FloatArray
-    """(B, 3) least value of what is bounded."""
-    upper: FloatArray
-    """(B, 3) largest value of what is bounded."""
-    rest_by_state: FloatArray
-    """(2, 3) velocity and acceleration at the end, by the first state."""
-    rest_by_jerk: FloatArray
-    """(2, h_s) likewise, by the jerks."""
-    collision_times: FloatArray
-    """(S,) of the collision samples since the start, s."""
-    state_times: FloatArray
-    """(h_b,) of the state samples since the start, s."""
+    jerks: _Affine  # Of each interval, m/s^3
+    jerks_inverse: FloatArray  # (n, h_s) variables by jerks that end at rest
+    gradient: FloatArray  # (n, 3) slope of the cost at z = 0
+    lower: FloatArray  # (B, 3) least value of what is bounded
+    upper: FloatArray  # (B, 3) largest value of what is bounded
+    rest_by_state: FloatArray  # (2, 3) velocity and acceleration at the end, by the first state
+    rest_by_jerk: FloatArray  # (2, h_s) likewise, by the jerks
+    collision_times: FloatArray  # (S,) of the collision samples since the start, s
+    state_times: FloatArray  # (h_b,) of the state samples since the start, s
 
 
 def _derivatives(times: FloatArray, num_inputs: int, step: float) -> tuple[FloatArray, FloatArray]:
@@ -159,12 +149,9 @@ _TOLERANCE = 1e-8
 class QpSolution(NamedTuple):
     """What a solver found."""
 
-    y: FloatArray
-    """(n,) the minimum, if there is one."""
-    active: BoolArray
-    """(m,) rows that hold with equality, to start the next program from."""
-    solved: bool
-    """Whether there is a minimum, to the solver's tolerance."""
+    y: FloatArray  # (n,) the minimum, if there is one
+    active: BoolArray  # (m,) rows that hold with equality, to start the next program from
+    solved: bool  # Whether there is a minimum, to the solver's tolerance
 
 
 Solver = Callable[[FloatArray, FloatArray, FloatArray, BoolArray], QpSolution]

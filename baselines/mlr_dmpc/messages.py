@@ -22,10 +22,8 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 class ViewId(NamedTuple):
     """What orders views: a later epoch wins, then the higher proposer."""
 
-    epoch: int
-    """Counts up with each proposal."""
-    proposer: int
-    """Compute unit that proposed it."""
+    epoch: int  # Counts up with each proposal
+    proposer: int  # Compute unit that proposed it
 
     @property
     def number(self) -> int:
@@ -41,14 +39,10 @@ class ViewId(NamedTuple):
 class MembershipView(NamedTuple):
     """Compute units and drones that take part."""
 
-    id: ViewId
-    """Its place in the order."""
-    units: tuple[int, ...]
-    """Compute units that plan, ascending."""
-    drones: frozenset[int]
-    """Drones that are planned for and avoided."""
-    gone: frozenset[int] = frozenset()
-    """Drones that have said that they have left the air."""
+    id: ViewId  # Its place in the order
+    units: tuple[int, ...]  # Compute units that plan, ascending
+    drones: frozenset[int]  # Drones that are planned for and avoided
+    gone: frozenset[int] = frozenset()  # Drones that have said that they have left the air
 
     def covers(self, earlier: MembershipView) -> bool:
         """Whether no drone of an earlier view is forgotten: each is in this one, or has left."""
@@ -63,38 +57,28 @@ class MembershipView(NamedTuple):
         return (round_ + self.units.index(unit)) % len(self.units)
 
 
-NONE = -1
-"""No drone."""
-UNSURE = -2
-"""A unit no longer knows which drone it planned for, if any: it has been away."""
-RECENT = 4
-"""Rounds whose own plans every message of a unit names."""
+NONE = -1  # No drone
+UNSURE = -2  # A unit no longer knows which drone it planned for, if any: it has been away
+RECENT = 4  # Rounds whose own plans every message of a unit names
 
 
 @dataclass(frozen=True, eq=False)
 class DroneStates:
     """What drones say in their own slots of a round. Rows of who says nothing are meaningless."""
 
-    round: int
-    """When it is sent."""
-    said: BoolArray
-    """(N,) whose messages these are."""
-    identity: IntArray
-    """(N,) `Identity.number` of the trajectory that each flies in this round."""
+    round: int  # When it is sent
+    said: BoolArray  # (N,) whose messages these are
+    identity: IntArray  # (N,) `Identity.number` of the trajectory that each flies in this round
     lock: IntArray
     """(N,) `ViewId.number` of the view that it has locked to; it accepts plans of no other."""
-    target: FloatArray
-    """(N, 3) where it wants to go, m, as the message carries it."""
+    target: FloatArray  # (N, 3) where it wants to go, m, as the message carries it
     kinematics: FloatArray
     """(N, 3, 3) position, velocity and acceleration, 16 bit; at rest the position, float32."""
     resting: BoolArray
     """(N,) whether its trajectory has ended, so that the position is all there is to know."""
-    joining: BoolArray
-    """(N,) it is not in the air yet: no plan for it has been accepted."""
-    gone: BoolArray
-    """(N,) it has left the air."""
-    reinitialised: BoolArray
-    """(N,) it was so far off its reference that it has given that up."""
+    joining: BoolArray  # (N,) it is not in the air yet: no plan for it has been accepted
+    gone: BoolArray  # (N,) it has left the air
+    reinitialised: BoolArray  # (N,) it was so far off its reference that it has given that up
     _paths: dict[int, Trajectory] = field(default_factory=dict)
 
     def heard(self, arrived: BoolArray) -> DroneStates:
@@ -115,64 +99,45 @@ class DroneStates:
 class MessageKind(IntEnum):
     """What a message in a compute unit's slot carries."""
 
-    EMPTY = 0
-    """No trajectory."""
-    PLAN = 1
-    """A new trajectory for a drone, flown from the next round on."""
-    RELAY = 2
-    """A trajectory that another unit has asked for."""
-    ANSWER = 3
-    """Its own trajectory, by a drone that was given the slot."""
+    EMPTY = 0  # No trajectory
+    PLAN = 1  # A new trajectory for a drone, flown from the next round on
+    RELAY = 2  # A trajectory that another unit has asked for
+    ANSWER = 3  # Its own trajectory, by a drone that was given the slot
 
 
 class Missing(NamedTuple):
     """A trajectory of which a unit knows that it may be flown, but not what it is."""
 
-    drone: int
-    """Whose."""
-    identity: Identity
-    """Which."""
+    drone: int  # Whose
+    identity: Identity  # Which
 
 
 class UnitMessage(NamedTuple):
     """What is said in a compute unit's slot."""
 
-    kind: MessageKind
-    """What it carries."""
-    round: int
-    """When it is sent."""
-    unit: int
-    """Whose slot it is."""
-    view: ViewId
-    """Of the sender: plans are for drones locked to it."""
-    drone: int = NONE
-    """Whose trajectory it carries."""
-    trajectory: Trajectory | None = None
-    """The trajectory."""
+    kind: MessageKind  # What it carries
+    round: int  # When it is sent
+    unit: int  # Whose slot it is
+    view: ViewId  # Of the sender: plans are for drones locked to it
+    drone: int = NONE  # Whose trajectory it carries
+    trajectory: Trajectory | None = None  # The trajectory
     selection: tuple[int, ...] | None = None
     """By the round's leader: drones that may be replanned in the next round, by rank."""
     current: tuple[int, ...] | None = None
     """The same for this round, as far as the unit knows: others may have missed it."""
     recent: tuple[int, ...] = (UNSURE,) * RECENT
     """Drones that the unit planned for in this round and the ones before, newest first."""
-    donations: tuple[int, ...] = ()
-    """Drones to which the slot is given in the next rounds."""
-    missing: tuple[Missing, ...] = ()
-    """Contents that the unit lacks."""
-    complete: bool = False
-    """Whether it lacks nothing else and has located every drone."""
-    members: MembershipView | None = None
-    """The view itself, while it is new."""
+    donations: tuple[int, ...] = ()  # Drones to which the slot is given in the next rounds
+    missing: tuple[Missing, ...] = ()  # Contents that the unit lacks
+    complete: bool = False  # Whether it lacks nothing else and has located every drone
+    members: MembershipView | None = None  # The view itself, while it is new
     priorities: tuple[tuple[int, int], ...] = ()
     """Drones and their priorities, highest first, as many as fit."""
 
 
-STATE_BYTES = 32
-"""A drone's slot."""
-SLOT_BYTES = 242
-"""A compute unit's slot."""
-REQUEST_BYTES = 132
-"""A message without a trajectory."""
+STATE_BYTES = 32  # A drone's slot
+SLOT_BYTES = 242  # A compute unit's slot
+REQUEST_BYTES = 132  # A message without a trajectory
 _TRAJECTORY_BYTES = 204  # for which the reference's slots are made
 _STEPS = 65535
 _FLAGS = ("joining", "gone", "reinitialised")

@@ -18,8 +18,7 @@ from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcConfig"]
 
-Corner = tuple[float, float, float]
-"""A point, by axis: x, y, z."""
+Corner = tuple[float, float, float]  # A point, by axis: x, y, z
 _Factor = Annotated[float, POSITIVE]
 _MOST_TURNED = 4
 _MOST_SAMPLES = 1000

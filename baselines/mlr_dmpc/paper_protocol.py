@@ -40,31 +40,21 @@ _UNKNOWN = 1
 class PaperKind(IntEnum):
     """What a message in a compute unit's slot carries."""
 
-    EMPTY = 0
-    """Priorities only."""
-    TRAJECTORY = 1
-    """A new trajectory."""
-    REQUEST = 2
-    """Asks a drone for its trajectory."""
-    ANSWER = 3
-    """A drone's trajectory, in the slot of who asked."""
+    EMPTY = 0  # Priorities only
+    TRAJECTORY = 1  # A new trajectory
+    REQUEST = 2  # Asks a drone for its trajectory
+    ANSWER = 3  # A drone's trajectory, in the slot of who asked
 
 
 class PaperMessage(NamedTuple):
     """What is said in a compute unit's slot."""
 
-    kind: PaperKind
-    """What it carries."""
-    round: int
-    """When it is sent."""
-    unit: int
-    """Whose slot it is."""
-    drone: int = NONE
-    """Whose trajectory it carries, or who is asked."""
-    trajectory: Trajectory | None = None
-    """The trajectory."""
-    priorities: tuple[int, ...] = ()
-    """(N,) of all drones."""
+    kind: PaperKind  # What it carries
+    round: int  # When it is sent
+    unit: int  # Whose slot it is
+    drone: int = NONE  # Whose trajectory it carries, or who is asked
+    trajectory: Trajectory | None = None  # The trajectory
+    priorities: tuple[int, ...] = ()  # (N,) of all drones
 
     def pack(self) -> bytes:
         """The message as bytes."""
@@ -126,13 +116,10 @@ class PaperUnit:
     unit: int
     candidates: list[dict[Identity, Trajectory]]
     """D_iw by drone, at the start empty where nothing is known."""
-    targets: FloatArray
-    """(N, 3) m, as last heard."""
+    targets: FloatArray  # (N, 3) m, as last heard
     planner: Planner
-    report: UnitRound = field(init=False)
-    """What the unit did in the last round."""
-    state: _UnitState = _UnitState.REQUEST_TRAJECTORY
-    """Where the unit stands in Algorithm 1."""
+    report: UnitRound = field(init=False)  # What the unit did in the last round
+    state: _UnitState = _UnitState.REQUEST_TRAJECTORY  # Where the unit stands in Algorithm 1
 
     def __post_init__(self) -> None:
         self.deprecated = [not known for known in self.candidates]

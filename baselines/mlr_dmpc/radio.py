@@ -18,8 +18,7 @@ from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["Jam", "LossModel"]
 
-Who = str | tuple[str, ...]
-"""`all`, `drones`, `units`, `drone 3`, `unit 0`, or several of these."""
+Who = str | tuple[str, ...]  # `all`, `drones`, `units`, `drone 3`, `unit 0`, or several of these
 
 _Share = Annotated[float, Range(0.0, 1.0)]
 _Round = Annotated[int, Range(0)]
@@ -213,32 +212,25 @@ def _mixed(key: _UINT) -> _UINT:
     return key ^ (key >> np.uint64(31))
 
 
-M = TypeVar("M")
-"""What is said in compute units' slots."""
+M = TypeVar("M")  # What is said in compute units' slots
 
 
 @dataclass(frozen=True)
 class Inbox(Generic[M]):
     """What a node has heard in a round."""
 
-    round: int
-    """When it was sent."""
-    states: DroneStates
-    """From drones' slots."""
-    slots: dict[int, M]
-    """From compute units' slots."""
+    round: int  # When it was sent
+    states: DroneStates  # From drones' slots
+    slots: dict[int, M]  # From compute units' slots
 
 
 @dataclass(frozen=True)
 class RoundLog(Generic[M]):
     """All that was said in a round, and to whom it came: enough to replay it."""
 
-    round: int
-    """When it was sent."""
-    states: DroneStates
-    """From drones' slots."""
-    slots: dict[int, M]
-    """By compute unit's slot."""
+    round: int  # When it was sent
+    states: DroneStates  # From drones' slots
+    slots: dict[int, M]  # By compute unit's slot
     senders: dict[int, int]
     """Node that sent in each unit's slot: a drone where the slot was given to it."""
     arrived: BoolArray

@@ -22,32 +22,21 @@ _MOST_PROGRAMS = 30
 class ProgramRows(NamedTuple):
     """Every row of a program, as what it bounds; those that are in the program, or need not be."""
 
-    base: FloatArray
-    """(S, 3) positions at the collision samples for variables of zero, m."""
-    by_variables: FloatArray
-    """(S, n) positions of an axis by its variables."""
-    normals: FloatArray
-    """(R, S, 3) of half-spaces."""
-    offsets: FloatArray
-    """(R, S) least normal . p, m."""
-    done: BoolArray
-    """(R, S) half-spaces in the program, or out of reach."""
+    base: FloatArray  # (S, 3) positions at the collision samples for variables of zero, m
+    by_variables: FloatArray  # (S, n) positions of an axis by its variables
+    normals: FloatArray  # (R, S, 3) of half-spaces
+    offsets: FloatArray  # (R, S) least normal . p, m.
+    done: BoolArray  # (R, S) half-spaces in the program, or out of reach
     soft_offsets: FloatArray
     """(C,) least normal . p at the last sample with the soft margin wide open, m."""
     soft_scales: FloatArray
     """(C,) by how much a unit of its soft variable closes a margin, m; 0 if it has none."""
-    soft_done: BoolArray
-    """(C,) soft rows in the program, or out of reach."""
-    bounded_base: FloatArray
-    """(B, 3) bounded quantities for variables of zero."""
-    bounded_by_variables: FloatArray
-    """(B, n) bounded quantities of an axis by its variables."""
-    lower: FloatArray
-    """(B, 3) least bounded quantities."""
-    upper: FloatArray
-    """(B, 3) largest bounded quantities."""
-    bounds_done: BoolArray
-    """(2, B, 3) bounds in the program, lower and upper."""
+    soft_done: BoolArray  # (C,) soft rows in the program, or out of reach
+    bounded_base: FloatArray  # (B, 3) bounded quantities for variables of zero
+    bounded_by_variables: FloatArray  # (B, n) bounded quantities of an axis by its variables
+    lower: FloatArray  # (B, 3) least bounded quantities
+    upper: FloatArray  # (B, 3) largest bounded quantities
+    bounds_done: BoolArray  # (2, B, 3) bounds in the program, lower and upper
 
 
 @kernel
@@ -137,41 +126,26 @@ def _along(normals: FloatArray, positions: FloatArray, r: int, s: int) -> float:
 class Program:
     """A quadratic program for one plan, with what its solution is checked against."""
 
-    state: FloatArray
-    """(3, 3) at the start, as a message carries it."""
-    slope: FloatArray
-    """(n, 3) of the cost."""
-    rows: ProgramRows
-    """What the solution must satisfy."""
-    shifted: FloatArray
-    """(n, 3) variables of the plan that is flown."""
-    shifted_slack: float
-    """Least slack of the half-spaces at the plan that is flown, m."""
-    in_reach: int
-    """Trajectories and obstacles with a half-space that may bind."""
-    accepted_offsets: FloatArray
-    """(R, S) least normal . p of an accepted plan, m."""
-    accepted_lower: FloatArray
-    """(B, 3) of the bounded quantities of an accepted plan."""
-    accepted_upper: FloatArray
-    """(B, 3) likewise."""
-    stride: int
-    """Samples from one half-space of a trajectory to the next in the first programs."""
+    state: FloatArray  # (3, 3) at the start, as a message carries it
+    slope: FloatArray  # (n, 3) of the cost
+    rows: ProgramRows  # What the solution must satisfy
+    shifted: FloatArray  # (n, 3) variables of the plan that is flown
+    shifted_slack: float  # Least slack of the half-spaces at the plan that is flown, m
+    in_reach: int  # Trajectories and obstacles with a half-space that may bind
+    accepted_offsets: FloatArray  # (R, S) least normal . p of an accepted plan, m.
+    accepted_lower: FloatArray  # (B, 3) of the bounded quantities of an accepted plan
+    accepted_upper: FloatArray  # (B, 3) likewise
+    stride: int  # Samples from one half-space of a trajectory to the next in the first programs
 
 
 class RowSolution(NamedTuple):
     """What was found."""
 
-    z: FloatArray
-    """(n, 3) variables."""
-    failure: str
-    """Why there is no optimum, or nothing."""
-    solve_ms: float
-    """In the solver, CPU time of this thread, ms."""
-    num_rows: int
-    """Rows of the last program."""
-    active: IntArray
-    """(m, 3) rows that hold with equality, as `broken_rows` names them."""
+    z: FloatArray  # (n, 3) variables
+    failure: str  # Why there is no optimum, or nothing
+    solve_ms: float  # In the solver, CPU time of this thread, ms
+    num_rows: int  # Rows of the last program
+    active: IntArray  # (m, 3) rows that hold with equality, as `broken_rows` names them
 
 
 def solve_by_rows(problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> RowSolution:

@@ -21,14 +21,10 @@ from swarm_envs.state import FloatArray
 class Violation(NamedTuple):
     """Two references that came too close at a collision sample."""
 
-    time_s: float
-    """When."""
-    first: int
-    """A drone."""
-    second: int
-    """Another."""
-    distance_m: float
-    """Their scaled distance."""
+    time_s: float  # When
+    first: int  # A drone
+    second: int  # Another
+    distance_m: float  # Their scaled distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +66,9 @@ class MlrDmpcResult:
     """All messages of each round, and to whom they came."""
 
 
-Targets = FloatArray | Callable[[float], FloatArray]
-"""(N, 3), m, or what gives them at a time, s."""
+Targets = FloatArray | Callable[[float], FloatArray]  # (N, 3), m, or what gives them at a time, s
 
-REFERENCE_RATE = 100.0
-"""Samples of the reference positions per second."""
+REFERENCE_RATE = 100.0  # Samples of the reference positions per second
 _DAY_S = 86_400
 _TOLERANCE = 1e-6
 

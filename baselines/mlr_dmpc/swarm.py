@@ -49,23 +49,17 @@ class UnitOutage:
 class SwarmRound:
     """What happened in a round."""
 
-    round: int
-    """k."""
-    units: tuple[UnitRound, ...]
-    """What each living compute unit did."""
-    accepted: dict[int, Trajectory]
-    """Plans that drones accepted, flown from the next round on."""
-    bytes_sent: int
-    """In all slots together."""
+    round: int  # k
+    units: tuple[UnitRound, ...]  # What each living compute unit did
+    accepted: dict[int, Trajectory]  # Plans that drones accepted, flown from the next round on
+    bytes_sent: int  # In all slots together
 
 
 class Deaf(NamedTuple):
     """A drone that seems to hear nothing."""
 
-    drone: int
-    """Which."""
-    plans: int
-    """How many plans in a row it has not accepted."""
+    drone: int  # Which
+    plans: int  # How many plans in a row it has not accepted
 
     def __str__(self) -> str:
         return (
@@ -77,10 +71,8 @@ class Deaf(NamedTuple):
 class Unreachable(NamedTuple):
     """A target that a drone cannot take."""
 
-    drone: int
-    """Whose target it is."""
-    other: int
-    """The drone that rests on it."""
+    drone: int  # Whose target it is
+    other: int  # The drone that rests on it
 
     def __str__(self) -> str:
         return (

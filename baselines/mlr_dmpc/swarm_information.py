@@ -40,8 +40,7 @@ _LONE_ROUNDS = 15
 
 _SILENCE = 11.5
 """A unit is left out when only one silence in exp(11) would be as long by loss alone."""
-_LEAST_SILENT_ROUNDS = 6
-"""Rounds of silence below which no unit is left out of a view."""
+_LEAST_SILENT_ROUNDS = 6  # Rounds of silence below which no unit is left out of a view
 
 
 class Membership:

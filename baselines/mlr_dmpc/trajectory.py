@@ -23,10 +23,8 @@ NOBODY = 255
 class Identity(NamedTuple):
     """What tells trajectories of a drone apart (the metadata of Sec. 4.2.1)."""
 
-    start_round: int
-    """Round at whose beginning the trajectory starts."""
-    compute_unit: int
-    """Who planned it."""
+    start_round: int  # Round at whose beginning the trajectory starts
+    compute_unit: int  # Who planned it
 
     @property
     def number(self) -> int:

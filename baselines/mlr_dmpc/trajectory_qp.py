@@ -36,8 +36,7 @@ from swarm_envs.state import FloatArray, IntArray
 
 TOLERANCE = 1e-6
 """By how much a plan may break a bound, SI; a half-space by half of that, as two drones may."""
-ACCEPTED = "accepted"
-"""The outcome of a plan that is sent and flown."""
+ACCEPTED = "accepted"  # The outcome of a plan that is sent and flown
 _BOUND_MARGIN = 2e-5
 _BOUND_ROUNDING = 2e-6
 _ROW_ROUNDING = 1e-6
@@ -161,22 +160,15 @@ def _samples_left(
 class Planned(NamedTuple):
     """A trajectory, and how it came about."""
 
-    trajectory: Trajectory
-    """The new one if it is accepted, else the one that is flown."""
-    accepted: bool
-    """Whether every constraint holds, so that it may be sent."""
-    reason: str
-    """`accepted`, or why not."""
+    trajectory: Trajectory  # The new one if it is accepted, else the one that is flown
+    accepted: bool  # Whether every constraint holds, so that it may be sent
+    reason: str  # `accepted`, or why not
     shifted_slack: float
     """Least slack of the rows at the trajectory that is flown, m; by Theorem 1 never negative."""
-    solve_ms: float
-    """In the solver, all programs together, CPU time of this thread, ms."""
-    total_ms: float
-    """From call to return, CPU time of this thread, ms."""
-    num_rows: int
-    """Rows of the last program."""
-    in_reach: int
-    """Trajectories and obstacles that have rows."""
+    solve_ms: float  # In the solver, all programs together, CPU time of this thread, ms
+    total_ms: float  # From call to return, CPU time of this thread, ms
+    num_rows: int  # Rows of the last program
+    in_reach: int  # Trajectories and obstacles that have rows
 
 
 def plan_trajectory(

@@ -70,8 +70,7 @@ def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
     return float(nnls((contacts[along] / lengths[along, None]).T, -pull)[1])
 
 
-NOBODY = -1
-"""Stands for the drone that is made room for where there is none."""
+NOBODY = -1  # Stands for the drone that is made room for where there is none
 
 
 class _Detours(NamedTuple):
@@ -91,14 +90,10 @@ class _Detours(NamedTuple):
 class SwarmSnapshot(NamedTuple):
     """What the planner knows of a swarm."""
 
-    positions: FloatArray
-    """(N, 3) now, m."""
-    velocities: FloatArray
-    """(N, 3) now, m/s."""
-    ends: FloatArray
-    """(N, 3) where the plans end, m."""
-    targets: FloatArray
-    """(N, 3) own targets, m."""
+    positions: FloatArray  # (N, 3) now, m
+    velocities: FloatArray  # (N, 3) now, m/s
+    ends: FloatArray  # (N, 3) where the plans end, m
+    targets: FloatArray  # (N, 3) own targets, m
 
 
 def no_detours(n: int) -> _Detours:
@@ -187,18 +182,14 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.maximum(length, 1e-9)
 
 
-JUST_PLANNED = 0
-"""Priority of a drone that has just been planned: it wins over the maximum."""
-DEADLOCKED = 1
-"""Priority of a drone in a deadlock."""
+JUST_PLANNED = 0  # Priority of a drone that has just been planned: it wins over the maximum
+DEADLOCKED = 1  # Priority of a drone in a deadlock
 _LEAST, _MOST = 2, 254
-REINITIALISED = 255
-"""Priority of a drone whose trajectory restarts."""
+REINITIALISED = 255  # Priority of a drone whose trajectory restarts
 _FINEST, _COARSEST = 1e-4, 30.0
 _AGE_ROUNDS = 4  # added to ages by `WT`
 
-Levels = npt.NDArray[np.int64]
-"""(N,) priorities as messages carry them, 8 bit."""
+Levels = npt.NDArray[np.int64]  # (N,) priorities as messages carry them, 8 bit
 
 
 def _urgency(

@@ -27,10 +27,8 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["TUNED", "AirNumbers", "heavy_on_top"]
 
-_INTEGRAL_LIMIT = 3.0
-"""Holds the largest force of these tasks, m."""
-_PEAK = 7.5132
-"""Largest acceleration from rest to rest over a distance of 1 m in 1 s, m/s^2."""
+_INTEGRAL_LIMIT = 3.0  # Holds the largest force of these tasks, m
+_PEAK = 7.5132  # Largest acceleration from rest to rest over a distance of 1 m in 1 s, m/s^2
 
 
 @typed

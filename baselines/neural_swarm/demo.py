@@ -46,8 +46,7 @@ SCENARIOS: Mapping[str, str] = {
     "SS2S": "two small above a small",
 }
 """The teams, uppermost first, and what they are."""
-CONTROLLERS = ("without", "compensated")
-"""How the summary names the two sides."""
+CONTROLLERS = ("without", "compensated")  # How the summary names the two sides
 VIDEO_TEAM, VIDEO_S, VIDEO_FPS = "L2S", 5.0, 24
 """What is filmed, for how long, s, and with how many frames per second."""
 _HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S

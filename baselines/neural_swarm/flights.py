@@ -56,8 +56,7 @@ __all__ = [
 PAPER_SWAP = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
 """The swap of Neural-Swarm2, Fig. 8: 0.5 m in 4 s. Plane distance and direction are drawn."""
 
-RECOVERY_S = 2.0
-"""A swap is flown for so much longer than it takes, to see the drones recover."""
+RECOVERY_S = 2.0  # A swap is flown for so much longer than it takes, to see the drones recover
 
 AT_ONCE = 32
 """Flights in the air at the same time: more need more memory and are no faster."""

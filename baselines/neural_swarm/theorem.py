@@ -35,10 +35,8 @@ _Rate = Annotated[float, Range(0.0, unit="N/s")]
 class ErrorBall(NamedTuple):
     """Where the position error ends, and how fast it gets there."""
 
-    radius: float
-    """Largest position error in the limit, m: eq. (23)."""
-    rate: float
-    """Rate at which what lies outside decays, 1/s: the smallest of the three gains."""
+    radius: float  # Largest position error in the limit, m: eq. (23).
+    rate: float  # Rate at which what lies outside decays, 1/s: the smallest of the three gains
 
 
 @typed

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.grid import Array, Vertices
 from swarm_envs.compiled import kernel
 
-Paths = npt.NDArray[np.int32]
-"""(T + 1, n) the number of each robot's vertex after each step."""
+Paths = npt.NDArray[np.int32]  # (T + 1, n) the number of each robot's vertex after each step
 
 
 @kernel

@@ -21,12 +21,10 @@ from swarm_envs.state import BoolArray
 
 __all__ = ["Coordinates", "Shape", "check_shape"]
 
-Array = npt.NDArray[Any]
-"""Of a kernel's arguments, which are typed when it is compiled."""
+Array = npt.NDArray[Any]  # Of a kernel's arguments, which are typed when it is compiled
 Coordinates = npt.NDArray[np.int32]
 """(n, 3) vertices as coordinates (x, y, z)."""
-Vertices = npt.NDArray[np.int32]
-"""(n,) vertices as numbers."""
+Vertices = npt.NDArray[np.int32]  # (n,) vertices as numbers
 Shape = tuple[int, int, int]
 """(m1, m2, m3): vertices along x, y, z."""
 
@@ -355,16 +353,11 @@ def _moved_blocks(draw: _Draw, parts: Shape | None = None) -> _Pair:
 class Family(NamedTuple):
     """A kind of instance."""
 
-    summary: str
-    """What it is, in a line."""
-    draw: Callable[[_Draw], _Pair]
-    """Draws starts and goals."""
-    sides: int = 1
-    """Every side must be a multiple of it."""
-    free_count: bool = False
-    """Whether the number of robots may be chosen."""
-    buildings: bool = False
-    """Whether there are obstacles."""
+    summary: str  # What it is, in a line
+    draw: Callable[[_Draw], _Pair]  # Draws starts and goals
+    sides: int = 1  # Every side must be a multiple of it
+    free_count: bool = False  # Whether the number of robots may be chosen
+    buildings: bool = False  # Whether there are obstacles
 
 
 FAMILIES: Mapping[str, Family] = {

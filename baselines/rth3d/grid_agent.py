@@ -28,8 +28,7 @@ from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
 __all__ = ["GridAgent"]
 
-MOST_SMOOTHED = 1000
-"""More drones than this fly the unsmoothed splines."""
+MOST_SMOOTHED = 1000  # More drones than this fly the unsmoothed splines
 _Metres = Annotated[float, POSITIVE_M]
 _SPACING_M = 0.4  # horizontal spacing where drones are small enough
 _OBSTACLE_M = 0.1  # distance to obstacles beside the radius, m, where the grid leaves as much
@@ -39,12 +38,9 @@ _OBSTACLE_M = 0.1  # distance to obstacles beside the radius, m, where the grid 
 class Lattice:
     """A grid in space."""
 
-    origin: FloatArray
-    """(3,) where the vertex (0, 0, 0) stands, m."""
-    spacing: FloatArray
-    """(3,) m."""
-    shape: tuple[int, int, int]
-    """Vertices by axis."""
+    origin: FloatArray  # (3,) where the vertex (0, 0, 0) stands, m
+    spacing: FloatArray  # (3,) m
+    shape: tuple[int, int, int]  # Vertices by axis
 
     def points(self) -> FloatArray:
         """(X, Y, Z, 3) where the vertices stand, m."""

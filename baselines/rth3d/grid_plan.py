@@ -23,8 +23,7 @@ from swarm_envs.files import written_whole
 
 __all__ = ["plot_grid_plan"]
 
-VERSION = 1
-"""Of the file format; a file of another version is refused."""
+VERSION = 1  # Of the file format; a file of another version is refused
 _KEPT = ("method", "winner", "seed", "bound", "before_compaction", "set_bound")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
@@ -34,13 +33,11 @@ _MOST_DOTS = 6000
 class PhaseRecord:
     """A phase of planning."""
 
-    name: str
-    """Of the phase."""
+    name: str  # Of the phase
     makespan: int
     """Steps that it takes in the plan as first written; of "compaction" and "pibt", those of the
     whole plan afterwards."""
-    seconds: float
-    """Wall time of planning it."""
+    seconds: float  # Wall time of planning it
 
 
 class PlanTimeout(TimeoutError):
@@ -51,14 +48,11 @@ class PlanTimeout(TimeoutError):
 class PlanningClock:
     """Records the phases of planning and knows when the time limit ends."""
 
-    deadline: float = float("inf")
-    """By `time.monotonic`."""
-    watch: Callable[[str], None] | None = None
-    """Called with the name of each phase when it begins."""
+    deadline: float = float("inf")  # By `time.monotonic`
+    watch: Callable[[str], None] | None = None  # Called with the name of each phase when it begins
     configurations: int | None = None
     """How many the complete search makes at most; None for its default."""
-    phases: list[PhaseRecord] = field(default_factory=list)
-    """The phases so far."""
+    phases: list[PhaseRecord] = field(default_factory=list)  # The phases so far
 
     @contextmanager
     def phase(self, name: str) -> Iterator[Callable[[int], None]]:

@@ -28,20 +28,13 @@ _REASONS = (
 class ValidationReport:
     """What `validate` found."""
 
-    ok: bool
-    """Whether the plan is feasible (Sec. II-A)."""
-    reason: str
-    """Which rule is broken first, by whom and when; empty if none is."""
-    time: int | None = None
-    """Step after which it is broken."""
-    robot: int | None = None
-    """Who breaks it."""
-    makespan: int = 0
-    """Last step in which anyone moves."""
-    sum_of_costs: int = 0
-    """Sum over the robots of the last step in which each moves."""
-    moves: int = 0
-    """Moves along edges, of all robots."""
+    ok: bool  # Whether the plan is feasible (Sec. II-A).
+    reason: str  # Which rule is broken first, by whom and when; empty if none is
+    time: int | None = None  # Step after which it is broken
+    robot: int | None = None  # Who breaks it
+    makespan: int = 0  # Last step in which anyone moves
+    sum_of_costs: int = 0  # Sum over the robots of the last step in which each moves
+    moves: int = 0  # Moves along edges, of all robots
 
     def __bool__(self) -> bool:
         return self.ok

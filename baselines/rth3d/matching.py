@@ -21,8 +21,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.compiled import kernel
 
-Items = npt.NDArray[np.int32]
-"""Whole numbers that stand for items or places."""
+Items = npt.NDArray[np.int32]  # Whole numbers that stand for items or places
 
 
 @kernel

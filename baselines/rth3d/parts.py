@@ -16,12 +16,9 @@ from swarm_envs.state import IntArray
 class Part(NamedTuple):
     """A connected part of the grid in which a robot has to move."""
 
-    vertices: Vertices
-    """(V',) its vertices."""
-    robots: IntArray
-    """(n',) the robots in it."""
-    instance: GridInstance
-    """Those robots on the whole grid."""
+    vertices: Vertices  # (V',) its vertices
+    robots: IntArray  # (n',) the robots in it
+    instance: GridInstance  # Those robots on the whole grid
 
 
 def connected_parts(instance: GridInstance) -> list[Part]:

@@ -52,25 +52,20 @@ from swarm_envs.baselines.rth3d.shuffles import (
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.state import BoolArray
 
-CELL = 3
-"""Side of a cell."""
+CELL = 3  # Side of a cell
 
 _UPRIGHT = ((0, 1, 2), (1, 0, 2))
 _ALL = (*_UPRIGHT, (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0))
-Axes = tuple[int, int, int]
-"""The order of the axes."""
+Axes = tuple[int, int, int]  # The order of the axes
 
 
 @dataclass(frozen=True, eq=False)
 class Highways:
     """Slots and lanes of a grid whose axes are in the order long, short, high."""
 
-    axes: Axes
-    """Which axis of the given grid is the long, the short, the high one."""
-    shape: Shape
-    """The grid in that order."""
-    obstacles: BoolArray
-    """In that order too."""
+    axes: Axes  # Which axis of the given grid is the long, the short, the high one
+    shape: Shape  # The grid in that order
+    obstacles: BoolArray  # In that order too
 
     @property
     def cells(self) -> int:
@@ -152,8 +147,7 @@ def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) ->
     return most / float(np.prod(sides))
 
 
-Image = npt.NDArray[np.int32]
-"""(V,) the vertex that each vertex is reflected to."""
+Image = npt.NDArray[np.int32]  # (V,) the vertex that each vertex is reflected to
 
 
 def _images(highways: Highways) -> list[Image]:

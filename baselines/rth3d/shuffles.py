@@ -22,8 +22,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.compiled import kernel
 
-STEPS = 3
-"""Steps that the change of lanes takes."""
+STEPS = 3  # Steps that the change of lanes takes
 LANE = {0: 1, 1: 0, 2: 2}
 """The row in which a robot must be: by 0 for staying, 1 for going up, 2 for going down."""
 
@@ -94,17 +93,14 @@ def lane_changes(held: int) -> npt.NDArray[np.int8]:
     return found
 
 
-Steps = npt.NDArray[np.int32]
-"""A whole number for each robot, such as how far it goes."""
+Steps = npt.NDArray[np.int32]  # A whole number for each robot, such as how far it goes
 
 
 class Shift(NamedTuple):
     """A shuffle across the long axis: how each robot moves."""
 
-    distance: Steps
-    """(n,) edges along the axis, with sign."""
-    stride: int
-    """Difference of the numbers of two neighbours along the axis."""
+    distance: Steps  # (n,) edges along the axis, with sign
+    stride: int  # Difference of the numbers of two neighbours along the axis
 
     @property
     def duration(self) -> int:
@@ -118,12 +114,9 @@ class LongShift(NamedTuple):
 
     change: Steps
     """(n, STEPS) what is added to its vertex's number after each step of the change of lanes."""
-    run: Steps
-    """(n,) vertices to run, with sign."""
-    park: Steps
-    """(n,) what is added to its vertex's number when it parks."""
-    leave: Steps
-    """(n, 2) what is added to it in each of the last two steps."""
+    run: Steps  # (n,) vertices to run, with sign
+    park: Steps  # (n,) what is added to its vertex's number when it parks
+    leave: Steps  # (n, 2) what is added to it in each of the last two steps
 
     @property
     def duration(self) -> int:

@@ -13,10 +13,8 @@ Neighbors = npt.NDArray[np.int32]
 """(V, 7) the neighbours of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1
 where there is none."""
 
-STAY = 6
-"""The direction of a wait, after those of the six edges."""
-FAR = 1 << 20
-"""Stands for the length of a way where there is none."""
+STAY = 6  # The direction of a wait, after those of the six edges
+FAR = 1 << 20  # Stands for the length of a way where there is none
 
 
 def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbors:

@@ -24,12 +24,9 @@ from swarm_envs.viewing.record import Recorder
 
 DRONES, HORIZON, ROUND_S, CLOCK_S = 6, 15, 0.2, 12.0
 """Drones, rounds of a plan, length of a round, and the time in which all are to arrive."""
-MAX_ACCELERATION = 5.0
-"""Of each axis, m/s^2."""
-LEAST_DISTANCE = 0.3
-"""Between two drones; less is a crash, m."""
-ARRIVED = 0.05
-"""From its goal, at less than this many m/s too: a drone has arrived, m."""
+MAX_ACCELERATION = 5.0  # Of each axis, m/s^2
+LEAST_DISTANCE = 0.3  # Between two drones; less is a crash, m
+ARRIVED = 0.05  # From its goal, at less than this many m/s too: a drone has arrived, m
 _SUBSTEPS = 10  # at which distances are looked at, each round
 _BOX = np.array([1.2, 1.2, 0.6])  # half of the volume, m
 
@@ -37,12 +34,9 @@ _BOX = np.array([1.2, 1.2, 0.6])  # half of the volume, m
 class Scenario(NamedTuple):
     """An episode of the assignment."""
 
-    starts: FloatArray
-    """(N, 3) m."""
-    goals: FloatArray
-    """(N, 3) m."""
-    loss: float
-    """Probability that a drone does not hear a plan."""
+    starts: FloatArray  # (N, 3) m
+    goals: FloatArray  # (N, 3) m
+    loss: float  # Probability that a drone does not hear a plan
 
 
 def draw_scenario(rng: np.random.Generator) -> Scenario:

@@ -33,10 +33,8 @@ Part = dict[str, Any]
 """E flights of T decisions at most: `rows` (T + 1, E, N, width), `actions` (T, E, N, width),
 `rewards`, `active` and `ended` (T, E, N), `running` (T, E): which flights made a decision; and
 `seed`, `success` and `truncated` (E,) of their teams."""
-_ROOT = "MINARI_DATASETS_PATH"
-"""Minari's variable for the folder of its datasets."""
-_ROWS_AT_ONCE = 200_000
-"""Observation rows of a part, about."""
+_ROOT = "MINARI_DATASETS_PATH"  # Minari's variable for the folder of its datasets
+_ROWS_AT_ONCE = 200_000  # Observation rows of a part, about
 _MOST_AT_ONCE = 64
 
 

@@ -38,8 +38,7 @@ from swarm_envs.training.scale_out.options import ScaleOptions
 REPORT, MARKER, SCORES = "sweep.json", "options.json", "scores.json"
 """Files of a sweep: its report, the options that it was begun with, and in each run's folder what
 was measured on the seeds for reporting."""
-_OURS = ("out", "json", "seed", "progress")
-"""Options of `train` that the sweep itself gives."""
+_OURS = ("out", "json", "seed", "progress")  # Options of `train` that the sweep itself gives
 
 
 @command_options

@@ -26,8 +26,7 @@ INTEGRAL_LIMIT = 0.7
 """Default of `velocity_integral_limit`, m: 9 % of the weight, three standard deviations of what a
 drone in the world `"hall"` cannot know (of a large one 2.7 % as a force, 1.4 % of its thrust)."""
 
-STEP = 1.0 / 240.0
-"""Length of one controller step, which is one physics step, s."""
+STEP = 1.0 / 240.0  # Length of one controller step, which is one physics step, s
 
 
 @typed

@@ -16,10 +16,8 @@ from swarm_envs.compiled import equation, part
 from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
-Vector = tuple[float, float, float]
-"""x, y, z."""
-Quaternion = tuple[float, float, float, float]
-"""x, y, z, w: scalar last, body to world."""
+Vector = tuple[float, float, float]  # x, y, z
+Quaternion = tuple[float, float, float, float]  # x, y, z, w: scalar last, body to world
 
 
 @equation

@@ -41,67 +41,43 @@ __all__ = ["export_flight", "report_content", "report_lines"]
 class DroneReport:
     """What the trajectory of one drone is, and asks for."""
 
-    name: str
-    """As in the environment: `drone_0`."""
-    vehicle: str
-    """Its type."""
-    pieces: int
-    """How many it takes."""
-    memory_bytes: int
-    """Of the firmware's 4096."""
-    max_deviation_m: float
-    """From the flight, in single precision."""
-    rms_deviation_m: float
-    """The same in the mean square."""
-    max_jump_m: float
-    """Of position at a knot, from rounding."""
-    max_speed_m_s: float
-    """Largest speed."""
-    max_acceleration_m_s2: float
-    """Largest acceleration, gravity apart."""
+    name: str  # As in the environment: `drone_0`
+    vehicle: str  # Its type
+    pieces: int  # How many it takes
+    memory_bytes: int  # Of the firmware's 4096
+    max_deviation_m: float  # From the flight, in single precision
+    rms_deviation_m: float  # The same in the mean square
+    max_jump_m: float  # Of position at a knot, from rounding
+    max_speed_m_s: float  # Largest speed
+    max_acceleration_m_s2: float  # Largest acceleration, gravity apart
     max_thrust_share: float
     """Largest thrust over what the vehicle has, the force of the air included."""
-    max_tilt_deg: float
-    """Largest angle of the thrust from the vertical."""
-    max_force_g: float
-    """Largest force of the air in the flight, grams; 0 if it is not known."""
-    start: tuple[float, float, float, float]
-    """x, y, z (m) and yaw (rad) at its start."""
-    end: tuple[float, float, float, float]
-    """The same at its end."""
+    max_tilt_deg: float  # Largest angle of the thrust from the vertical
+    max_force_g: float  # Largest force of the air in the flight, grams; 0 if it is not known
+    start: tuple[float, float, float, float]  # x, y, z (m) and yaw (rad) at its start
+    end: tuple[float, float, float, float]  # The same at its end
 
 
 class Separation(NamedTuple):
     """How close drones come to each other."""
 
-    distance_m: float
-    """Least distance of two centres; infinite for a single drone."""
-    clearance_m: float
-    """Least distance less both radii; negative if they collide."""
-    pair: tuple[int, int]
-    """Who comes closest."""
-    time_s: float
-    """When."""
+    distance_m: float  # Least distance of two centres; infinite for a single drone
+    clearance_m: float  # Least distance less both radii; negative if they collide
+    pair: tuple[int, int]  # Who comes closest
+    time_s: float  # When
 
 
 @dataclass(frozen=True)
 class TeamReport:
     """All drones of a flight."""
 
-    drones: tuple[DroneReport, ...]
-    """In their order."""
-    duration_s: float
-    """Of every trajectory."""
-    tolerance_m: float
-    """Largest deviation that was allowed."""
-    flown: Separation
-    """In the flight."""
-    fitted: Separation
-    """Of the pieces."""
-    problems: tuple[str, ...]
-    """Why this must not be flown; empty if nothing speaks against it."""
-    notes: tuple[str, ...]
-    """What is worth a look before it is flown."""
+    drones: tuple[DroneReport, ...]  # In their order
+    duration_s: float  # Of every trajectory
+    tolerance_m: float  # Largest deviation that was allowed
+    flown: Separation  # In the flight
+    fitted: Separation  # Of the pieces
+    problems: tuple[str, ...]  # Why this must not be flown; empty if nothing speaks against it
+    notes: tuple[str, ...]  # What is worth a look before it is flown
 
 
 def separation(positions: FloatArray, time: FloatArray, team: Sequence[Vehicle]) -> Separation:
@@ -255,10 +231,8 @@ def _notes(flight: Flight, drones: Sequence[DroneReport]) -> list[str]:
     return notes
 
 
-REPORT = "report.json"
-"""Name of the file with everything but the trajectories."""
-PICTURE = "paths.png"
-"""Name of the picture."""
+REPORT = "report.json"  # Name of the file with everything but the trajectories
+PICTURE = "paths.png"  # Name of the picture
 SAMPLE_COLUMNS = ("time", *"xyz", "vx", "vy", "vz", "ax", "ay", "az", "yaw")
 """Of the sampled files: s, m, m/s, m/s^2, rad."""
 Tolerance = Annotated[float, POSITIVE_M]
@@ -369,8 +343,7 @@ def _write_samples(path: Path, pieces: Pieces, rate: float) -> None:
     write_csv(path, SAMPLE_COLUMNS, [[f"{value:.6g}" for value in row] for row in rows])
 
 
-_MOST_COMPARED = 64
-"""Of more drones distances over time are not drawn."""
+_MOST_COMPARED = 64  # Of more drones distances over time are not drawn
 
 
 def _plot(path: Path, flight: Flight, fitted: Sequence[Pieces], found: TeamReport) -> None:

@@ -23,16 +23,12 @@ PATHS = ("flown", "setpoint")
 """What of a recording is exported: where drones were, or where the tracking loop wanted them."""
 LONGEST_STEP_S = 0.25
 """Longest time between samples: where a drone was in a longer gap is not known, s."""
-SHORTEST_S = 0.5
-"""Shorter flights are none, s."""
-LONGEST_S = 3600.0
-"""Longest flight along a plan, s."""
+SHORTEST_S = 0.5  # Shorter flights are none, s
+LONGEST_S = 3600.0  # Longest flight along a plan, s
 YAWS = ("hold", "flown")
 """Yaw of a recording: as at the start throughout, or as it was, wobble included."""
-AT_REST = 0.02
-"""Below this speed a drone counts as standing still, m/s."""
-RATE = 200.0
-"""Points a second at which curves are compared."""
+AT_REST = 0.02  # Below this speed a drone counts as standing still, m/s
+RATE = 200.0  # Points a second at which curves are compared
 _ROUNDING = 1e-9
 
 

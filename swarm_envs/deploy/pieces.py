@@ -24,16 +24,12 @@ from swarm_envs.arguments import Range, typed
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 
-DEGREE = 7
-"""Of every polynomial."""
-AXES = ("x", "y", "z", "yaw")
-"""In the order of the file, and of the firmware's memory."""
-PIECE_BYTES = 132
-"""What a piece takes of the firmware's memory: 33 numbers of 4 bytes."""
+DEGREE = 7  # Of every polynomial
+AXES = ("x", "y", "z", "yaw")  # In the order of the file, and of the firmware's memory
+PIECE_BYTES = 132  # What a piece takes of the firmware's memory: 33 numbers of 4 bytes
 MEMORY_BYTES = 4096
 """The firmware's memory for trajectories (`TRAJECTORY_MEMORY_SIZE`), which all of them share."""
-MOST_PIECES = MEMORY_BYTES // PIECE_BYTES
-"""Pieces that fit into it: 31."""
+MOST_PIECES = MEMORY_BYTES // PIECE_BYTES  # Pieces that fit into it: 31
 HEADER = ("Duration", *(f"{axis}^{power}" for axis in AXES for power in range(DEGREE + 1)))
 """First line of the file."""
 
@@ -197,14 +193,10 @@ def _row(path: str | Path, number: int, cells: list[str]) -> list[float]:
         raise ValueError(f"{path}, line {number}: {error}") from error
 
 
-SMOOTH = 3
-"""Derivatives that are continuous at the knots."""
-YAW_TOLERANCE = 0.05
-"""Largest deviation of yaw, rad."""
-_TICK = 1e-3
-"""Knots stand on multiples of this, s."""
-_SHORTEST = 0.05
-"""No piece is shorter, s."""
+SMOOTH = 3  # Derivatives that are continuous at the knots
+YAW_TOLERANCE = 0.05  # Largest deviation of yaw, rad
+_TICK = 1e-3  # Knots stand on multiples of this, s
+_SHORTEST = 0.05  # No piece is shorter, s
 
 
 def fit_pieces(

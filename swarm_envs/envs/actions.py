@@ -40,16 +40,12 @@ _ACCELERATION, _VELOCITY, _CTBR, _ROTORS, _SETPOINT = range(5)
 class ActionMode:
     """One meaning of actions."""
 
-    name: str
-    """As the option `action` names it."""
-    code: int
-    """As kernels tell modes apart."""
-    width: int
-    """Numbers per drone."""
+    name: str  # As the option `action` names it
+    code: int  # As kernels tell modes apart
+    width: int  # Numbers per drone
     level: int
     """Where in the loop it enters: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`."""
-    limit: float = 1.0 + _ROUNDING
-    """Largest size of a number."""
+    limit: float = 1.0 + _ROUNDING  # Largest size of a number
 
     @property
     def bounded(self) -> bool:

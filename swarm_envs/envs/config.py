@@ -30,18 +30,14 @@ from swarm_envs.vehicles import Team, parse_team
 
 __all__ = ["WORLDS", "EnvConfig", "check_num_envs"]
 
-ENGINES = ("bullet", "batch")
-"""Names of the physics engines."""
+ENGINES = ("bullet", "batch")  # Names of the physics engines
 WORLDS = ("ideal", "hall")
 """Names of the worlds."""
 
 
-MANY_DRONES = 1024
-"""From so many drones in all environments together on, more threads than one pay."""
-MOST_OBSERVED = 10_000
-"""Of K and M: an observation has room for all of them in every episode."""
-MOST_THREADS = 1024
-"""Of `threads`: each is the system's."""
+MANY_DRONES = 1024  # From so many drones in all environments together on, more threads than one pay
+MOST_OBSERVED = 10_000  # Of K and M: an observation has room for all of them in every episode
+MOST_THREADS = 1024  # Of `threads`: each is the system's
 
 
 @typed_options

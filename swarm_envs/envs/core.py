@@ -42,15 +42,12 @@ class StepResult(NamedTuple):
 
     observations: Float32Array
     """(E, N, width) rows; see `observation_layout`. A buffer, valid until the next step."""
-    rewards: FloatArray
-    """(E, N)."""
+    rewards: FloatArray  # (E, N)
     reward_terms: FloatArray
     """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`.
     Those of an environment that no longer flies stay as they were last."""
-    terminated: BoolArray
-    """(E,) ended by a crash or by success."""
-    truncated: BoolArray
-    """(E,) ended by the time limit."""
+    terminated: BoolArray  # (E,) ended by a crash or by success
+    truncated: BoolArray  # (E,) ended by the time limit
     active: BoolArray
     """(E, N) which drones have flown this decision; the others' own episodes ended before it: their
     rewards, terms and observations are 0, and their actions are not used."""
@@ -69,12 +66,9 @@ class Snapshot:
     kind: dict[str, object]
     """What it fits: task, team, engine, action, and numbers of environments, stages, neighbours and
     obstacles."""
-    world: World
-    """The tables of drones and environments, and the goals."""
-    observations: Float32Array
-    """(E, N, width) the last rows."""
-    generators: tuple[Any, ...]
-    """State of each environment's random generator."""
+    world: World  # The tables of drones and environments, and the goals
+    observations: Float32Array  # (E, N, width) the last rows
+    generators: tuple[Any, ...]  # State of each environment's random generator
     teams: tuple[Team, ...]
     """The team of each environment: the constructor's, or that of its last reset."""
 
@@ -82,20 +76,13 @@ class Snapshot:
 class _Kernels(NamedTuple):
     """The kernels of a decision, compiled for the types of one core's arrays."""
 
-    apply: Callable[..., bool]
-    """`apply_actions`"""
-    refer: Callable[..., None]
-    """The task's `write_reference`."""
-    judge: Callable[..., None]
-    """`judge`"""
-    advance: Callable[..., None] | None
-    """The task's `advance`, where it has one."""
-    write_terms: Callable[..., None]
-    """The task's `write_reward_terms`."""
-    weigh: Callable[..., None]
-    """`weigh`"""
-    observe: Callable[..., None]
-    """`write_observations`"""
+    apply: Callable[..., bool]  # `apply_actions`
+    refer: Callable[..., None]  # The task's `write_reference`
+    judge: Callable[..., None]  # `judge`
+    advance: Callable[..., None] | None  # The task's `advance`, where it has one
+    write_terms: Callable[..., None]  # The task's `write_reward_terms`
+    weigh: Callable[..., None]  # `weigh`
+    observe: Callable[..., None]  # `write_observations`
 
 
 class SwarmCore:

@@ -38,8 +38,7 @@ Float32Array = npt.NDArray[np.float32]
 """An array of observed numbers."""
 
 _SMALL_MASS = SMALL.mass
-RATE_SCALE = 10.0
-"""Body rates are observed in units of this, rad/s."""
+RATE_SCALE = 10.0  # Body rates are observed in units of this, rad/s
 
 
 class ObservationField(NamedTuple):
@@ -132,11 +131,9 @@ def observation_width(
     return observation_layout(num_neighbors, num_obstacles, load, force)[-1].where.stop
 
 
-FORMS = ("flat", "dict")
-"""Names of the forms."""
+FORMS = ("flat", "dict")  # Names of the forms
 
-Observation = Any
-"""The observation of one drone: a float32 row, or a dictionary of float32 arrays."""
+Observation = Any  # The observation of one drone: a float32 row, or a dictionary of float32 arrays
 
 _SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacle_mask")}
 """Groups of fields that repeat: the name of theirs, and of what masks them."""
@@ -201,8 +198,7 @@ def _box(part: Float32Array, mask: bool = False) -> spaces.Box:
     return spaces.Box(low, high, part.shape, np.float32)
 
 
-_PER_DRONE = 12
-"""Random numbers that a noisy drone takes at each decision."""
+_PER_DRONE = 12  # Random numbers that a noisy drone takes at each decision
 
 
 @kernel

@@ -37,8 +37,7 @@ __all__ = [
 
 P = ParamSpec("P")
 
-MOST_DRONES = 100_000
-"""Of `num_drones`: a batch of environments shares the memory."""
+MOST_DRONES = 100_000  # Of `num_drones`: a batch of environments shares the memory
 NumDrones = Annotated[int, Range(1, MOST_DRONES)]
 """How many drones fly."""
 
@@ -149,12 +148,10 @@ class AirTaskOptions(TaskOptions):
 class TaskViews(NamedTuple, Generic[P]):
     """The functions that make a task's environment, all with the same options."""
 
-    blueprint: Callable[P, Blueprint]
-    """Makes what every interface is made from."""
+    blueprint: Callable[P, Blueprint]  # Makes what every interface is made from
     parallel_env: Callable[P, SwarmParallelEnv]
     """Makes the environment with PettingZoo's parallel interface."""
-    env: Callable[P, AECEnv[str, Any, Any]]
-    """Makes it with PettingZoo's AEC interface."""
+    env: Callable[P, AECEnv[str, Any, Any]]  # Makes it with PettingZoo's AEC interface
 
 
 def task_views(options: Callable[P, TaskOptions]) -> TaskViews[P]:

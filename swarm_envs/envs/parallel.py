@@ -31,8 +31,7 @@ from swarm_envs.tasks.base import Task
 
 __all__ = ["SwarmParallelEnv", "join_actions"]
 
-RENDER_MODES = ("rgb_array", "human")
-"""Ways in which an environment shows itself."""
+RENDER_MODES = ("rgb_array", "human")  # Ways in which an environment shows itself
 
 
 class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
@@ -373,8 +372,7 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
     `unwrapped` is the `SwarmParallelEnv`.
     """
 
-    env: SwarmParallelEnv
-    """The parallel environment beneath."""
+    env: SwarmParallelEnv  # The parallel environment beneath
 
     def __init__(self, env: SwarmParallelEnv) -> None:
         super().__init__(env)

@@ -17,8 +17,7 @@ __all__ = ["Randomization"]
 
 Factor = Annotated[tuple[float, float], Interval()]
 """Lowest and highest of a factor that is drawn evenly."""
-SAME: Factor = (1.0, 1.0)
-"""The range of a factor that changes nothing."""
+SAME: Factor = (1.0, 1.0)  # The range of a factor that changes nothing
 
 FACTORS = {
     "mass": "mass",

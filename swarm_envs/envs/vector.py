@@ -23,8 +23,7 @@ from swarm_envs.tasks.base import Task
 if TYPE_CHECKING:
     from swarm_envs.viewing.live import LiveViewer
 
-Infos = dict[str, Any]
-"""What a step of a batch adds: arrays by name, an entry for each environment."""
+Infos = dict[str, Any]  # What a step of a batch adds: arrays by name, an entry for each environment
 
 
 class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArray[Any]]):

@@ -24,10 +24,8 @@ from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
-MODELS = ("none", "wake", "learned", "learned-v0", "deep-set")
-"""The models that ship, by name."""
-PRECISIONS = ("float64", "float32")
-"""Arithmetic in which networks can be evaluated."""
+MODELS = ("none", "wake", "learned", "learned-v0", "deep-set")  # The models that ship, by name
+PRECISIONS = ("float64", "float32")  # Arithmetic in which networks can be evaluated
 
 
 @typed

@@ -39,8 +39,7 @@ VERTICAL_REACH = 1.1
 """Half height of the interaction volume, m."""
 INTERACTION_VOLUME = np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH])
 """Half edges of the interaction volume, m."""
-LATERAL_FADE = 0.1
-"""The outer part of the lateral reach over which a pair's contribution fades, m."""
+LATERAL_FADE = 0.1  # The outer part of the lateral reach over which a pair's contribution fades, m
 VERTICAL_FADE = 0.3
 """The outer part of the vertical reach over which a pair's contribution fades, m."""
 
@@ -54,8 +53,7 @@ UNITS_OF_PAIR = (0.2, 0.5, 0.5, 0.5, 0.5)
 UNITS_OF_OWN = (0.2, 0.5, 0.5)
 """The same of a lone drone's -z (m), |v_xy| and -v_z (m/s)."""
 
-NO_LIMIT = 1e30
-"""Stands for infinity in input ranges, so that arithmetic on it stays finite."""
+NO_LIMIT = 1e30  # Stands for infinity in input ranges, so that arithmetic on it stays finite
 
 
 class ForceField(NamedTuple):

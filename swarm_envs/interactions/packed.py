@@ -26,8 +26,7 @@ from swarm_envs.tables import Records, aligned
 
 __all__ = ["PackedField", "Scratch", "scratch_for"]
 
-MOST_TYPES = 8
-"""Largest number of interaction types that a model may have."""
+MOST_TYPES = 8  # Largest number of interaction types that a model may have
 INPUTS = 5
 """Inputs whose weights share a row: numbers of inputs are filled up to a multiple of it. Of two
 samples, their factors stay in vector registers; with six, those no longer suffice."""
@@ -219,8 +218,7 @@ def _drawn(rng: np.random.Generator, measured: FloatArray) -> FloatArray:
 
 CHUNK = 128
 """Drones whose forces are evaluated together: enough to fill blocks, few enough for the cache."""
-SAMPLES = 32
-"""Samples to which a network is applied at once."""
+SAMPLES = 32  # Samples to which a network is applied at once
 
 DRONE = np.dtype(
     [

@@ -30,12 +30,9 @@ GRAM_CENTIMETRE = GRAM_FORCE * 0.01
 class TorqueModel:
     """Torques tau_a that air puts on drones. Get one with `load_torque`."""
 
-    name: str
-    """The name or path it was loaded from."""
-    types: tuple[str, ...]
-    """The interaction types it knows."""
-    field: ForceField
-    """Window, ranges and anchor."""
+    name: str  # The name or path it was loaded from
+    types: tuple[str, ...]  # The interaction types it knows
+    field: ForceField  # Window, ranges and anchor
     networks: dict[str, Layers]
     """phi by type and of the environment, and rho with the head as its last layer."""
 

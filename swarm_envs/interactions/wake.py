@@ -26,8 +26,7 @@ from swarm_envs.interactions.field import LOWEST_HEIGHT, ONSET, WAKE, ForceField
 from swarm_envs.interactions.packed import PackedField, Scratch
 from swarm_envs.vehicles import GRAM_FORCE
 
-FORMAT = "wake-1"
-"""What a file of a closed form says it is."""
+FORMAT = "wake-1"  # What a file of a closed form says it is
 
 
 def wake_field(parameters: dict[str, Any]) -> ForceField:

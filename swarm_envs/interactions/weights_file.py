@@ -41,11 +41,9 @@ Layers = list[tuple[FloatArray, FloatArray]]
 KINDS = {"deep-set-1": LEARNED, "pairwise-1": PAIRWISE, "composed-1": COMPOSED}
 """Formats, and which kernels read them."""
 _FORMATS = " or ".join(map(repr, KINDS))
-ENVIRONMENT = "environment"
-"""Name of the environment's network and input range in a file."""
+ENVIRONMENT = "environment"  # Name of the environment's network and input range in a file
 _PREFIXES = ("phi.", "rho.", "pair.", f"{ENVIRONMENT}.")
-LARGEST = 1e6
-"""No number of a network that was fitted comes near it; one beyond it was damaged."""
+LARGEST = 1e6  # No number of a network that was fitted comes near it; one beyond it was damaged
 
 
 def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:

@@ -52,12 +52,10 @@ from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Team, Vehicle, parse_team
 
 __all__ = ["BatchPhysics"]
 
-MOST_ENVIRONMENTS = 1_000_000
-"""Of `num_envs`: memory ends before."""
+MOST_ENVIRONMENTS = 1_000_000  # Of `num_envs`: memory ends before
 PART = 2048
 """Drones of a part of a batch: their records stay in the cache from one kernel to the next."""
-AIR_DENSITY = 1.225
-"""Density of air at sea level, kg/m^3."""
+AIR_DENSITY = 1.225  # Density of air at sea level, kg/m^3
 FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}
 """Bounds on the vertical interaction force by vehicle token, gram-force: those with which
 Neural-Swarm2 plans (Sec. VII-D, Fig. 6)."""

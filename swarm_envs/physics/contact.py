@@ -32,8 +32,7 @@ __all__ = ["BOX", "Contacts", "distances", "nearest_point"]
 
 BOX, COLUMN = 0.0, 1.0
 """Kinds of obstacles, as they stand first in a row."""
-ROW = 7
-"""Numbers in a row."""
+ROW = 7  # Numbers in a row
 
 
 def no_obstacles() -> FloatArray:
@@ -79,10 +78,8 @@ def distances(rows: FloatArray, points: FloatArray, out: FloatArray) -> None:
             out[p, k] = distance_to(rows, k, points[p, 0], points[p, 1], points[p, 2])
 
 
-NO_DRONE = -1
-"""In `Contacts.drone`: touches no other drone."""
-NO_OBSTACLE = -1
-"""In `Contacts.obstacle`: touches no obstacle."""
+NO_DRONE = -1  # In `Contacts.drone`: touches no other drone
+NO_OBSTACLE = -1  # In `Contacts.obstacle`: touches no obstacle
 
 ON_CONTACT = ("end_team", "end_pair", "bounce")
 """What a contact does: it ends the episode of the whole team, it ends that of the drones that touch
@@ -91,8 +88,7 @@ something, or they bounce and fly on."""
 NO_WALLS = np.array([[-np.inf, -np.inf, -np.inf], [np.inf, np.inf, np.inf]])
 """(2, 3) arena without walls, m."""
 
-PLACES = 64
-"""Environments whose pairs are compared side by side."""
+PLACES = 64  # Environments whose pairs are compared side by side
 SPOT_TYPE = record_type(
     tuple(
         Field(name, (PLACES,), "", None, "")
@@ -283,8 +279,7 @@ def meet_many(blocks: Records, first: int, position: FloatArray, order: IntArray
                 other += step
 
 
-RESTITUTION = 0.5
-"""Speed at which bodies part over that at which they met: e."""
+RESTITUTION = 0.5  # Speed at which bodies part over that at which they met: e
 
 
 @part

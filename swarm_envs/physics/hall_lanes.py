@@ -26,8 +26,7 @@ from swarm_envs.tables import ADAPTATION_END, HALL_ENDS, LANES, Records
 
 __all__ = ["sense_in_hall"]
 
-DRAWS = 9
-"""Random numbers of 64 bits that a drone takes in a physics step."""
+DRAWS = 9  # Random numbers of 64 bits that a drone takes in a physics step
 
 
 @equation

@@ -26,8 +26,7 @@ PHYSICS_RATE = 240
 """Physics steps per second."""
 TIME_STEP = 1.0 / PHYSICS_RATE
 """Duration of one physics step, s."""
-TUMBLING_RATE = 150.0
-"""Angular speed above which a drone counts as tumbling, rad/s."""
+TUMBLING_RATE = 150.0  # Angular speed above which a drone counts as tumbling, rad/s
 LARGEST_RATE = 1000.0
 """Limit of each body rate, rad/s: far past tumbling, where the explicit gyroscopic term would grow
 without bound, it keeps numbers finite until the episode is ended."""

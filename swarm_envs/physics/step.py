@@ -67,8 +67,7 @@ SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
 """Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
-FAR = 1e6
-"""Where drones whose episode has ended are taken to be, and how far from each other, m."""
+FAR = 1e6  # Where drones whose episode has ended are taken to be, and how far from each other, m
 
 
 class Work(NamedTuple):
@@ -76,16 +75,11 @@ class Work(NamedTuple):
 
     blocks: Records
     """Records of `LANES` drones: all drones of a tile, one environment after the other."""
-    tile: FloatArray
-    """(blocks, rows, LANES) the same memory as plain numbers."""
-    members: IntArray
-    """(C,) the environments of the tile."""
-    due: IntArray
-    """(C,) places of those whose force is due."""
-    spots: Records
-    """(N,) for `meet`."""
-    position: FloatArray
-    """(N, 3) for `meet_many`."""
+    tile: FloatArray  # (blocks, rows, LANES) the same memory as plain numbers
+    members: IntArray  # (C,) the environments of the tile
+    due: IntArray  # (C,) places of those whose force is due
+    spots: Records  # (N,) for `meet`
+    position: FloatArray  # (N, 3) for `meet_many`
     stopped: BoolArray
     """(drones of the tile,) who tumbled in this decision, or ended with its team by that."""
 

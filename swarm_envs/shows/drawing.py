@@ -22,8 +22,7 @@ _TOKEN = re.compile(r"([MmLlHhVvCcSsQqTtAaZz])|(" + _NUMBER.pattern + ")")
 _LENGTH = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
 _CURVE = np.linspace(0.0, 1.0, 25)[1:]
 _GRID, _LARGEST = 150, 10_000_000
-Lines = list[FloatArray]
-"""Polygons or open lines, each (K, 2)."""
+Lines = list[FloatArray]  # Polygons or open lines, each (K, 2)
 
 
 def read_drawing(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -51,8 +50,7 @@ def read_drawing(path: Path) -> tuple[FloatArray, FloatArray]:
     return points, colors
 
 
-Style = dict[str, str]
-"""Properties of a shape by name, as its attributes and those around it say."""
+Style = dict[str, str]  # Properties of a shape by name, as its attributes and those around it say
 _Paint = tuple[float, float, float]
 
 

@@ -30,8 +30,7 @@ _MARGIN_M = 2.0
 class ShowTask(Task):
     """The paths of a show; its goals are where it ends."""
 
-    paths: Choreography
-    """Where they should be at any time."""
+    paths: Choreography  # Where they should be at any time
     success: Success = Success()
 
     name = "show"

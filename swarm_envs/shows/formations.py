@@ -25,8 +25,7 @@ __all__ = ["Room", "formations_of"]
 _SWEEPS = 12
 _ROUNDING = 1e-9
 _CLEAR = 1.003  # so that checks with rounding find the spacing
-GROUND = 0.3
-"""Height of the formation at the beginning and at the end, m."""
+GROUND = 0.3  # Height of the formation at the beginning and at the end, m
 PALETTE = ("#ff3b30:#ffcc00", "#00c6ff:#7a5cff", "#ff2d78:#ff8fb1", "#34e08a:#00a3ff", "#ffd36b")
 """Colours of formations unless others are given; `a:b` is a gradient from the bottom to the top."""
 
@@ -62,12 +61,9 @@ class Room:
 class Formation:
     """Where N drones stand, and what they show."""
 
-    name: str
-    """The shape."""
-    places: FloatArray
-    """(N, 3) m."""
-    colors: FloatArray
-    """(N, 3) red, green and blue in [0, 1]."""
+    name: str  # The shape
+    places: FloatArray  # (N, 3) m
+    colors: FloatArray  # (N, 3) red, green and blue in [0, 1]
 
 
 @typed

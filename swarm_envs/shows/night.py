@@ -40,12 +40,9 @@ _STARS = 260
 class Audience:
     """A camera that sways slowly about the middle of a show, low over the water."""
 
-    height: float
-    """What it looks at, above the origin, m."""
-    distance: float
-    """From there, m."""
-    angle: float
-    """By which it has swayed, rad."""
+    height: float  # What it looks at, above the origin, m
+    distance: float  # From there, m
+    angle: float  # By which it has swayed, rad
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, 2), x to the right and y down, and depths (N,), m, of points (N, 3)."""

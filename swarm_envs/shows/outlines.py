@@ -31,14 +31,11 @@ _LATTICES = tuple(name for name in SHAPES if name != "sphere")
 class Outline(NamedTuple):
     """Points among which places are chosen."""
 
-    points: FloatArray
-    """(M, 3), of any scale."""
+    points: FloatArray  # (M, 3), of any scale
     colors: FloatArray | None = None
     """(M, 3) red, green and blue, each in [0, 1], where the shape has its own."""
-    fixed: bool = False
-    """Whether the points are the places, all of them and in this order."""
-    flat: bool = False
-    """Whether they lie in the plane of x and z."""
+    fixed: bool = False  # Whether the points are the places, all of them and in this order
+    flat: bool = False  # Whether they lie in the plane of x and z
 
 
 def _upright(flat: FloatArray) -> FloatArray:
@@ -102,8 +99,7 @@ _SURFACES: dict[str, tuple[Callable[[], FloatArray], bool]] = {
     "wave": (wave, False),
 }
 """Shapes that are spread over points, and whether they are flat."""
-NAMES = (*_SURFACES, *_LATTICES)
-"""Shapes by name; letters, words and files apart."""
+NAMES = (*_SURFACES, *_LATTICES)  # Shapes by name; letters, words and files apart
 
 
 def written_word(word: str, drones: int) -> FloatArray:

@@ -21,16 +21,12 @@ __all__ = ["plan_show"]
 class Show:
     """What N drones fly and show, from the ground to the ground."""
 
-    paths: Choreography
-    """Where they should be."""
+    paths: Choreography  # Where they should be
     light_times: FloatArray
     """(L,) s, increasing from 0 to the end; between them colours change linearly."""
-    light_colors: FloatArray
-    """(L, N, 3) red, green and blue in [0, 1]."""
-    cues: tuple[tuple[str, float], ...]
-    """Each formation and the time at which it stands, s."""
-    transitions: tuple[Transition, ...]
-    """The ways between them."""
+    light_colors: FloatArray  # (L, N, 3) red, green and blue in [0, 1]
+    cues: tuple[tuple[str, float], ...]  # Each formation and the time at which it stands, s
+    transitions: tuple[Transition, ...]  # The ways between them
 
     @property
     def least(self) -> float:

@@ -23,8 +23,7 @@ __all__ = ["write_skyc"]
 
 _END, _SET_COLOR, _FADE_TO_COLOR = 0x00, 0x04, 0x08
 _TICKS = 50
-TAKEOFF_S = 2.0
-"""Time in which drones rise from the floor to where the paths begin, and back, s."""
+TAKEOFF_S = 2.0  # Time in which drones rise from the floor to where the paths begin, and back, s
 
 
 def write_skyc(path: Path, show: Show, title: str) -> None:

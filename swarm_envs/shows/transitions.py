@@ -63,12 +63,10 @@ class Pace:
 class Transition:
     """The way from a formation to the next."""
 
-    paths: Choreography
-    """Of the N drones."""
+    paths: Choreography  # Of the N drones
     alone_s: float
     """A bound on the duration: the slowest drone alone, of any assignment if places are free, s."""
-    least: float
-    """A lower bound of the scaled distance at any time, m."""
+    least: float  # A lower bound of the scaled distance at any time, m
 
 
 def assigned(start: FloatArray, places: FloatArray, room: Room, pace: Pace) -> Transition:

@@ -39,16 +39,11 @@ __all__ = [
 class Orbit(NamedTuple):
     """Ellipses on which drones circle: center + first cos(angle) + second sin(angle)."""
 
-    center: FloatArray
-    """(N, 3) centres, m."""
-    first: FloatArray
-    """(N, 3) half axes to which angle zero points, m."""
-    second: FloatArray
-    """(N, 3) half axes to which a quarter turn points, m."""
-    rate: FloatArray
-    """(N,) angular rates, rad/s."""
-    phase: FloatArray
-    """(N,) angles at time zero, rad."""
+    center: FloatArray  # (N, 3) centres, m
+    first: FloatArray  # (N, 3) half axes to which angle zero points, m
+    second: FloatArray  # (N, 3) half axes to which a quarter turn points, m
+    rate: FloatArray  # (N,) angular rates, rad/s
+    phase: FloatArray  # (N,) angles at time zero, rad
 
 
 class Placement(NamedTuple):
@@ -93,8 +88,7 @@ def world_of(placement: Placement) -> World:
 
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
-_DRAWS = 200
-"""How often an episode is sampled again until it is free of obstacles."""
+_DRAWS = 200  # How often an episode is sampled again until it is free of obstacles
 
 
 @typed
@@ -141,8 +135,7 @@ Given = FloatArray | None
 class _Flown:
     """Fields of every task."""
 
-    team: Team
-    """The drones, in the order of the agents."""
+    team: Team  # The drones, in the order of the agents
     reward_weights: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     """Weight of each reward term; a term left out has none. If empty, `default_weights`."""
     obstacles: tuple[Obstacle, ...] = field(default=(), kw_only=True)

@@ -45,8 +45,7 @@ COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Each layout by name, as options of `ColumnsTask`."""
-RAMP = 0.5
-"""Share of the way's time in which the reference speeds up, and in which it slows down."""
+RAMP = 0.5  # Share of the way's time in which the reference speeds up, and in which it slows down
 
 
 def column_team(layout: str, num_drones: int | None) -> Team:

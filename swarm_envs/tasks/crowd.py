@@ -39,8 +39,7 @@ CROWD_LAYOUTS = ("open", "forest", "buildings")
 """Obstacles of the layouts, by name."""
 Layout = Annotated[str, OneOf(CROWD_LAYOUTS)]
 """One of them."""
-_SITES = 3
-"""Sites for each drone: one that it has, two that are free."""
+_SITES = 3  # Sites for each drone: one that it has, two that are free
 _LOWEST, _HIGHEST = 0.5, 2.0
 """Heights of sites in an arena 2.5 m high, m; the highest grows with it."""
 _TREES_M, _TREE_RADIUS, _TREE_SHIFT = 1.2, 0.15, 0.2

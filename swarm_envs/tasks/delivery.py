@@ -23,10 +23,8 @@ from swarm_envs.vehicles import Team, parse_team
 
 __all__ = ["DeliveryTask"]
 
-DOCKS = 3
-"""Docks, and couriers."""
-_SECOND_M = 0.35
-"""Height of the second drone above a dock over the first, m."""
+DOCKS = 3  # Docks, and couriers
+_SECOND_M = 0.35  # Height of the second drone above a dock over the first, m
 _OUTSIDE, _START_HEIGHT_M = 1.4, 0.5
 """Couriers start outside of their first dock, at so many times its radius, and at this height."""
 

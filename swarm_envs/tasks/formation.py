@@ -46,14 +46,11 @@ LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 )
 """Missions by name, as options of `FormationTask`: the default; one change of shape, in which half
 of the drones end up below others; the same where places are drawn, so that ways cross."""
-LABELS = ("nearest", "random", "mirror", "blocks")
-"""Rules of who goes to which place."""
-STARTS = ("shape", "ground")
-"""Where an episode begins: on the first shape, or on the ground."""
+LABELS = ("nearest", "random", "mirror", "blocks")  # Rules of who goes to which place
+STARTS = ("shape", "ground")  # Where an episode begins: on the first shape, or on the ground
 GROUND_HEIGHT = 0.15
 """Height at which drones start on the ground, m: just above it, since touching it is a crash."""
-SPACING = 0.5
-"""Distance between places unless another is given, m."""
+SPACING = 0.5  # Distance between places unless another is given, m
 CLOSEST = 2.0 * math.sqrt(2.0)
 """Places are at least this many radii apart, so that straight ways to them do not meet."""
 _RAMP = 0.5

@@ -30,8 +30,7 @@ _GATES = tuple((-1.2 + 0.8 * k, 0.4 if k % 2 else -0.4) for k in range(4))
 _HALF_WIDTH, _POST = 0.35, 0.05
 """Half the way between the posts of a gate, and their radius, m."""
 _START_X = -1.65
-_CEILING = 2.2
-"""Highest place of a column, m."""
+_CEILING = 2.2  # Highest place of a column, m
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "success": 10.0})
 """Default weight of each reward term."""

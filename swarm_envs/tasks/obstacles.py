@@ -27,8 +27,7 @@ __all__ = [
     "parse_obstacles",
 ]
 
-Point = tuple[float, float, float]
-"""x, y, z, m."""
+Point = tuple[float, float, float]  # x, y, z, m
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,8 @@ _ACROSS, _UPWARDS = 0.8, 0.2
 """Half axes of the centre's way, m."""
 _LOWEST, _HIGHEST = 0.5, 2.0
 """Heights of goals in an arena 2.5 m high, m; the highest grows with it."""
-_SPARE = 0.15
-"""How much farther from the walls goals are that others carry along, m."""
-_STARTUP_S = 2.0
-"""Seconds until goals move at full speed."""
+_SPARE = 0.15  # How much farther from the walls goals are that others carry along, m
+_STARTUP_S = 2.0  # Seconds until goals move at full speed
 _RADIUS = 0.2
 _LEAST = {"moving": 0.9, "swap-goals": 0.5, "chase": 0.9}
 

@@ -36,14 +36,10 @@ from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
 __all__ = ["REWARD_WEIGHTS", "RingLayout", "RingTask", "ring_team"]
 
-GROUP_SIZE = 16
-"""The most drones that share one set of rings."""
-PER_CIRCLE = 5
-"""The most drones on one upright circle."""
-GAP = 0.4
-"""Smallest distance between the rings of two groups, m."""
-_SPARE = 0.05
-"""Distance that drones keep on their rings beyond the sum of radii, m."""
+GROUP_SIZE = 16  # The most drones that share one set of rings
+PER_CIRCLE = 5  # The most drones on one upright circle
+GAP = 0.4  # Smallest distance between the rings of two groups, m
+_SPARE = 0.05  # Distance that drones keep on their rings beyond the sum of radii, m
 
 
 @typed

@@ -38,12 +38,10 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
 
-LAYOUTS = ("stacked", "circle", "random")
-"""Every layout by name."""
+LAYOUTS = ("stacked", "circle", "random")  # Every layout by name
 Layout = Annotated[str, OneOf(LAYOUTS)]
 """One of them."""
-_RAMP = 0.2
-"""Share of a stacked swap in which the speed grows, and in which it falls."""
+_RAMP = 0.2  # Share of a stacked swap in which the speed grows, and in which it falls
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {

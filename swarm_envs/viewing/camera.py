@@ -31,28 +31,20 @@ if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
     from swarm_envs.envs.view import View
 
-_NEAREST = 0.5
-"""No point is nearer to the eye than this, m."""
+_NEAREST = 0.5  # No point is nearer to the eye than this, m
 
 
 @dataclass(frozen=True)
 class Lens:
     """A pinhole camera. World frame, m; pixels count from the upper left corner."""
 
-    width: int
-    """Of the picture, pixels."""
-    height: int
-    """Of the picture, pixels."""
-    tangent: float
-    """Tangent of half the vertical field of view."""
-    eye: FloatArray
-    """(3,) where the camera stands."""
-    right: FloatArray
-    """(3,) unit vector to the right of the picture."""
-    up: FloatArray
-    """(3,) unit vector to its top."""
-    forward: FloatArray
-    """(3,) unit vector into it."""
+    width: int  # Of the picture, pixels
+    height: int  # Of the picture, pixels
+    tangent: float  # Tangent of half the vertical field of view
+    eye: FloatArray  # (3,) where the camera stands
+    right: FloatArray  # (3,) unit vector to the right of the picture
+    up: FloatArray  # (3,) unit vector to its top
+    forward: FloatArray  # (3,) unit vector into it
 
     def project(self, points: npt.ArrayLike) -> FloatArray:
         """Pixels (..., 2), as (column, row), of points (..., 3) before the camera."""
@@ -116,11 +108,9 @@ _FLOOR = np.array([226.0, 228.0, 230.0])
 _LINE = np.array([168.0, 174.0, 182.0])
 _GRIDS = ((0.25, 0.006, 0.35), (1.0, 0.014, 0.9))
 """Spacing and width of the grid's lines, m, and how dark they are."""
-_HAZE_M = 9.0
-"""Distance over which the floor fades into the sky, m."""
+_HAZE_M = 9.0  # Distance over which the floor fades into the sky, m
 _SHADOW = 0.30
-_STEEPEST_SKY = 0.35
-"""Slope of the ray at which the sky has its darkest blue."""
+_STEEPEST_SKY = 0.35  # Slope of the ray at which the sky has its darkest blue
 
 
 class _Backdrop:
@@ -195,8 +185,7 @@ def _floor(points: FloatArray, footprint: FloatArray, distance: FloatArray) -> F
     return _HORIZON + clear * (color - _HORIZON)
 
 
-_BACKGROUND = -1
-"""What Bullet's segmentation says where it drew nothing."""
+_BACKGROUND = -1  # What Bullet's segmentation says where it drew nothing
 _PIXELS = Range(16, 4096)
 
 
@@ -350,11 +339,9 @@ def _import_renderer() -> Any:
         ) from error
 
 
-_SCREEN = 640, 480
-"""Size of a picture, pixels."""
+_SCREEN = 640, 480  # Size of a picture, pixels
 _TRAIL_S = 2.0
-_PATH_POINTS = 24
-"""Of each drone's reference, for the camera's aim."""
+_PATH_POINTS = 24  # Of each drone's reference, for the camera's aim
 
 
 class Screen:

@@ -33,12 +33,10 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveViewer"]
 
-MOST_SHOWN = 16
-"""Environments that are shown side by side."""
+MOST_SHOWN = 16  # Environments that are shown side by side
 ROW = {"position": 3, "quaternion": 4, "goal": 3, "force": 3, "hit": 1}
 """What a frame has of each drone, and how many numbers: m, 1, m, N, 0 or 1."""
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-"""Times real time."""
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)  # Times real time
 _WAIT_S = 10.0  # for the first browser, so that the beginning of a flight is not missed
 _IDLE_S = 5.0  # between comments that keep a connection open
 

@@ -17,36 +17,26 @@ if TYPE_CHECKING:
 
     from swarm_envs.viewing.camera import Lens
 
-Picture = npt.NDArray[np.uint8]
-"""(height, width, 3) red, green, blue."""
-Color = tuple[int, int, int, int]
-"""Red, green, blue, opacity, from 0 to 255."""
+Picture = npt.NDArray[np.uint8]  # (height, width, 3) red, green, blue
+Color = tuple[int, int, int, int]  # Red, green, blue, opacity, from 0 to 255
 
 _EDGE: Color = (160, 167, 176, 255)
 _SOLID_FACE: Color = (110, 120, 132, 95)
 _SOLID_EDGE: Color = (80, 88, 98, 220)
 _FORCE: Color = (176, 20, 155, 255)
-_NEAREST = 0.05
-"""Nothing nearer to the eye is drawn, m."""
+_NEAREST = 0.05  # Nothing nearer to the eye is drawn, m
 
 
 class Overlay(NamedTuple):
     """What to draw, world frame, m. N drones."""
 
-    colors: Sequence[str]
-    """N colours, `#rrggbb`, of goals, references and trails."""
-    arena: FloatArray | None = None
-    """(2, 3) corners; its edges are drawn."""
-    solids: Sequence[Solid] = ()
-    """Obstacles, seen through."""
-    goals: FloatArray | None = None
-    """(N, 3), drawn as diamonds."""
-    references: FloatArray | None = None
-    """(N, 3), drawn as circles."""
-    trails: FloatArray | None = None
-    """(K, N, 3) positions so far, oldest first."""
-    arrows: FloatArray | None = None
-    """(N, 2, 3) foot and tip of each drone's force."""
+    colors: Sequence[str]  # N colours, `#rrggbb`, of goals, references and trails
+    arena: FloatArray | None = None  # (2, 3) corners; its edges are drawn
+    solids: Sequence[Solid] = ()  # Obstacles, seen through
+    goals: FloatArray | None = None  # (N, 3), drawn as diamonds
+    references: FloatArray | None = None  # (N, 3), drawn as circles
+    trails: FloatArray | None = None  # (K, N, 3) positions so far, oldest first
+    arrows: FloatArray | None = None  # (N, 2, 3) foot and tip of each drone's force
     enlarged: bool = False
     """Whether the picture will be averaged to half its size. If not, lines are smoothed here."""
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["About", "FlightRecord", "Recorder", "Recording", "Solid"]
 
-_SIDES = 20
-"""Of the prism that stands for a cylinder."""
+_SIDES = 20  # Of the prism that stands for a cylinder
 
 
 class Solid(NamedTuple):

@@ -38,8 +38,7 @@ _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quat
 """What one in the page's integers is: mm, hundredths of a gram."""
 MOST_SAMPLES = 50_000
 """Drones times frames in a page; a longer flight keeps every second sample, or fewer."""
-_FASTEST = 60.0
-"""Frames per second that a page keeps at most."""
+_FASTEST = 60.0  # Frames per second that a page keeps at most
 _LONGEST_ARROW_M = 0.45
 _SCALES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Lengths of an arrow of one gram, m; the longest that fits is taken."""

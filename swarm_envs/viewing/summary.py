@@ -22,18 +22,12 @@ _UNITS = {"_m": "m", "_s": "s", "_g": "g", "_j": "J"}
 class Event(NamedTuple):
     """Something that goes wrong, at its first sample; or nearly, at the closest one."""
 
-    frame: int
-    """Index of the sample."""
-    time: float
-    """s."""
-    kind: str
-    """`drone`, `floor`, `wall`, `obstacle`, `tumbling` or `near miss`."""
-    drones: tuple[int, ...]
-    """One, or the two that touch, or nearly."""
-    position: FloatArray
-    """(3,) where, m."""
-    text: str
-    """For people."""
+    frame: int  # Index of the sample
+    time: float  # s
+    kind: str  # `drone`, `floor`, `wall`, `obstacle`, `tumbling` or `near miss`
+    drones: tuple[int, ...]  # One, or the two that touch, or nearly
+    position: FloatArray  # (3,) where, m
+    text: str  # For people
 
 
 _ALONE = {

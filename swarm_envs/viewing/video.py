@@ -38,8 +38,7 @@ WIDTH, HEIGHT, FPS = 768, 544, 24
 _HEADER = 40
 _SMOOTH = 2
 _TRAIL_S = 2.0
-_REST_S = 1.0
-"""The last frame stands so long, to be read."""
+_REST_S = 1.0  # The last frame stands so long, to be read
 _METRE_PER_GRAM = 0.012
 _WEAKEST_N = 0.5 * GRAM_FORCE
 _INK, _QUIET, _PAPER = "#1c2127", "#5c6670", "#ffffff"
@@ -100,11 +99,9 @@ def _overlay(recording: Recording, index: int) -> Overlay:
     )
 
 
-Frame = npt.NDArray[np.uint8]
-"""(height, width, 3) red, green, blue."""
+Frame = npt.NDArray[np.uint8]  # (height, width, 3) red, green, blue
 
-_GIF_SKIP = 2
-"""A GIF has every second frame, at half the size: it is ten times as large otherwise."""
+_GIF_SKIP = 2  # A GIF has every second frame, at half the size: it is ten times as large otherwise
 
 
 class VideoError(RuntimeError):

@@ -29,8 +29,7 @@ from swarm_envs.baselines.rth3d import METHODS, make_instance, plan
 from swarm_envs.files import write_json
 from tests.benchmarks.rows import Row, aligned
 
-SINGLE = ("rings",)
-"""Families that draw nothing at random: one seed is enough."""
+SINGLE = ("rings",)  # Families that draw nothing at random: one seed is enough
 
 
 class Case(NamedTuple):
@@ -40,8 +39,7 @@ class Case(NamedTuple):
     family: str
     shape: tuple[int, int, int]
     method: str = "auto"
-    robots: int | None = None
-    """None: as many as the family puts there."""
+    robots: int | None = None  # None: as many as the family puts there
 
 
 def _half(m: int) -> tuple[int, int, int]:

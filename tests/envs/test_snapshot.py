@@ -18,8 +18,7 @@ from swarm_envs.motors import BatteryModel
 from swarm_envs.vehicles import parse_team
 from tests.helpers.frozen import EVERYTHING
 
-TEAM = "LS*S"
-"""Who flies the first episode; then the constructor's team does."""
+TEAM = "LS*S"  # Who flies the first episode; then the constructor's team does
 ACTIONS = ("acceleration", "velocity", "ctbr", "rotors", "setpoint")
 
 

@@ -19,8 +19,7 @@ from tests.helpers.imports import ROOT
 
 REFUSALS = (ValueError, TypeError, OSError, ImportError)
 """What may be raised for a bad argument, if the message names it."""
-PATIENCE_S = 300
-"""A call that takes more CPU time hangs; it may have to compile first."""
+PATIENCE_S = 300  # A call that takes more CPU time hangs; it may have to compile first
 
 
 class Hang(BaseException):

@@ -35,8 +35,7 @@ from tqdm import tqdm
 from swarm_envs import cli
 from swarm_envs.cli import main as command_line
 
-Run = Callable[[Path], int]
-"""Does a job into a folder; its exit code."""
+Run = Callable[[Path], int]  # Does a job into a folder; its exit code
 RL = ["--drones", "2", "--environments", "8", "--hidden", "8", "--num-neighbors", "1"]
 RL += ["--interactions", "none", "--judge-every", "2", "--judge-episodes", "4"]
 RL += ["--no-tensorboard", "--no-progress", "--seed", "5"]

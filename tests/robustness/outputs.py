@@ -30,8 +30,7 @@ from tqdm import tqdm
 from swarm_envs.cli import main as command_line
 from tests.robustness.kills import COMMANDS, Run, differences
 
-PATIENCE_S = 600
-"""A command that takes longer hangs."""
+PATIENCE_S = 600  # A command that takes longer hangs
 FILES = {"export": "learned.h", "fly": "flight.npz", "replay": "flight.html", "show": "show.skyc"}
 """Files that a command replaces, whoever wrote them."""
 NOTE, BEFORE = "note.txt", b"what was there before"
@@ -43,20 +42,16 @@ class Ended(NamedTuple):
     """How a command ended."""
 
     code: int
-    said: list[str]
-    """Lines of its standard error that are no progress."""
+    said: list[str]  # Lines of its standard error that are no progress
 
 
 class Trial(NamedTuple):
     """A command, and what it does where nothing is amiss."""
 
     job: Run
-    file: str
-    """What it replaces; "" for nothing."""
-    whole: Path
-    """What it writes."""
-    took_s: float
-    """How long it takes."""
+    file: str  # What it replaces; "" for nothing
+    whole: Path  # What it writes
+    took_s: float  # How long it takes
 
     def run(
         self,

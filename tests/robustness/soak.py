@@ -70,10 +70,8 @@ class Life(NamedTuple):
 
     drift: float
     """Largest difference of position or velocity from the twin before a contact, m or m/s."""
-    compared: int
-    """Decisions of environments at which it was measured."""
-    episodes: int
-    """How many ended."""
+    compared: int  # Decisions of environments at which it was measured
+    episodes: int  # How many ended
 
 
 def actions(core: SwarmCore, rng: np.random.Generator, before: np.ndarray | None) -> np.ndarray:
@@ -176,14 +174,12 @@ def fail(task: str, physics: str) -> None:
         raise AssertionError(f"BulletPhysics took {options}")
 
 
-DRIFT_M = 1e-9
-"""Largest difference between the engines before a contact, m or m/s."""
+DRIFT_M = 1e-9  # Largest difference between the engines before a contact, m or m/s
 GROWTH_MIB = 6.0
 """Growth of resident memory over what was measured after the warm-up, fitted by a line, MiB."""
 ENGINES = {"bullet": {"bullet": 3, "batch": 3}, "batch": {"batch": 32, "bullet": 1}}
 """Environments of the engine that is soaked, and of its twin."""
-CLIENTS = 1024
-"""Bullet numbers its clients up to this."""
+CLIENTS = 1024  # Bullet numbers its clients up to this
 
 
 def resident_mib() -> float:

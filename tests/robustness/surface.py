@@ -41,8 +41,7 @@ class Call(NamedTuple):
     """A public function in a valid call."""
 
     function: Callable[..., Any]
-    valid: Mapping[str, Any]
-    """Its arguments by name."""
+    valid: Mapping[str, Any]  # Its arguments by name
 
 
 def _flown(task: str, **options: Any) -> object:

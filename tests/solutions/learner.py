@@ -15,8 +15,7 @@ CHANGES = np.concatenate([np.zeros((1, 3)), 0.5 * _WAYS, 1.2 * _WAYS, 2.2 * _WAY
 class Searched(starter.MyLearner):
     """Takes the velocity nearest to the wanted one that meets nobody soon."""
 
-    changes = CHANGES
-    """(C, 3) what is tried besides the wanted velocity, m/s."""
+    changes = CHANGES  # (C, 3) what is tried besides the wanted velocity, m/s
 
     def __init__(self):
         self.gains = np.array([1.5, 5.0, 0.3, 0.8])  # speed, 1/s, m, s

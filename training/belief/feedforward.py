@@ -62,18 +62,13 @@ TRIALS = (
 class CompensationResult(SwapTrial):
     """Worst height error of the lowest drone over the episodes of a trial, cm."""
 
-    uncompensated_median_cm: float
-    """Median of the worst height errors without compensation, cm."""
-    compensated_median_cm: float
-    """The same with the model fed forward, cm."""
-    largest_ratio: float
-    """Largest of an episode's compensated over its uncompensated error."""
-    worse: int
-    """Episodes that compensation made worse."""
+    uncompensated_median_cm: float  # Median of the worst height errors without compensation, cm
+    compensated_median_cm: float  # The same with the model fed forward, cm
+    largest_ratio: float  # Largest of an episode's compensated over its uncompensated error
+    worse: int  # Episodes that compensation made worse
     upper_largest_growth_cm: float
     """Largest growth of another drone's worst height error by compensation."""
-    crashed: int
-    """Compensated episodes that ended in a collision or a tumble."""
+    crashed: int  # Compensated episodes that ended in a collision or a tumble
 
 
 @typed
@@ -97,8 +92,7 @@ class FeedforwardConfig:
     """show progress bars"""
 
 
-FeedforwardReport = dict[str, Any]
-"""The content of `belief.json`."""
+FeedforwardReport = dict[str, Any]  # The content of `belief.json`
 
 
 @typed

@@ -109,12 +109,9 @@ class CollectionConfig:
 class FlightBatch:
     """Flights of one team and kind that fly at the same time, each in its own environment."""
 
-    team: str
-    """Who flies together."""
-    kind: str
-    """One of `KINDS`."""
-    count: int
-    """Number of flights."""
+    team: str  # Who flies together
+    kind: str  # One of `KINDS`
+    count: int  # Number of flights
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,8 +122,7 @@ class FlightBatch:
 
 MANIFEST = "manifest.json"
 """File that says what the others of a folder hold."""
-HELD_OUT_EVERY = 5
-"""Of the flights of a team and kind one in so many is for validation."""
+HELD_OUT_EVERY = 5  # Of the flights of a team and kind one in so many is for validation
 
 
 @typed

@@ -27,22 +27,17 @@ from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
 
 __all__ = ["Label", "SensorNoise", "force_from_motion", "thrust_direction"]
 
-LOG_RATE = 120
-"""Log entries per second as flown: every second physics step."""
+LOG_RATE = 120  # Log entries per second as flown: every second physics step
 
-STEPS_PER_ENTRY = PHYSICS_RATE // LOG_RATE
-"""Physics steps between log entries."""
+STEPS_PER_ENTRY = PHYSICS_RATE // LOG_RATE  # Physics steps between log entries
 
 
 class FlightLog(NamedTuple):
     """What one flight of N drones recorded, T entries. World frame unless said, SI units."""
 
-    position: FloatArray
-    """(T, N, 3) m."""
-    velocity: FloatArray
-    """(T, N, 3) m/s."""
-    quaternion: FloatArray
-    """(T, N, 4) attitude (x, y, z, w), body to world."""
+    position: FloatArray  # (T, N, 3) m
+    velocity: FloatArray  # (T, N, 3) m/s
+    quaternion: FloatArray  # (T, N, 4) attitude (x, y, z, w), body to world
     specific_force: FloatArray
     """(T, N, 3) what an accelerometer reads, body frame, m/s^2: (0, 0, 9.81) in hover."""
     setpoint: FloatArray

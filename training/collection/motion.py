@@ -25,10 +25,8 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["MotionRanges"]
 
-Pair = tuple[float, float]
-"""Lowest and highest of what is drawn evenly."""
-Drawn = Annotated[Pair, Interval(NOT_NEGATIVE)]
-"""Such a pair, neither of them negative."""
+Pair = tuple[float, float]  # Lowest and highest of what is drawn evenly
+Drawn = Annotated[Pair, Interval(NOT_NEGATIVE)]  # Such a pair, neither of them negative
 
 
 @typed_options
@@ -84,19 +82,15 @@ class MotionRanges:
 class MotionTarget(NamedTuple):
     """Where E teams of N drones are to be now, and what moves them. World frame, (E, N, 3), SI."""
 
-    position: FloatArray
-    """Where the drone should be, m."""
-    velocity: FloatArray
-    """Its derivative, m/s."""
-    acceleration: FloatArray
-    """Its second derivative, m/s^2."""
+    position: FloatArray  # Where the drone should be, m
+    velocity: FloatArray  # Its derivative, m/s
+    acceleration: FloatArray  # Its second derivative, m/s^2
 
 
 class TeamMotion(Protocol):
     """A motion of E teams of N drones."""
 
-    start: FloatArray
-    """(E, N, 3) where the drones start, at rest, m."""
+    start: FloatArray  # (E, N, 3) where the drones start, at rest, m
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
         """Set-points at `time`, s, given measured positions (E, N, 3), m.
@@ -111,12 +105,9 @@ _LEAST = 1e-3
 class Potential(NamedTuple):
     """A potential of the clearance to what repels."""
 
-    reach: float
-    """Clearance below which it repels, m."""
-    strength: float
-    """m^4/s^2."""
-    limit: float
-    """Largest acceleration, m/s^2."""
+    reach: float  # Clearance below which it repels, m
+    strength: float  # m^4/s^2
+    limit: float  # Largest acceleration, m/s^2
 
 
 @kernel

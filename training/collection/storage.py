@@ -27,8 +27,7 @@ __all__ = ["PWM_SPAN", "commanded_thrust", "flight_file", "read_log"]
 
 PWM_SPAN = 65536.0
 """Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
-LARGEST_PWM = 65535.0
-"""The signal of a motor at full power."""
+LARGEST_PWM = 65535.0  # The signal of a motor at full power
 
 
 def motor_signals(
@@ -71,8 +70,7 @@ def _signal(vehicle: Vehicle, force_g: FloatArray, volts: FloatArray) -> FloatAr
     return np.asarray((np.sqrt(np.maximum(inside, 0.0)) - slope) / (2.0 * d))
 
 
-Format = Literal["npz", "parquet"]
-"""Formats of a logged flight."""
+Format = Literal["npz", "parquet"]  # Formats of a logged flight
 
 
 def flight_file(out: Path, name: str, form: str = "npz") -> Path:

@@ -19,27 +19,20 @@ from swarm_envs.vehicles import LARGE, parse_team
 
 __all__ = ["CurriculumConfig"]
 
-PAIRS = ("SS", "SL", "LL")
-"""Teams of two, of every mixture."""
-THREES = ("SSS", "SSL", "SLL", "LLL")
-"""Teams of three, of every mixture."""
+PAIRS = ("SS", "SL", "LL")  # Teams of two, of every mixture
+THREES = ("SSS", "SSL", "SLL", "LLL")  # Teams of three, of every mixture
 
-GAP_SPAN_M = 0.3
-"""Planes of a swap are from the least gap to this much further apart."""
-WALK_REACH_M = 0.10
-"""Random walkers repel each other from this much above the round's clearance."""
+GAP_SPAN_M = 0.3  # Planes of a swap are from the least gap to this much further apart
+WALK_REACH_M = 0.10  # Random walkers repel each other from this much above the round's clearance
 
 
 @dataclass(frozen=True)
 class Stage:
     """Who flies in a round."""
 
-    title: str
-    """What is new in the stage."""
-    teams: tuple[str, ...]
-    """Who flies."""
-    compensated: bool
-    """Whether the pilot knows the model of the round before."""
+    title: str  # What is new in the stage
+    teams: tuple[str, ...]  # Who flies
+    compensated: bool  # Whether the pilot knows the model of the round before
 
 
 STAGES = (

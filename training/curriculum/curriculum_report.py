@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 GOALS = {2: 0.85, 3: 0.85, 5: 0.70}
 """Share of the variance of f_a,z that a model is to explain, by number of drones."""
-FIRST_SEED = 50_000
-"""Of the episodes."""
+FIRST_SEED = 50_000  # Of the episodes
 
 
 Unseen = dict[str, Any]

@@ -45,12 +45,9 @@ from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import parse_team
 
-MARK = "round.json"
-"""Written last: a round that has it is done."""
-PASSING_M = 0.2
-"""Drones pass each other while they are so near laterally: within a wake's width."""
-QUANTILE = 0.95
-"""Of the swaps, whose worst gap errors decide on the next round."""
+MARK = "round.json"  # Written last: a round that has it is done
+PASSING_M = 0.2  # Drones pass each other while they are so near laterally: within a wake's width
+QUANTILE = 0.95  # Of the swaps, whose worst gap errors decide on the next round
 LARGEST_STEP = 0.3
 """A round plans at least this share of the last one's clearance, so that models extrapolate little.
 """
@@ -68,18 +65,13 @@ class Closeness:
     """Smallest vertical clearance of two spheres that stood over each other in a swap."""
     least_distance_ratio: float
     """Smallest distance of two drones in any flight over the sum of their radii: 1 is a touch."""
-    flights: int
-    """Flights that were looked at."""
-    seconds: float
-    """Their length together, s."""
-    cut_swaps: int
-    """Swaps that ended before their time, at a contact."""
-    cut_walks: int
-    """Random walks that did."""
+    flights: int  # Flights that were looked at
+    seconds: float  # Their length together, s
+    cut_swaps: int  # Swaps that ended before their time, at a contact
+    cut_walks: int  # Random walks that did
 
 
-CurriculumRound = dict[str, Any]
-"""How a round went, as `round.json` and `curriculum.json` hold it."""
+CurriculumRound = dict[str, Any]  # How a round went, as `round.json` and `curriculum.json` hold it
 
 
 def measure_closeness(flights: Sequence[CollectedFlight], duration_s: float) -> Closeness:
@@ -234,10 +226,8 @@ def read_round(path: Path) -> CurriculumRound:
     return found | {"closeness": Closeness(**closeness)}
 
 
-ORIGIN = "origin.json"
-"""File with the options that a folder was begun with."""
-UNSEEN = "unseen.json"
-"""File with the errors on teams that no round flew."""
+ORIGIN = "origin.json"  # File with the options that a folder was begun with
+UNSEEN = "unseen.json"  # File with the errors on teams that no round flew
 
 
 @typed

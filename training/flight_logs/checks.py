@@ -18,24 +18,16 @@ from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES, Vehicle
 class DroneLog(NamedTuple):
     """Lines of one drone, T of them, in order of time; units as in `FlightTable`."""
 
-    name: str
-    """Of the physical vehicle."""
-    vehicle: Vehicle
-    """Its type."""
-    time: FloatArray
-    """(T,) s."""
-    position: FloatArray
-    """(T, 3) m, world frame."""
-    velocity: FloatArray
-    """(T, 3) m/s, world frame."""
-    quaternion: FloatArray
-    """(T, 4) x, y, z, w, body to world."""
+    name: str  # Of the physical vehicle
+    vehicle: Vehicle  # Its type
+    time: FloatArray  # (T,) s
+    position: FloatArray  # (T, 3) m, world frame
+    velocity: FloatArray  # (T, 3) m/s, world frame
+    quaternion: FloatArray  # (T, 4) x, y, z, w, body to world
     acceleration: FloatArray | None
     """(T, 3) m/s^2, world frame, with gravity; None if it was not logged."""
-    pwm: FloatArray
-    """(T, 4) signals of the motors."""
-    voltage: FloatArray
-    """(T,) of the battery, V."""
+    pwm: FloatArray  # (T, 4) signals of the motors
+    voltage: FloatArray  # (T,) of the battery, V
 
     @property
     def step_s(self) -> float:
@@ -49,16 +41,11 @@ class DroneLog(NamedTuple):
         return np.asarray(force).sum(axis=-1)
 
 
-ACCELERATION = (0.6 * GRAVITY, 1.6 * GRAVITY)
-"""Median size with gravity, m/s^2."""
-WINDOW_S = 0.2
-"""Accelerations are compared with those of the velocity as means over such a time."""
-MOVING = 0.1
-"""Spread of the velocity's acceleration above which the two are compared, m/s^2."""
-OPPOSED = -0.5
-"""Correlation of the two below which one of them has the wrong sign."""
-_NEAR = 1.25
-"""Factor within which an acceleration looks like one in some other unit."""
+ACCELERATION = (0.6 * GRAVITY, 1.6 * GRAVITY)  # Median size with gravity, m/s^2
+WINDOW_S = 0.2  # Accelerations are compared with those of the velocity as means over such a time
+MOVING = 0.1  # Spread of the velocity's acceleration above which the two are compared, m/s^2
+OPPOSED = -0.5  # Correlation of the two below which one of them has the wrong sign
+_NEAR = 1.25  # Factor within which an acceleration looks like one in some other unit
 
 
 def check_height(drone: DroneLog) -> None:
@@ -134,20 +121,13 @@ def _fix(size: float, upwards: float, mass: float) -> str:
     return "give m/s^2 in the world frame, z up"
 
 
-RUNNING = 0.2
-"""Mean signal above which motors run: psi1 has no meaning below."""
-SHORTEST_S = 1.0
-"""Logs of a drone shorter than this are refused, s."""
-STEP_S = (1 / 2000, 1 / 20)
-"""Usual time between two lines of a drone, shortest and longest."""
-UNIT_TOLERANCE = 0.01
-"""By how much the length of a quaternion may differ from 1."""
-VOLTAGE_V = (2.5, 4.5)
-"""Lowest and highest voltage that is accepted, V."""
-THRUST_SHARE = (0.6, 1.6)
-"""Median thrust by psi1 over what the drone carried."""
-PACE = (0.7, 1.4)
-"""Movement of the position over that by the velocity."""
+RUNNING = 0.2  # Mean signal above which motors run: psi1 has no meaning below
+SHORTEST_S = 1.0  # Logs of a drone shorter than this are refused, s
+STEP_S = (1 / 2000, 1 / 20)  # Usual time between two lines of a drone, shortest and longest
+UNIT_TOLERANCE = 0.01  # By how much the length of a quaternion may differ from 1
+VOLTAGE_V = (2.5, 4.5)  # Lowest and highest voltage that is accepted, V
+THRUST_SHARE = (0.6, 1.6)  # Median thrust by psi1 over what the drone carried
+PACE = (0.7, 1.4)  # Movement of the position over that by the velocity
 
 
 def checked_drones(table: FlightTable) -> tuple[DroneLog, ...]:

@@ -25,30 +25,18 @@ from swarm_envs.vehicles import Team
 class ClockedFlight(NamedTuple):
     """A flight of N drones at T evenly spaced times. World frame, SI units; 0 where not `known`."""
 
-    names: tuple[str, ...]
-    """Names of the physical vehicles."""
-    team: Team
-    """Their types."""
-    rate_hz: float
-    """Samples per second of the common clock."""
-    time: FloatArray
-    """(T,) s since the first common sample."""
-    known: BoolArray
-    """(T,) whether every drone has a measurement here, outside gaps of its log."""
-    running: BoolArray
-    """(T,) whether the motors of every drone run."""
-    position: FloatArray
-    """(T, N, 3)."""
-    velocity: FloatArray
-    """(T, N, 3)."""
-    quaternion: FloatArray
-    """(T, N, 4) of unit length."""
-    acceleration: FloatArray | None
-    """(T, N, 3) with gravity; None if some drone's was not logged."""
-    pwm: FloatArray
-    """(T, N, 4)."""
-    voltage: FloatArray
-    """(T, N)."""
+    names: tuple[str, ...]  # Names of the physical vehicles
+    team: Team  # Their types
+    rate_hz: float  # Samples per second of the common clock
+    time: FloatArray  # (T,) s since the first common sample
+    known: BoolArray  # (T,) whether every drone has a measurement here, outside gaps of its log
+    running: BoolArray  # (T,) whether the motors of every drone run
+    position: FloatArray  # (T, N, 3)
+    velocity: FloatArray  # (T, N, 3)
+    quaternion: FloatArray  # (T, N, 4) of unit length
+    acceleration: FloatArray | None  # (T, N, 3) with gravity; None if some drone's was not logged
+    pwm: FloatArray  # (T, N, 4)
+    voltage: FloatArray  # (T, N)
 
 
 def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlight:
@@ -157,12 +145,9 @@ def _piece(flight: ClockedFlight, piece: slice, smoothing_s: float) -> FloatArra
 
 LOWEST_M = {"S": 0.07, "L": 0.085}
 """Height that a row's drone must be above, by interaction type: it stands on its legs below."""
-LARGEST_G = 50.0
-"""Largest vertical force: more is an impact."""
-LARGEST_UPWARD_G = 35.0
-"""Largest upward force aloft."""
-ALOFT_M = 0.25
-"""Height from which on a drone is away from the ground, m."""
+LARGEST_G = 50.0  # Largest vertical force: more is an impact
+LARGEST_UPWARD_G = 35.0  # Largest upward force aloft
+ALOFT_M = 0.25  # Height from which on a drone is away from the ground, m
 
 
 def drone_rows(flight: ClockedFlight, force_g: FloatArray, i: int, keep_every: int) -> DroneRows:

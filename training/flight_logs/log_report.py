@@ -29,64 +29,44 @@ PLAUSIBLE_SHARE = 0.15
 class FileReport:
     """What became of one file."""
 
-    file: str
-    """Its name."""
-    refused: str | None = None
-    """Which rule it breaks; nothing of it was used then."""
+    file: str  # Its name
+    refused: str | None = None  # Which rule it breaks; nothing of it was used then
     kind: Literal["log", "table"] = "log"
     """A flight's log, or a table of rows, of which only rows, entries and dropped have meaning."""
-    drones: dict[str, str] = field(default_factory=dict)
-    """Type by name."""
-    seconds: float = 0.0
-    """Time that all drones have in common."""
-    gap_seconds: float = 0.0
-    """Of it, in gaps of some drone's log."""
-    uncommon_seconds: float = 0.0
-    """Time of the longest log outside of it, left out."""
-    rate_hz: float = 0.0
-    """Samples per second."""
-    acceleration: str = ""
-    """`logged` or `differentiated`."""
-    ignored_columns: tuple[str, ...] = ()
-    """Columns that nothing reads."""
-    entries: int = 0
-    """Of all drones on the common clock."""
-    rows: int = 0
-    """Rows that it gave."""
+    drones: dict[str, str] = field(default_factory=dict)  # Type by name
+    seconds: float = 0.0  # Time that all drones have in common
+    gap_seconds: float = 0.0  # Of it, in gaps of some drone's log
+    uncommon_seconds: float = 0.0  # Time of the longest log outside of it, left out
+    rate_hz: float = 0.0  # Samples per second
+    acceleration: str = ""  # `logged` or `differentiated`
+    ignored_columns: tuple[str, ...] = ()  # Columns that nothing reads
+    entries: int = 0  # Of all drones on the common clock
+    rows: int = 0  # Rows that it gave
     dropped: dict[str, int] = field(default_factory=dict)
     """Entries that are no rows, by reason; with `rows` they make up `entries`."""
-    notes: tuple[str, ...] = ()
-    """What else there is to say."""
+    notes: tuple[str, ...] = ()  # What else there is to say
 
 
 @dataclass(frozen=True)
 class Calibration:
     """What lone flight says of one vehicle."""
 
-    id: int
-    """In the rows."""
-    type: str
-    """Of the vehicle."""
-    rows: int
-    """Quiet rows from which its offset comes."""
-    quiet_rows: int
-    """Training rows aloft, slow and away from wakes."""
+    id: int  # In the rows
+    type: str  # Of the vehicle
+    rows: int  # Quiet rows from which its offset comes
+    quiet_rows: int  # Training rows aloft, slow and away from wakes
     offset_g: float | None
     """Median vertical label of those: error of mass and thrust curve. None without such rows."""
-    refused: str | None = None
-    """Why none of its rows was used."""
+    refused: str | None = None  # Why none of its rows was used
 
 
 @dataclass(frozen=True)
 class ScenarioReport:
     """Rows of one scenario."""
 
-    training_rows: int
-    """Rows that are learned from."""
-    validation_rows: int
-    """Rows that are held out."""
-    refused: str | None = None
-    """Why it was left out."""
+    training_rows: int  # Rows that are learned from
+    validation_rows: int  # Rows that are held out
+    refused: str | None = None  # Why it was left out
 
 
 @dataclass(frozen=True)
@@ -176,12 +156,9 @@ def _implausible(name: str, vehicle: Calibration) -> list[str]:
 class JoinedRows(NamedTuple):
     """Rows of several files."""
 
-    rows: InteractionRows
-    """Of all files together."""
-    origin: IntArray
-    """(R,) which file each row is from."""
-    files: list[FileReport]
-    """What became of each file."""
+    rows: InteractionRows  # Of all files together
+    origin: IntArray  # (R,) which file each row is from
+    files: list[FileReport]  # What became of each file
 
     def select(self, keep: BoolArray, reason: str) -> JoinedRows:
         """Return only the rows of an (R,) mask; what goes is counted under `reason` by file."""

@@ -57,19 +57,15 @@ from swarm_envs.vehicles import parse_team
 
 __all__ = ["MANIFEST", "read_logs"]
 
-TABLE_SUFFIX = ".npz"
-"""How the name of a table of rows ends."""
-DEFAULT = LogOptions()
-"""The options that hold if none are given."""
+TABLE_SUFFIX = ".npz"  # How the name of a table of rows ends
+DEFAULT = LogOptions()  # The options that hold if none are given
 
 
 class Found(NamedTuple):
     """What lies at a path; all sorted by name."""
 
-    tables: list[Path]
-    """Tables of rows."""
-    logs: list[Path]
-    """Logs of flights."""
+    tables: list[Path]  # Tables of rows
+    logs: list[Path]  # Logs of flights
     twice: list[FileReport]
     """Flights that are there in several files, of which none can be preferred."""
     not_read: tuple[str, ...] = ()

@@ -40,8 +40,7 @@ from swarm_envs.training.force_model.wake_fit import (
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import differing, json_ready
 
-DRAWS = 2000
-"""Bootstrap samples of flights."""
+DRAWS = 2000  # Bootstrap samples of flights
 
 
 @typed_options
@@ -75,19 +74,15 @@ class CompareConfig:
 class ModelComparison:
     """Errors of models on flights that they have not seen."""
 
-    flights: int
-    """How many flights there are."""
-    rows: int
-    """How many rows."""
+    flights: int  # How many flights there are
+    rows: int  # How many rows
     errors: dict[str, dict[str, float]]
     """Mean squared error by model, g^2: of `all` rows, of those `flown`, and of each scenario."""
     differences: list[dict[str, Any]]
     """Of the first `model` from each `other`, on `all` rows or those `flown`: the mean difference
     of squared errors, g^2, below zero if the first is better, and its 95 % interval."""
-    config: object
-    """What was compared."""
-    data_sha256: str
-    """SHA-256 of the data."""
+    config: object  # What was compared
+    data_sha256: str  # SHA-256 of the data
 
     def lines(self) -> list[str]:
         """What the command prints."""

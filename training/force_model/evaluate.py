@@ -52,18 +52,12 @@ class ForceFunction(Protocol):
 class Errors:
     """Mean squared errors of the vertical force on validation rows, g^2."""
 
-    overall: float
-    """Mean squared error of all rows, g^2."""
-    zero: float
-    """Of predicting no force."""
-    scenario_mean: float
-    """Of predicting the mean of the scenario's training labels."""
-    scenario: dict[str, float]
-    """Of the model by scenario."""
-    scenario_zero: dict[str, float]
-    """The same of a model that says nothing, by scenario."""
-    scenario_scenario_mean: dict[str, float]
-    """The same of one that says the scenario's mean."""
+    overall: float  # Mean squared error of all rows, g^2
+    zero: float  # Of predicting no force
+    scenario_mean: float  # Of predicting the mean of the scenario's training labels
+    scenario: dict[str, float]  # Of the model by scenario
+    scenario_zero: dict[str, float]  # The same of a model that says nothing, by scenario
+    scenario_scenario_mean: dict[str, float]  # The same of one that says the scenario's mean
 
 
 def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Errors:
@@ -183,54 +177,37 @@ _SWARMS = 2000
 class Findings:
     """What was measured on the weights as they ship."""
 
-    rows: int
-    """Rows there were."""
-    validation_rows: int
-    """Those of them that were held out."""
-    errors: Errors
-    """Against labels treated as in training."""
-    errors_raw: Errors
-    """Against labels as measured."""
-    lipschitz_bound: dict[str, float] | None
-    """Of a network; None of the closed form."""
+    rows: int  # Rows there were
+    validation_rows: int  # Those of them that were held out
+    errors: Errors  # Against labels treated as in training
+    errors_raw: Errors  # Against labels as measured
+    lipschitz_bound: dict[str, float] | None  # Of a network; None of the closed form
     lipschitz_measured: dict[str, dict[str, float]]
     """By number of neighbours; empty if it was left out, or of the closed form."""
     axis_bins: list[dict[str, Any]]
     """Measured and modelled force under one neighbour; labels treated as in training."""
-    extremes: list[dict[str, Any]]
-    """Largest forces in random swarms by number of drones."""
+    extremes: list[dict[str, Any]]  # Largest forces in random swarms by number of drones
 
 
 @dataclass(frozen=True)
 class FitReport:
     """What was fitted and how well: the content of `learned.json`, whatever the model."""
 
-    model: str
-    """`deep-set`, `pairwise` or `wake`."""
-    command: str
-    """The command that was run."""
-    config: object
-    """Its options."""
-    data_sha256: str
-    """SHA-256 of the data."""
-    offset_rule: str
-    """How offsets were taken out of the labels, in words."""
-    vehicle_offsets_g: dict[str, float]
-    """Offset of each vehicle, gram-force."""
-    drag: dict[str, list[float]]
-    """c per type and axis, N s/m."""
-    findings: Findings
-    """What came out."""
+    model: str  # `deep-set`, `pairwise` or `wake`
+    command: str  # The command that was run
+    config: object  # Its options
+    data_sha256: str  # SHA-256 of the data
+    offset_rule: str  # How offsets were taken out of the labels, in words
+    vehicle_offsets_g: dict[str, float]  # Offset of each vehicle, gram-force
+    drag: dict[str, list[float]]  # c per type and axis, N s/m
+    findings: Findings  # What came out
     history: list[dict[str, float]]
     """Step, training loss, validation MSE and that of early validation, g^2."""
-    chosen: str
-    """Which weights of the run these are."""
+    chosen: str  # Which weights of the run these are
     wall_time_s: float
     """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
-    logs: LogReport
-    """What became of every file."""
-    notes: list[str]
-    """What a user of the model must know: types that no row shows."""
+    logs: LogReport  # What became of every file
+    notes: list[str]  # What a user of the model must know: types that no row shows
     torque_errors: dict[str, list[float]] | None = None
     """On held-out rows, if there is a torque head."""
 

@@ -25,12 +25,9 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 class Examples(NamedTuple):
     """Inputs with what the network should answer."""
 
-    batch: Batch
-    """Inputs and labels of all rows."""
-    label: Tensor
-    """(R,) vertical force, gram-force; or more columns, as `targets`."""
-    weight: Tensor
-    """(R,) of the squared error, mean 1."""
+    batch: Batch  # Inputs and labels of all rows
+    label: Tensor  # (R,) vertical force, gram-force; or more columns, as `targets`
+    weight: Tensor  # (R,) of the squared error, mean 1
 
     def part(self, start: int, stop: int) -> Examples:
         """A slice of the rows."""

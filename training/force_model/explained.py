@@ -27,8 +27,7 @@ LATERAL_SPREAD_M = 0.12
 """Standard deviation of x and y between a drone and the one it was placed by: a wake's width."""
 CLIMB_M = (0.2, 0.6)
 """Vertical distance to that drone, either way: that of drones that swap (Sec. VII-E)."""
-LOWEST_M = (0.3, 0.8)
-"""Height of the lowest drone."""
+LOWEST_M = (0.3, 0.8)  # Height of the lowest drone
 SPEED = 0.25
 """Standard deviation of each component of the velocity, m/s: 99 % of the measured speeds are below
 0.67 m/s."""

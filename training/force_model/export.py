@@ -33,8 +33,7 @@ FORMATS: dict[str, NetworkKind] = {
     "composed-1": "composed",
 }
 """Kinds of network by the format of their file."""
-METADATA_KEY = "swarm_envs"
-"""Under which a file holds its note."""
+METADATA_KEY = "swarm_envs"  # Under which a file holds its note
 
 
 def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:

@@ -20,8 +20,7 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 
 __all__ = ["FitConfig", "TrainConfig", "with_mode_defaults"]
 
-Share = Annotated[float, Range(0.0, 1.0)]
-"""From nothing, 0, to all of it, 1."""
+Share = Annotated[float, Range(0.0, 1.0)]  # From nothing, 0, to all of it, 1
 
 
 @typed_options
@@ -89,8 +88,7 @@ class TrainConfig:
 
 Mode = Literal["anchored", "measured"]
 """What is fitted: the forces of environments, or labels as measured."""
-Model = Literal["deep-set", "composed", "pairwise", "wake"]
-"""Which function is fitted."""
+Model = Literal["deep-set", "composed", "pairwise", "wake"]  # Which function is fitted
 
 _OWN: Mapping[Mode, Mapping[str, Any]] = {
     "anchored": {

@@ -44,14 +44,10 @@ label, -40 g on average, says that the rotors no longer give the thrust of the c
 class Treated(NamedTuple):
     """Rows, and what was taken out of their vertical labels."""
 
-    rows: InteractionRows
-    """With the labels as measured."""
-    target: InteractionRows
-    """With the labels that a model is fitted to."""
-    offsets: Offsets
-    """What was taken out of the labels."""
-    drag: FloatArray
-    """(T, 3) by type, N s/m; added back to what a model says."""
+    rows: InteractionRows  # With the labels as measured
+    target: InteractionRows  # With the labels that a model is fitted to
+    offsets: Offsets  # What was taken out of the labels
+    drag: FloatArray  # (T, 3) by type, N s/m; added back to what a model says
 
 
 def is_calibrated(config: FitConfig) -> bool:

@@ -48,8 +48,7 @@ class FadeWindow(NamedTuple):
 
     lateral_m: tuple[float, float] = (0.25, 0.35)
     """Where pairs begin to fade laterally, and where they are gone, m."""
-    vertical_m: tuple[float, float] = (0.8, 1.1)
-    """The same in height, m."""
+    vertical_m: tuple[float, float] = (0.8, 1.1)  # The same in height, m
 
 
 EVERYWHERE = FadeWindow((1e3, 1.001e3), (1e3, 1.001e3))
@@ -137,21 +136,16 @@ def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
     return replace(spec, input_range=InputRange(pair, environment))
 
 
-TORQUES = 3
-"""Numbers of a torque head: the components in the world frame, gram-force centimetre."""
+TORQUES = 3  # Numbers of a torque head: the components in the world frame, gram-force centimetre
 
 
 class Batch(NamedTuple):
     """Rows as the network takes them."""
 
-    ego_type: Tensor
-    """(R,) index of the drone's type."""
-    environment: Tensor
-    """(R, 4) -z_i (m), -v_i (m/s)."""
-    pair: Tensor
-    """(R, K, 6) p_ij (m), v_ij (m/s)."""
-    pair_type: Tensor
-    """(R, K) type of each neighbour, -1 for none."""
+    ego_type: Tensor  # (R,) index of the drone's type
+    environment: Tensor  # (R, 4) -z_i (m), -v_i (m/s)
+    pair: Tensor  # (R, K, 6) p_ij (m), v_ij (m/s)
+    pair_type: Tensor  # (R, K) type of each neighbour, -1 for none
 
 
 def perceptron(widths: Sequence[int], dtype: torch.dtype = torch.float32) -> nn.Sequential:
@@ -179,16 +173,11 @@ def of_types(kind: Tensor, count: int) -> Iterator[tuple[int, Tensor]]:
 class ForceNetwork(nn.Module, ABC):
     """What networks of the interaction force share: window, clamp, anchor, drag."""
 
-    pair_low: Tensor
-    """Lowest pair inputs; lower ones are clamped."""
-    pair_high: Tensor
-    """Highest pair inputs."""
-    environment_low: Tensor
-    """Lowest environment inputs."""
-    environment_high: Tensor
-    """Highest environment inputs."""
-    drag: Tensor
-    """Linear drag by type, N s/m."""
+    pair_low: Tensor  # Lowest pair inputs; lower ones are clamped
+    pair_high: Tensor  # Highest pair inputs
+    environment_low: Tensor  # Lowest environment inputs
+    environment_high: Tensor  # Highest environment inputs
+    drag: Tensor  # Linear drag by type, N s/m
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
         """Set what a subclass has beside weights, in float32 for training, float64 for checks."""

@@ -25,8 +25,7 @@ class FlatWeights:
     Twenty small matrices cost an optimiser twenty times the calls of one vector.
     """
 
-    values: nn.Parameter
-    """(P,) the weights; changing them changes the network."""
+    values: nn.Parameter  # (P,) the weights; changing them changes the network
 
     def __init__(self, network: nn.Module) -> None:
         """Move the parameters of `network` into one vector."""

@@ -48,8 +48,7 @@ from swarm_envs.training.provenance import changed_options, differing, json_read
 
 __all__ = ["REPORTS", "fit"]
 
-_ASIDE = ("progress", "json", "tensorboard")
-"""Options that change nothing of the result."""
+_ASIDE = ("progress", "json", "tensorboard")  # Options that change nothing of the result
 _Fitted = tuple[Findings, dict[str, Any]]
 """What was measured on a model, and the other fields of its report."""
 

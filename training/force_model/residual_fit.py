@@ -46,10 +46,8 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
-REPORT = "residual.json"
-"""File that a fit writes."""
-LAGS = 7
-"""Lags of the autocovariance, in rows, zero included: 0 to 180 ms at 33 Hz."""
+REPORT = "residual.json"  # File that a fit writes
+LAGS = 7  # Lags of the autocovariance, in rows, zero included: 0 to 180 ms at 33 Hz
 EDGES = (0.0, 0.01, 0.03, 0.06, 0.1, 0.16, 0.25, np.inf)
 """Edges of the bins of |f| / W in company; those of lone drones are in a bin before them."""
 CALM = 0.03
@@ -76,26 +74,17 @@ class _Moments(NamedTuple):
 class ResidualReport:
     """What was identified."""
 
-    types: tuple[str, ...]
-    """The types, in the order of the lists below."""
+    types: tuple[str, ...]  # The types, in the order of the lists below
     residual: dict[str, list[float]]
     """The numbers, by the names of `Hall`: for each type, or one for all."""
-    intervals: dict[str, list[tuple[float, float]]]
-    """Their 95 % intervals."""
-    white_noise_g: list[float]
-    """Standard deviation of the labels' white noise by type, gram-force."""
-    bins: list[dict[str, Any]]
-    """By type and bin of |f|: what the fit saw."""
-    config: Any
-    """The options."""
-    data_sha256: str
-    """Digest of the data."""
-    flights: int
-    """Number of flights."""
-    rows: int
-    """Number of rows."""
-    cross_validated: bool
-    """Whether every flight was looked at by a model that had not seen it."""
+    intervals: dict[str, list[tuple[float, float]]]  # Their 95 % intervals
+    white_noise_g: list[float]  # Standard deviation of the labels' white noise by type, gram-force
+    bins: list[dict[str, Any]]  # By type and bin of |f|: what the fit saw
+    config: Any  # The options
+    data_sha256: str  # Digest of the data
+    flights: int  # Number of flights
+    rows: int  # Number of rows
+    cross_validated: bool  # Whether every flight was looked at by a model that had not seen it
 
     def lines(self) -> list[str]:
         """The report in words."""

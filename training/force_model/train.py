@@ -94,28 +94,20 @@ class Lesson(NamedTuple):
     taught: FloatArray
     """(R,) vertical force, gram-force, to learn in place of the labels; errors are of the labels
     all the same."""
-    first: Tensor
-    """(P,) weights to start from."""
+    first: Tensor  # (P,) weights to start from
 
 
 @dataclass
 class Training:
     """A run: what a checkpoint holds."""
 
-    network: ForceNetwork
-    """What is trained."""
-    weights: FlatWeights
-    """Its weights in one array."""
-    optimiser: torch.optim.Optimizer
-    """What changes them."""
-    averaged: Tensor
-    """(P,) running average of the weights."""
-    step: int = 0
-    """Steps that were taken."""
-    history: list[Entry] = field(default_factory=list)
-    """Errors along the way."""
-    chosen: str = "last step"
-    """Which weights are the result, once training has ended."""
+    network: ForceNetwork  # What is trained
+    weights: FlatWeights  # Its weights in one array
+    optimiser: torch.optim.Optimizer  # What changes them
+    averaged: Tensor  # (P,) running average of the weights
+    step: int = 0  # Steps that were taken
+    history: list[Entry] = field(default_factory=list)  # Errors along the way
+    chosen: str = "last step"  # Which weights are the result, once training has ended
 
 
 def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch:

@@ -53,8 +53,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 ROTOR_DEPTH_M = 0.03
 """Vertical distance over which a neighbour at the same height comes to be above."""
 
-GROUND_REFERENCE_M = 0.07
-"""Height at which the ground effect is G: the lowest that was measured."""
+GROUND_REFERENCE_M = 0.07  # Height at which the ground effect is G: the lowest that was measured
 
 MOST_ROWS = 100_000
 """Training rows that the least squares look at, drawn at random: they take a minute."""
@@ -66,26 +65,16 @@ WakeVelocity = Literal["relative", "neighbor"]
 class WakeParameters(NamedTuple):
     """Parameters by type: rows of the (T, T) arrays are the upper drone, columns the lower."""
 
-    amplitude_g: FloatArray
-    """A (T, T), gram-force."""
-    width_m: FloatArray
-    """w0 (T, T), m."""
-    spread: FloatArray
-    """S (T, T), m of width per m of depth."""
-    decay: FloatArray
-    """p (T, T)."""
-    advection_speed: FloatArray
-    """U (T,) by upper type, m/s."""
-    ground_g: FloatArray
-    """G (T,) by the drone's own type, gram-force."""
-    ground_height_m: FloatArray
-    """h (T,), m."""
-    combine_q: float
-    """q >= 1: 1 adds the pairs, infinity keeps the largest."""
-    mitigation: float
-    """M in [0, 1]: share of the downwash that the ground takes away at z = 0."""
-    mitigation_height_m: float
-    """hm, m."""
+    amplitude_g: FloatArray  # A (T, T), gram-force
+    width_m: FloatArray  # w0 (T, T), m
+    spread: FloatArray  # S (T, T), m of width per m of depth
+    decay: FloatArray  # p (T, T)
+    advection_speed: FloatArray  # U (T,) by upper type, m/s
+    ground_g: FloatArray  # G (T,) by the drone's own type, gram-force
+    ground_height_m: FloatArray  # h (T,), m
+    combine_q: float  # q >= 1: 1 adds the pairs, infinity keeps the largest
+    mitigation: float  # M in [0, 1]: share of the downwash that the ground takes away at z = 0
+    mitigation_height_m: float  # hm, m
 
 
 class _WakeRows(NamedTuple):
@@ -276,8 +265,7 @@ def description(
 class CompiledForce:
     """A model of `swarm_envs.interactions`, as `evaluate.ForceFunction` asks for one."""
 
-    model: InteractionModel
-    """The model that is evaluated."""
+    model: InteractionModel  # The model that is evaluated
 
     @property
     def types(self) -> tuple[str, ...]:

@@ -21,16 +21,11 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 
 __all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
 
-QUIET_HEIGHT_M = 0.3
-"""A row below this height is not quiet, m."""
-QUIET_SPEED = 0.5
-"""Nor is one at this speed or above, m/s."""
-QUIET_LATERAL_M = 0.25
-"""Nor one with a neighbour laterally nearer than this, m."""
-QUIET_BELOW_M = 0.2
-"""Unless the neighbour is farther below than this, m."""
-PRIOR_ROWS = 100.0
-"""Weight of the vehicle's offset in a flight's, in rows."""
+QUIET_HEIGHT_M = 0.3  # A row below this height is not quiet, m
+QUIET_SPEED = 0.5  # Nor is one at this speed or above, m/s
+QUIET_LATERAL_M = 0.25  # Nor one with a neighbour laterally nearer than this, m
+QUIET_BELOW_M = 0.2  # Unless the neighbour is farther below than this, m
+PRIOR_ROWS = 100.0  # Weight of the vehicle's offset in a flight's, in rows
 
 RULE = (
     f"a row is quiet where height > {QUIET_HEIGHT_M} m, speed < {QUIET_SPEED} m/s and every "

@@ -112,16 +112,12 @@ def _concatenated(parts: Sequence[InteractionRows], names: dict[int, str]) -> In
     return dataclasses.replace(parts[0], **changes)
 
 
-HEIGHT_M = (0.0, 20.0)
-"""Median height over the ground."""
-FASTEST = 15.0
-"""99 % of the speeds, m/s."""
-FARTHEST_M = 50.0
-"""99 % of the distances of neighbours."""
+HEIGHT_M = (0.0, 20.0)  # Median height over the ground
+FASTEST = 15.0  # 99 % of the speeds, m/s
+FARTHEST_M = 50.0  # 99 % of the distances of neighbours
 FORCE_G = (0.3, 60.0)
 """99 % of the vertical forces are smaller than the second, and not all smaller than the first."""
-TORQUE_N_M = 0.05
-"""99 % of the torques; a small quadrotor gives 6e-3 N m at most."""
+TORQUE_N_M = 0.05  # 99 % of the torques; a small quadrotor gives 6e-3 N m at most
 
 
 def check_row_table(rows: InteractionRows, units: bool = True) -> None:

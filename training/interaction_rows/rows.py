@@ -27,16 +27,14 @@ __all__ = ["ROW_ARRAYS", "InteractionRows", "read_rows"]
 NO_NEIGHBOR = -1
 """Type of a neighbour slot that is empty."""
 
-FORMAT = "interaction-rows-1"
-"""What a table of rows says it is."""
+FORMAT = "interaction-rows-1"  # What a table of rows says it is
 _LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the published flights
 _PUBLISHED = ("x", "fa", "names", "cf", "flight", "step", "scenario")
 _INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario")
 
 _DAMAGED = (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError)
 
-Arrays = Mapping[str, npt.NDArray[Any]]
-"""Arrays by name, as a file holds them."""
+Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name, as a file holds them
 
 
 @dataclass(frozen=True)

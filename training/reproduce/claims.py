@@ -14,8 +14,7 @@ Agreement = Literal["agrees", "explained", "unexplained", "ours alone"]
 class Extent(NamedTuple):
     """How much was run for the numbers that claims are checked on."""
 
-    quick: bool = False
-    """Few runs of small cases (`--quick`) instead of the papers' sizes."""
+    quick: bool = False  # Few runs of small cases (`--quick`) instead of the papers' sizes
     collected: bool = False
     """The rows of measured force were collected in simulation, not given by `--data`."""
 
@@ -24,10 +23,8 @@ class Extent(NamedTuple):
 class Between:
     """Numbers from the least to the most, both included."""
 
-    least: float = -math.inf
-    """Lowest number of the range."""
-    most: float = math.inf
-    """Highest number of the range."""
+    least: float = -math.inf  # Lowest number of the range
+    most: float = math.inf  # Highest number of the range
 
     def __contains__(self, value: float) -> bool:
         """Whether a number lies in the range; NaN lies in none."""
@@ -59,28 +56,21 @@ def about(value: float, share: float) -> Between:
 class Reason:
     """Why our number may be another than the paper's: in one direction and so far, no further."""
 
-    text: str
-    """A sentence."""
-    explains: Between
-    """Results that it explains."""
+    text: str  # A sentence
+    explains: Between  # Results that it explains
 
 
 @dataclass(frozen=True)
 class Claim:
     """One quantity, the paper's value and the result."""
 
-    quantity: str
-    """What is measured, with its unit."""
-    paper: str
-    """What the paper says, as it says it; "-" if nothing."""
-    ours: float
-    """What we measured."""
+    quantity: str  # What is measured, with its unit
+    paper: str  # What the paper says, as it says it; "-" if nothing
+    ours: float  # What we measured
     agrees: Between | None = None
     """Numbers that count as the paper's; None where the paper gives nothing to compare."""
-    reasons: tuple[Reason, ...] = ()
-    """Why the result may differ."""
-    spread: tuple[float, float] | None = None
-    """Range over which the result scatters."""
+    reasons: tuple[Reason, ...] = ()  # Why the result may differ
+    spread: tuple[float, float] | None = None  # Range over which the result scatters
     spread_is: str = ""
     """What of: `quartiles`, `least and largest`, `standard deviation`; nothing without spread."""
 

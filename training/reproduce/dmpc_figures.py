@@ -74,8 +74,7 @@ class DmpcSwarmOptions(StudyOptions):
     """write a replay page of each cell's first run"""
 
 
-OPTIONS = DmpcSwarmOptions
-"""What `swarm-envs reproduce dmpc-swarm` takes."""
+OPTIONS = DmpcSwarmOptions  # What `swarm-envs reproduce dmpc-swarm` takes
 
 
 def _setups_of(options: DmpcSwarmOptions) -> dict[str, list[dict[str, Any]]]:

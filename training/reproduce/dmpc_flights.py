@@ -19,10 +19,8 @@ from swarm_envs.vehicles import SMALL
 from swarm_envs.viewing.record import About, Recording
 from swarm_envs.viewing.style import GREY, picture
 
-DRONES = 16
-"""As in the paper."""
-CRASH_M = 0.12
-"""Scaled distance at which the paper counts a crash, m."""
+DRONES = 16  # As in the paper
+CRASH_M = 0.12  # Scaled distance at which the paper counts a crash, m
 _SEQUENCE_LIMIT_S, _CIRCLE_LIMIT_S = 120.0, 60.0  # when a flight is given up
 _RADIUS_M, _HEIGHT_M = 1.5, 1.0  # of the circle
 _SAMPLES = 10  # instants kept of each round
@@ -33,18 +31,12 @@ _PUBLISHED = MlrDmpcConfig(planes="fixed")
 class ReferenceFlight:
     """What the references of N drones did. T samples, a fiftieth of a second apart."""
 
-    time: FloatArray
-    """(T,) s."""
-    position: FloatArray
-    """(T, N, 3) m."""
-    target: FloatArray
-    """(T, N, 3) m."""
-    arrivals_s: tuple[float, ...]
-    """When all had arrived at each formation that they reached."""
-    wanted: int
-    """Formations to reach."""
-    scaled_distance: FloatArray
-    """(T,) least scaled distance of any two references, m."""
+    time: FloatArray  # (T,) s
+    position: FloatArray  # (T, N, 3) m
+    target: FloatArray  # (T, N, 3) m
+    arrivals_s: tuple[float, ...]  # When all had arrived at each formation that they reached
+    wanted: int  # Formations to reach
+    scaled_distance: FloatArray  # (T,) least scaled distance of any two references, m
 
     @property
     def total_s(self) -> float | None:
@@ -141,10 +133,8 @@ def recording_of(flight: ReferenceFlight, about: str, seed: int) -> Recording:
     )
 
 
-LOSSES = (0.0, 1e-4, 0.01, 0.1, 0.2, 0.3, 0.4, 0.5)
-"""Shares of messages lost in the sweep."""
-MODES: Mapping[str, Any] = {"ours": True, "paper's": "paper", "none": False}
-"""How loss is met."""
+LOSSES = (0.0, 1e-4, 0.01, 0.1, 0.2, 0.3, 0.4, 0.5)  # Shares of messages lost in the sweep
+MODES: Mapping[str, Any] = {"ours": True, "paper's": "paper", "none": False}  # How loss is met
 THEIRS: Mapping[str, float] = {
     "1 CU": 69.8,
     "2 CUs": 44.4,
@@ -156,8 +146,7 @@ THEIRS: Mapping[str, float] = {
 }
 """Time to the last arrival of the authors' public simulation, s, on shapes of its own; the paper
 prints no numbers. In the jam it took 29.6 to 32.8 s, and without recovery it failed."""
-JAM_S = 2.0
-"""For so long compute units hear nothing in Fig. 4."""
+JAM_S = 2.0  # For so long compute units hear nothing in Fig. 4.
 _COLORS = ("#0072B2", "#D55E00", "#009E73")
 
 

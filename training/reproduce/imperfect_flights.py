@@ -49,17 +49,14 @@ class Imperfection:
     """Standard deviation of measured velocities, the same, m/s."""
 
 
-NOTHING = Imperfection()
-"""Spoils nothing."""
+NOTHING = Imperfection()  # Spoils nothing
 
 
 class Worst(NamedTuple):
     """How E flights went."""
 
-    height_error: FloatArray
-    """(E, N) largest vertical distance to the reference, m."""
-    crashed: BoolArray
-    """(E,) ended by a collision or a tumble: its errors are not its worst."""
+    height_error: FloatArray  # (E, N) largest vertical distance to the reference, m
+    crashed: BoolArray  # (E,) ended by a collision or a tumble: its errors are not its worst
 
 
 def fly_imperfectly(

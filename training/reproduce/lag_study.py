@@ -21,10 +21,8 @@ from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
 from swarm_envs.viewing.style import picture
 
-TRUTH = "learned"
-"""The force model of the environment, and what the oracle feeds forward."""
-TEAM = "L2S"
-"""The swap whose errors the paper gives (Sec. VII-E)."""
+TRUTH = "learned"  # The force model of the environment, and what the oracle feeds forward
+TEAM = "L2S"  # The swap whose errors the paper gives (Sec. VII-E).
 _EPISODES = 20
 
 

@@ -37,8 +37,7 @@ from swarm_envs.viewing.style import GREY, picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TRUTH = "learned"
-"""The environment's force model."""
+TRUTH = "learned"  # The environment's force model
 _BELIEFS: Mapping[str, Callable[[], InteractionModel | None]] = {
     "none": lambda: None,
     "exact": lambda: load(TRUTH),
@@ -63,12 +62,9 @@ class _SweepPoint(NamedTuple):
 class Sweep:
     """One thing that is varied."""
 
-    name: str
-    """In tables and files."""
-    label: str
-    """Of the axis, with the unit."""
-    points: Sequence[_SweepPoint]
-    """What is flown, one after another."""
+    name: str  # In tables and files
+    label: str  # Of the axis, with the unit
+    points: Sequence[_SweepPoint]  # What is flown, one after another
 
 
 _CASES = ("S2S", "L2S")

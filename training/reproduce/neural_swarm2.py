@@ -87,8 +87,7 @@ class NeuralSwarmOptions(StudyOptions):
     """table: optimiser steps of each fit; the trainer's default if not given"""
 
 
-OPTIONS = NeuralSwarmOptions
-"""What `swarm-envs reproduce neural-swarm2` takes."""
+OPTIONS = NeuralSwarmOptions  # What `swarm-envs reproduce neural-swarm2` takes
 
 
 STUDIES = (

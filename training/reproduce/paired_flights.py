@@ -36,18 +36,15 @@ PLAIN_SWAPS = ("S2S", "L2S", "S2L", "L2L", "SS2S", "SL2S", "LL2S", "SS2L", "SL2L
 """Teams of Fig. 8, the lowest drone last."""
 STRONG_SWAPS = ("S2S*", "L2S*", "SS2S*", "SL2S*", "LL2S*")
 """The same with stronger motors for the small drone that flies lowest."""
-SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)
-"""Every case of Fig. 8."""
+SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)  # Every case of Fig. 8.
 _RING_SIZES = {9: 5, 1: 16}  # drones of the rings by number of the figure
 
 
 class Air(NamedTuple):
     """In what a case is flown."""
 
-    truth: str
-    """Name of the force model, as it was asked for."""
-    world: str
-    """`ideal` or `hall`; see `swarm_envs.hall`."""
+    truth: str  # Name of the force model, as it was asked for
+    world: str  # `ideal` or `hall`; see `swarm_envs.hall`
 
     @property
     def name(self) -> str:
@@ -70,12 +67,9 @@ class Air(NamedTuple):
 class FlightCase:
     """One team on one motion."""
 
-    name: str
-    """Such as `L2S`, or `ring of 5`."""
-    test: FlightTest
-    """What is flown, in which air."""
-    judged: int | None
-    """Index of the drone whose error counts; None for the worst of each flight."""
+    name: str  # Such as `L2S`, or `ring of 5`
+    test: FlightTest  # What is flown, in which air
+    judged: int | None  # Index of the drone whose error counts; None for the worst of each flight
     paper_cm: tuple[float, float] | None = None
     """The paper's error without and with compensation, if it gives one."""
 
@@ -114,8 +108,7 @@ def _settings_of(case: FlightCase) -> dict[str, object]:
     }
 
 
-SIDES = ("without", "compensated")
-"""The two controllers, in the order of the arrays."""
+SIDES = ("without", "compensated")  # The two controllers, in the order of the arrays
 
 
 PairedFlights = dict[str, FloatArray]
@@ -228,8 +221,7 @@ def _read(path: Path, settings: dict[str, Any]) -> PairedFlights:
     return flown
 
 
-SIGNIFICANT = 0.05
-"""Differences with a smaller p are called significant."""
+SIGNIFICANT = 0.05  # Differences with a smaller p are called significant
 
 
 def compare_paired(without: FloatArray, compensated: FloatArray) -> dict[str, Any]:

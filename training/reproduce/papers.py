@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 class Paper:
     """A paper of which something can be reproduced."""
 
-    title: str
-    """Of the paper."""
-    summary: str
-    """What is reproduced, in a line."""
+    title: str  # Of the paper
+    summary: str  # What is reproduced, in a line
     module: str
     """Has `OPTIONS`, the command's dataclass of options, and `STUDIES`, everything it numbers."""
 
@@ -43,8 +41,7 @@ PAPERS = {
 }
 """Every paper by the name that the command takes."""
 
-ALL = "all"
-"""In a paper's place: every table and figure of all of them."""
+ALL = "all"  # In a paper's place: every table and figure of all of them
 
 
 def load_paper(paper: str) -> Any:

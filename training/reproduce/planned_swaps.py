@@ -39,13 +39,10 @@ from swarm_envs.vehicles import GRAM_FORCE, Team, parse_team
 
 SCENARIOS = ("SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
 """Teams of two and three. The paper's text names SL, LL and SSL; its picture is not extracted."""
-TRIALS = 5
-"""Trials of each scenario in the paper."""
-SPACING_M = 1.0
-"""Distance between neighbouring places in y, m."""
+TRIALS = 5  # Trials of each scenario in the paper
+SPACING_M = 1.0  # Distance between neighbouring places in y, m
 _HEIGHT_M = 1.2  # mean height of the places, m
-JITTER_M = 0.15
-"""Each place lies at most so far from its mean in y and in z, m."""
+JITTER_M = 0.15  # Each place lies at most so far from its mean in y and in z, m
 
 
 class _PlannedSwap(NamedTuple):
@@ -81,12 +78,9 @@ def figure_6_swap() -> _PlannedSwap:
 class PidGains:
     """Gains of the PID on position, the same in x, y and z. The paper gives none."""
 
-    proportional: float
-    """1/s^2."""
-    derivative: float
-    """1/s."""
-    integral: float
-    """1/s^3."""
+    proportional: float  # 1/s^2
+    derivative: float  # 1/s
+    integral: float  # 1/s^3
 
     @classmethod
     def like(cls, gains: PositionGains) -> PidGains:
@@ -95,24 +89,18 @@ class PidGains:
         return cls(a * (k + i) + k * i, a + k + i, a * k * i)
 
 
-PID = PidGains.like(MID)
-"""As stiff as the default tracking controller."""
+PID = PidGains.like(MID)  # As stiff as the default tracking controller
 
 
 @dataclass(frozen=True)
 class Track:
     """A plan and what became of it, sampled at every step of the plant. World frame, SI."""
 
-    time: FloatArray
-    """(K,) s."""
-    planned: FloatArray
-    """(K, N, 3) planned positions, m."""
-    position: FloatArray
-    """(K, N, 3) positions, m."""
-    velocity: FloatArray
-    """(K, N, 3) velocities, m/s."""
-    force: FloatArray
-    """(K, N, 3) true forces, N."""
+    time: FloatArray  # (K,) s
+    planned: FloatArray  # (K, N, 3) planned positions, m
+    position: FloatArray  # (K, N, 3) positions, m
+    velocity: FloatArray  # (K, N, 3) velocities, m/s
+    force: FloatArray  # (K, N, 3) true forces, N
 
     @property
     def error(self) -> FloatArray:
@@ -221,8 +209,7 @@ SIDES = ("plain", "compensated")
 PLANNED_SHARE = 0.9
 """Share of the force bounds that plans may use; the rest is left to tracking errors, and to what
 acts between knots. The same for both planners."""
-ATTEMPTS = 6
-"""How often either planner may restart while its plan breaks a bound."""
+ATTEMPTS = 6  # How often either planner may restart while its plan breaks a bound
 
 
 @dataclass(frozen=True)
@@ -231,10 +218,8 @@ class TrialSettings:
 
     model: InteractionModel
     """The force model of the aware planner and the compensating controller; the plant of (a)."""
-    truth: str | InteractionModel = "learned"
-    """The true force model in (b)."""
-    engine: str = "batch"
-    """Of (b): `bullet` or `batch`."""
+    truth: str | InteractionModel = "learned"  # The true force model in (b)
+    engine: str = "batch"  # Of (b): `bullet` or `batch`
     bounds: PlanningBounds = PlanningBounds(
         force_g={token: PLANNED_SHARE * bound for token, bound in FORCE_BOUNDS_G.items()}
     )

@@ -95,18 +95,12 @@ class ReproduceAllOptions:
 class StudyOutcome:
     """What came of a study."""
 
-    study: Study
-    """What was to be reproduced."""
-    state: _State
-    """How it stands."""
-    commands: tuple[str, ...] = ()
-    """What remakes it, as one types it."""
-    claims: tuple[Claim, ...] = ()
-    """The paper's numbers and the results."""
-    cpu_s: float = 0.0
-    """CPU time that it took, s; of the last part, if it was interrupted."""
-    error: str = ""
-    """What went wrong."""
+    study: Study  # What was to be reproduced
+    state: _State  # How it stands
+    commands: tuple[str, ...] = ()  # What remakes it, as one types it
+    claims: tuple[Claim, ...] = ()  # The paper's numbers and the results
+    cpu_s: float = 0.0  # CPU time that it took, s; of the last part, if it was interrupted
+    error: str = ""  # What went wrong
 
     def as_json(self) -> dict[str, Any]:
         """Everything, ready for JSON."""

@@ -76,8 +76,7 @@ class Rth3dOptions(StudyOptions):
         return range(self.seed, self.seed + runs_at(setting, self.runs, self.budget))
 
 
-OPTIONS = Rth3dOptions
-"""What `swarm-envs reproduce rth3d` takes."""
+OPTIONS = Rth3dOptions  # What `swarm-envs reproduce rth3d` takes
 
 
 def _check_curves(options: Rth3dOptions) -> None:

@@ -14,20 +14,16 @@ from swarm_envs.baselines.rth3d import GridPlan, PlanNotFound, make_instance, pl
 from swarm_envs.baselines.rth3d.grid import Shape
 from swarm_envs.training.reproduce.study import Cell
 
-PUBLISHED = ("rth3d", "rth3d-lba-paper")
-"""Methods with the matchings of the paper."""
-GUARANTEED = (*PUBLISHED, "rth3d-lba")
-"""Methods that always succeed, and whose plans are compacted."""
+PUBLISHED = ("rth3d", "rth3d-lba-paper")  # Methods with the matchings of the paper
+GUARANTEED = (*PUBLISHED, "rth3d-lba")  # Methods that always succeed, and whose plans are compacted
 
 
 @dataclass(frozen=True)
 class GridSetting:
     """A family of instances on one grid: a point of a curve."""
 
-    family: str
-    """Of `FAMILIES`."""
-    shape: Shape
-    """Vertices by axis."""
+    family: str  # Of `FAMILIES`
+    shape: Shape  # Vertices by axis
     robots: int | None = None
     """None where the family says how many, a third of the vertices or 2/9 between buildings."""
 
@@ -55,14 +51,10 @@ class GridSetting:
 class Peer(NamedTuple):
     """A public implementation, measured once on instances of the same kind, on one core."""
 
-    name: str
-    """Of the implementation."""
-    robots: int
-    """Robots that it planned for."""
-    seconds: float
-    """Of wall time; the limit if there was no answer."""
-    ratio: float | None
-    """None if there was no answer in that time."""
+    name: str  # Of the implementation
+    robots: int  # Robots that it planned for
+    seconds: float  # Of wall time; the limit if there was no answer
+    ratio: float | None  # None if there was no answer in that time
 
 
 # On uniform instances of Fig. 5, C++; LaCAM3 by its first solution. They are not shipped.
@@ -80,20 +72,16 @@ _PEERS = (
 class CurveFigure:
     """A figure of the paper."""
 
-    headline: str
-    """Above the picture."""
-    axis: str
-    """What grows along x: "robots", "density" or "m" (the height)."""
+    headline: str  # Above the picture
+    axis: str  # What grows along x: "robots", "density" or "m" (the height)
     series: Mapping[str, tuple[GridSetting, ...]]
     """Curves by their name, each from its smallest to its largest setting."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """Ratio that the paper's text gives for the largest sizes, by method."""
     limit: float | None = None
     """Ratio that the theory approaches on random instances (Cor. IV.1, IV.2)."""
-    order: float | None = None
-    """The theory's exponent of the run time in the number of vertices."""
-    peers: tuple[Peer, ...] = ()
-    """What others reach."""
+    order: float | None = None  # The theory's exponent of the run time in the number of vertices
+    peers: tuple[Peer, ...] = ()  # What others reach
 
 
 def _curve(family: str, *shapes: Shape) -> tuple[GridSetting, ...]:
@@ -256,12 +244,9 @@ _FEWEST = 3  # settings that a fit needs
 class Spread:
     """Mean, least and largest of the runs of a setting."""
 
-    mean: float
-    """Of all runs."""
-    least: float
-    """Of all runs."""
-    most: float
-    """Of all runs."""
+    mean: float  # Of all runs
+    least: float  # Of all runs
+    most: float  # Of all runs
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread | None:
@@ -275,24 +260,16 @@ class Spread:
 class CurvePoint:
     """All runs of a method on a setting."""
 
-    setting: GridSetting
-    """What was planned."""
-    runs: int
-    """How often."""
-    solved: int
-    """How often with success."""
-    robots: int
-    """0 if nothing was solved."""
-    cpu_s: Spread
-    """Of planning and validation, one thread, s; failures counted."""
-    ratio: Spread | None
-    """Makespan over lower bound; None if nothing was solved."""
-    before: Spread | None
-    """The same before compaction; None for methods without."""
+    setting: GridSetting  # What was planned
+    runs: int  # How often
+    solved: int  # How often with success
+    robots: int  # 0 if nothing was solved
+    cpu_s: Spread  # Of planning and validation, one thread, s; failures counted
+    ratio: Spread | None  # Makespan over lower bound; None if nothing was solved
+    before: Spread | None  # The same before compaction; None for methods without
     constant: int | None
     """Largest excess of the makespan before compaction over m1 + 2 m2 + 2 m3; may be negative."""
-    winners: Mapping[str, int]
-    """How often the plan was whose."""
+    winners: Mapping[str, int]  # How often the plan was whose
 
 
 Curves = Mapping[tuple[str, str], Sequence[CurvePoint]]

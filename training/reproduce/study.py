@@ -24,19 +24,15 @@ from swarm_envs.files import write_json, write_table
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.reproduce.claims import Claim, Extent
 
-Cell = dict[str, Any]
-"""The numbers of one cell, ready for JSON."""
-Cells = Mapping[str, Callable[[], Any]]
-"""What computes each cell, by name."""
+Cell = dict[str, Any]  # The numbers of one cell, ready for JSON
+Cells = Mapping[str, Callable[[], Any]]  # What computes each cell, by name
 
 
 class Report(NamedTuple):
     """What a study found."""
 
-    summary: dict[str, Any]
-    """The numbers, ready for JSON."""
-    text: str
-    """What is printed."""
+    summary: dict[str, Any]  # The numbers, ready for JSON
+    text: str  # What is printed
     table: Sequence[Mapping[str, Any]] = ()
     """Rows of the CSV file; no file is written if there are none."""
     files: Mapping[str, Callable[[Path], object]] = {}
@@ -47,16 +43,11 @@ class Report(NamedTuple):
 class Study:
     """A numbered table or figure of a paper, or another study."""
 
-    paper: str
-    """As `swarm-envs reproduce` names it."""
-    name: str
-    """Such as `figure-3b`, `table-1` or `study-lag`."""
-    shows: str
-    """What it shows, in a line."""
-    label: str = ""
-    """As the paper names it; `Fig. 3b` for `figure-3b` if not given."""
-    missing: str = ""
-    """Why it cannot be reproduced in simulation; empty if it can."""
+    paper: str  # As `swarm-envs reproduce` names it
+    name: str  # Such as `figure-3b`, `table-1` or `study-lag`
+    shows: str  # What it shows, in a line
+    label: str = ""  # As the paper names it; `Fig. 3b` for `figure-3b` if not given.
+    missing: str = ""  # Why it cannot be reproduced in simulation; empty if it can
     file: str = ""
     """Name of its files without suffix; `figure_3b` for `figure-3b`, `lag` for `study-lag` if not
     given."""
@@ -64,8 +55,7 @@ class Study:
     """Options that have a meaning for it, besides those of `StudyOptions`; None for all."""
     check: Callable[[Any], object] = lambda options: None
     """Raises ValueError for options that contradict each other."""
-    needs_torch: bool = False
-    """Whether it trains."""
+    needs_torch: bool = False  # Whether it trains
     grid: Callable[[Any], Cells] | None = None
     """Gives what computes each cell from the options; None for a study of a single cell."""
     settings: Callable[[Any], Mapping[str, Any]] | None = None
@@ -80,12 +70,10 @@ class Study:
     """File with the numbers that claims are made of; the study's JSON file if not given."""
     pictures: tuple[str, ...] = ("*.png",)
     """Pictures that the page of `reproduce all` shows; `*` stands for `file`."""
-    note: str = ""
-    """What a reader of that page must know besides the claims."""
+    note: str = ""  # What a reader of that page must know besides the claims
     full: Mapping[str, Any] = field(default_factory=dict)
     """Options in `reproduce all` that are not the defaults."""
-    quick: Mapping[str, Any] = field(default_factory=dict)
-    """Options in `reproduce all --quick`."""
+    quick: Mapping[str, Any] = field(default_factory=dict)  # Options in `reproduce all --quick`
     collects: tuple[int, int] | None = None
     """Flights of each team and motion that are collected first, in full and quick."""
 

@@ -33,8 +33,7 @@ from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 _MEMORY, _PLACE = "memory.", "memory_place"
 _LARGEST_GRADIENT = 1.0
-_NOISY = 3
-"""Every so many environments, one flies with noise."""
+_NOISY = 3  # Every so many environments, one flies with noise
 
 
 class DaggerLearner(Learner):

@@ -26,20 +26,13 @@ from swarm_envs.training.rl.rl_config import RlConfig
 class EncoderSpec:
     """What the networks of a policy look like."""
 
-    sizes: FeatureSizes
-    """numbers that are taken in"""
-    encoder: str
-    """one of `swarm_envs.agents.networks.ENCODERS`"""
-    pooling: str
-    """how a deep set's neighbours become one row"""
-    hidden: tuple[int, ...]
-    """widths of the hidden layers"""
-    set_hidden: tuple[int, ...]
-    """widths of phi's layers"""
-    activation: str
-    """what follows every hidden layer"""
-    owners: tuple[str, ...]
-    """types of drones with a network of their own, or `ANY` alone"""
+    sizes: FeatureSizes  # numbers that are taken in
+    encoder: str  # one of `swarm_envs.agents.networks.ENCODERS`
+    pooling: str  # how a deep set's neighbours become one row
+    hidden: tuple[int, ...]  # widths of the hidden layers
+    set_hidden: tuple[int, ...]  # widths of phi's layers
+    activation: str  # what follows every hidden layer
+    owners: tuple[str, ...]  # types of drones with a network of their own, or `ANY` alone
 
 
 def encoder_spec(config: RlConfig, sizes: FeatureSizes, types: tuple[str, ...]) -> EncoderSpec:

@@ -34,8 +34,7 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 __all__ = ["Teacher", "teacher_of"]
 
-_CHANGED = 1e-3
-"""Change of an action from which on others count as having caused it."""
+_CHANGED = 1e-3  # Change of an action from which on others count as having caused it
 _APPROACH, _DAMPING = 4.0, 6.0
 """With which gains a set-point is led to a teacher's: velocity per distance, and acceleration per
 velocity, 1/s."""

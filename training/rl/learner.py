@@ -29,10 +29,8 @@ from swarm_envs.training.rl.recipes import recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
-Entry = dict[str, float]
-"""What is noted of a point of the training curve, by name."""
-Watch = Callable[[], None]
-"""Called after every rollout: where a progress bar moves."""
+Entry = dict[str, float]  # What is noted of a point of the training curve, by name
+Watch = Callable[[], None]  # Called after every rollout: where a progress bar moves
 
 _LEARNERS = {
     **{"ppo": "PpoLearner", "mappo": "MappoLearner"},
@@ -52,8 +50,7 @@ class Learner(ABC):
         ValueError: an option has an impossible value.
     """
 
-    prefix = "policy."
-    """What names of the network's tensors begin with."""
+    prefix = "policy."  # What names of the network's tensors begin with
 
     def __init__(self, config: RlConfig, task: str) -> None:
         torch.set_num_threads(1)  # matrices are small: more threads wait for each other
@@ -165,10 +162,8 @@ class Learner(ABC):
 class Sb3Learner(Learner):
     """What the algorithms of Stable-Baselines3 share, which fly by `model.learn`."""
 
-    model: Any
-    """PPO or SAC."""
-    rollouts = 0
-    """How many were flown when the present one began; schedules follow it."""
+    model: Any  # PPO or SAC
+    rollouts = 0  # How many were flown when the present one began; schedules follow it
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment."""

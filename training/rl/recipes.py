@@ -49,22 +49,18 @@ CIRCLE_SHARE, CROWDED_SHARE = 0.25, 0.5
 """Shares of episodes on a circle, and in a small cube; the rest are those of the random layout."""
 CROWDED_SIDE_M = (0.9, 1.6)
 """Side of the cube for four drones, m, from which it is drawn; it grows with N^(1/3)."""
-PAIRS_SHARE = 0.5
-"""Share of crowded episodes in which drones change places in pairs."""
+PAIRS_SHARE = 0.5  # Share of crowded episodes in which drones change places in pairs
 NEAREST_SHARE = 0.2
 """Share of formations in which places are matched to drones, as with labels='nearest'."""
-STRETCH = (0.8, 1.0)
-"""Range from which the spacing of both shapes is drawn, over the task's own."""
+STRETCH = (0.8, 1.0)  # Range from which the spacing of both shapes is drawn, over the task's own
 
 
 @dataclass(frozen=True)
 class SwapCurriculum(SwapTask):
     """A random swap whose episodes are at times on a circle, and at times crowded."""
 
-    circle_share: float = CIRCLE_SHARE
-    """Of the episodes on a circle."""
-    crowded_share: float = CROWDED_SHARE
-    """Of the episodes in a small cube."""
+    circle_share: float = CIRCLE_SHARE  # Of the episodes on a circle
+    crowded_share: float = CROWDED_SHARE  # Of the episodes in a small cube
 
     @cached_property
     def _circle(self) -> SwapTask:
@@ -131,8 +127,7 @@ def _whole(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
     return {str(config.layout): (1.0, task)}
 
 
-ALL = "all"
-"""Name of all layouts of a task together."""
+ALL = "all"  # Name of all layouts of a task together
 
 
 def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
@@ -203,8 +198,7 @@ def formation_curriculum(task: Task, config: RlConfig) -> Task:
 _REACH = {"horizon_s": 3.5, "log_std_init": -0.5, "gamma": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
 _WHOLE_CLOCK: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
-Metrics = Mapping[str, Any]
-"""`episode_metrics` of one episode."""
+Metrics = Mapping[str, Any]  # `episode_metrics` of one episode
 LOST_M = 0.15
 """Height error with which an episode counts that was lost: what ends a ring's success, m."""
 
@@ -225,8 +219,7 @@ def worst_height_error(metrics: Metrics) -> float:
     return LOST_M if error is None or not metrics["success"] else float(error)
 
 
-LATE_S = 10.0
-"""Time with which an episode counts that did not succeed, s."""
+LATE_S = 10.0  # Time with which an episode counts that did not succeed, s
 
 
 def late(metrics: Metrics) -> float:
@@ -256,10 +249,8 @@ class Recipe:
     parts: Callable[[Task, RlConfig], Mapping[str, tuple[float, Task]]] = _whole
     """that task as parts by name, for which `--algo dagger` may have teachers of their own: the
     share of the environments, and what is flown there"""
-    features: str = GOAL
-    """name of the features that the network takes of an observation row"""
-    features_of_types: str = TYPED
-    """the same where teams have vehicles of several types"""
+    features: str = GOAL  # name of the features that the network takes of an observation row
+    features_of_types: str = TYPED  # the same where teams have vehicles of several types
     measures: Mapping[str, Callable[[Metrics], float]] = field(
         default_factory=lambda: {"success": success, "collision": collision}
     )

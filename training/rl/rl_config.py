@@ -19,10 +19,8 @@ from swarm_envs.vehicles import parse_team
 
 __all__ = ["RlConfig"]
 
-Share = Annotated[float, Range(0.0, 1.0)]
-"""A number from 0 to 1."""
-Rate = Annotated[float, Range(1e-7, 1.0)]
-"""A small positive number."""
+Share = Annotated[float, Range(0.0, 1.0)]  # A number from 0 to 1
+Rate = Annotated[float, Range(1e-7, 1.0)]  # A small positive number
 
 
 @partial(typed, owner="--sac.")

@@ -35,8 +35,7 @@ from swarm_envs.training.rl.encoders import TrunkExtractor, plain_networks
 from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
 
-ACTOR_EVERY = 2
-"""Gradient steps of the critics for each of the actor and of the temperature."""
+ACTOR_EVERY = 2  # Gradient steps of the critics for each of the actor and of the temperature
 _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 _MEMORY, _TEMPERATURE, _PLACE = "memory.", "log_temperature", "memory_place"
 _SAME = ("buffer_size", "learning_starts", "batch_size", "tau", "train_freq", "gradient_steps")
@@ -124,8 +123,7 @@ class TwinCritic(nn.Module):
         hidden: widths of the hidden layers.
     """
 
-    optimizer: torch.optim.Optimizer
-    """Where Stable-Baselines3 keeps it."""
+    optimizer: torch.optim.Optimizer  # Where Stable-Baselines3 keeps it
 
     def __init__(self, width: int, hidden: Sequence[int]) -> None:
         super().__init__()

@@ -31,14 +31,11 @@ from swarm_envs.training.scoreboard.tasks import make_scored
 
 __all__ = ["AgentEpisodes", "EvaluationSpec", "evaluate_distributed"]
 
-FUNCTION = f"{__name__}:fly_chunk"
-"""What a job calls, as `module:function`."""
-PATIENCE_S = 5.0
-"""After so long a chunk begins no further episode."""
+FUNCTION = f"{__name__}:fly_chunk"  # What a job calls, as `module:function`
+PATIENCE_S = 5.0  # After so long a chunk begins no further episode
 _CHUNKS, _LARGEST = 4, 256
 """Chunks for each worker, so that all end at about the same time; and seeds in one, at most."""
-LARGEST_BYTES = 64 * 2**20
-"""Of a file that is sent: it goes along with every job."""
+LARGEST_BYTES = 64 * 2**20  # Of a file that is sent: it goes along with every job
 SentFile = dict[str, str]
 """A file, ready for JSON: its absolute `path`, the `sha256` of its content, and that in base64."""
 

@@ -30,8 +30,7 @@ from swarm_envs.errors import check_integer
 
 __all__ = ["Job", "Serial"]
 
-RETRIES = 3
-"""How often a job is restarted after the process or the machine that did it died."""
+RETRIES = 3  # How often a job is restarted after the process or the machine that did it died
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -66,12 +65,9 @@ class Job:
 class Outcome:
     """What became of a job."""
 
-    job: Job
-    """What was to be done."""
-    result: Any = None
-    """What the function gave, if there is no error."""
-    error: str | None = None
-    """Why there is no result."""
+    job: Job  # What was to be done
+    result: Any = None  # What the function gave, if there is no error
+    error: str | None = None  # Why there is no result
     trace: str = ""
     """Where the function failed, as Python prints it; empty if it was not the function."""
 

@@ -17,8 +17,7 @@ __all__ = ["ScaleOptions"]
 LOCAL, AUTO = "local", "auto"
 """Names of clusters: one of this machine, and whichever is there."""
 _ADDRESS = re.compile(r"(ray://)?(?P<host>[^\s/:]+):(?P<port>\d{1,5})")
-_REACHED_S = 10.0
-"""How long an address may take to answer; Ray itself would try for minutes."""
+_REACHED_S = 10.0  # How long an address may take to answer; Ray itself would try for minutes
 _AHEAD = 2
 """Jobs handed to Ray for each of its processors: while one is done the next is on its way."""
 

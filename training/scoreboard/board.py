@@ -19,8 +19,7 @@ FILE = "scores.json"
 """Its name in a scoreboard's folder."""
 FORMAT, VERSION = "swarm-envs scoreboard", 1
 """What the file says that it is."""
-Entry = Mapping[str, Any]
-"""An agent, a cell, a standing or a profile of the file."""
+Entry = Mapping[str, Any]  # An agent, a cell, a standing or a profile of the file
 Interval = Sequence[float]
 """The two ends of a 95 % interval."""
 _REPLAY = re.compile(r"replays/[A-Za-z0-9][A-Za-z0-9._+-]*\.html")
@@ -30,36 +29,25 @@ _REPLAY = re.compile(r"replays/[A-Za-z0-9][A-Za-z0-9._+-]*\.html")
 class Metric:
     """One thing that is measured, with a label for people, and what it means, in a sentence."""
 
-    name: str
-    """In the files, with its unit."""
-    label: str
-    """Short name."""
-    unit: str
-    """`%` for fractions in [0, 1]; empty for counts."""
-    better: Literal["higher", "lower", "neither"]
-    """Which values are."""
-    help: str
-    """Explanation."""
+    name: str  # In the files, with its unit
+    label: str  # Short name
+    unit: str  # `%` for fractions in [0, 1]; empty for counts
+    better: Literal["higher", "lower", "neither"]  # Which values are
+    help: str  # Explanation
 
 
 @dataclass(frozen=True)
 class TaskInfo:
     """One thing that is flown, a versioned setting of a task; label and help are for people."""
 
-    id: str
-    """Such as `swap-circle-4-v1`; another meaning has another version."""
-    task: str
-    """Its family: `swap`, `ring`, `formation`."""
-    label: str
-    """Short name."""
-    options: Mapping[str, Any]
-    """Of `swarm_envs.make`, beside what an agent requires."""
-    episodes: int
-    """Of each agent."""
+    id: str  # Such as `swap-circle-4-v1`; another meaning has another version
+    task: str  # Its family: `swap`, `ring`, `formation`
+    label: str  # Short name
+    options: Mapping[str, Any]  # Of `swarm_envs.make`, beside what an agent requires
+    episodes: int  # Of each agent
     environment: str | None = None
     """First argument of `swarm_envs.make`; the first version of the task where there is none."""
-    help: str = ""
-    """Description."""
+    help: str = ""  # Description
 
 
 class Board:

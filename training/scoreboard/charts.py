@@ -24,8 +24,7 @@ from swarm_envs.training.scoreboard.markup import tag
 
 WIDTH, HEIGHT = 400, 280
 """Of a chart, in units of which its text is 12 high."""
-FRAME = (0.13, 0.145, 0.815, 0.82)
-"""Left, bottom, width and height of its axes, as shares of that."""
+FRAME = (0.13, 0.145, 0.815, 0.82)  # Left, bottom, width and height of its axes, as shares of that
 _MARKERS, _OTHER = "osD^vP*X", "."
 """Shapes, so that nobody needs colours to tell agents apart; and of agents without a colour."""
 _DASHES = ("-", (0, (3.5, 1.5)), (0, (1, 1.25)), (0, (4.5, 1.5, 1, 1.5)))

@@ -14,8 +14,7 @@ from swarm_envs.training.scoreboard.board import Interval
 
 Content: TypeAlias = "Element | str | Iterable[Content] | None"
 """What stands in an element: others, text, lists of both; None is nothing."""
-NONE = "\N{EN DASH}"
-"""Where there is no number."""
+NONE = "\N{EN DASH}"  # Where there is no number
 _THIN = "\N{NARROW NO-BREAK SPACE}"
 
 

@@ -34,10 +34,8 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Success, Trac
 from swarm_envs.training.scoreboard.board import Metric
 from swarm_envs.training.scoreboard.tasks import ScoredTask, make_scored
 
-EpisodeRow = dict[str, Any]
-"""An episode as a row of the table of episodes: columns by name."""
-TableForm = Literal["parquet", "csv"]
-"""How tables of episodes are written."""
+EpisodeRow = dict[str, Any]  # An episode as a row of the table of episodes: columns by name
+TableForm = Literal["parquet", "csv"]  # How tables of episodes are written
 _TEXT = ("task_id", "agent", "refusal")
 _FLAGS = ("refused", "success", "collided", "near_miss")
 _WHOLE = ("drones", "seed", "episode", "decisions")
@@ -58,10 +56,8 @@ class Measured(Metric):
 
     column: str = ""
     """Of the table of episodes, if it has another name; times of decisions are not in it."""
-    statistic: Literal["rate", "mean", "iqm", "percentile"] = "iqm"
-    """What is shown of the column."""
-    of: Literal["all", "successes"] = "all"
-    """Of which episodes."""
+    statistic: Literal["rate", "mean", "iqm", "percentile"] = "iqm"  # What is shown of the column
+    of: Literal["all", "successes"] = "all"  # Of which episodes
 
 
 METRICS = (

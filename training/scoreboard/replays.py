@@ -20,12 +20,9 @@ from swarm_envs.viewing.replay import write_replay
 
 __all__ = ["record_replays"]
 
-FOLDER = "replays"
-"""Of the pages, in a scoreboard's folder."""
-FUNCTION = f"{__name__}:record_one"
-"""What a job calls, as `module:function`."""
-MOST_SAMPLES = 6_000
-"""Drones times frames in a page: 16 drones for 8 s are shown 47 times a second."""
+FOLDER = "replays"  # Of the pages, in a scoreboard's folder
+FUNCTION = f"{__name__}:record_one"  # What a job calls, as `module:function`
+MOST_SAMPLES = 6_000  # Drones times frames in a page: 16 drones for 8 s are shown 47 times a second
 
 
 def choose_episode(

@@ -26,10 +26,8 @@ from swarm_envs.training.scoreboard.tasks import SEED, TASKS, digest, make_score
 
 __all__ = ["join_results", "verify_results"]
 
-Content = dict[str, Any]
-"""What a `scores.json` holds."""
-_CLOSE = 1e-6
-"""By how much a number may differ that is computed again."""
+Content = dict[str, Any]  # What a `scores.json` holds
+_CLOSE = 1e-6  # By how much a number may differ that is computed again
 
 
 def read_results(path: Path) -> Content:

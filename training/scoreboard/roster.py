@@ -18,20 +18,16 @@ from swarm_envs.training.scoreboard.tasks import ScoredTask
 
 __all__ = ["ROSTER", "choose_agents"]
 
-LEAST = 8
-"""Episodes that every agent flies at least."""
+LEAST = 8  # Episodes that every agent flies at least
 
 
 @dataclass(frozen=True)
 class Place:
     """An agent in the roster."""
 
-    label: str
-    """For people."""
-    help: str
-    """What it is, in a sentence."""
-    share: int = 1
-    """It flies the first 1 / share of a task's episodes."""
+    label: str  # For people
+    help: str  # What it is, in a sentence
+    share: int = 1  # It flies the first 1 / share of a task's episodes
     cost: float = 0.001
     """CPU seconds for each drone and second of the clock, about: what the bar reckons with."""
 
@@ -144,5 +140,4 @@ def _may_be_loaded(name: str) -> bool:
     return inner in SHIPPED or ":" in inner or Path(inner).exists()
 
 
-choose = choose_agents
-"""Its name in 0.1.0."""
+choose = choose_agents  # Its name in 0.1.0

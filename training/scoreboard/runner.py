@@ -43,24 +43,18 @@ from swarm_envs.training.scoreboard.tasks import COMMON, SEED, ScoredTask, diges
 
 __all__ = ["BenchmarkPlan", "fly_benchmark"]
 
-FOLDER = "episodes"
-"""Where episodes are kept, in a benchmark's folder."""
-_QUICK = 16
-"""A quick benchmark flies so many times fewer episodes."""
+FOLDER = "episodes"  # Where episodes are kept, in a benchmark's folder
+_QUICK = 16  # A quick benchmark flies so many times fewer episodes
 
 
 @dataclass(frozen=True)
 class LoadedAgent:
     """An agent that was asked for."""
 
-    name: str
-    """As of `swarm_envs.agents.load`."""
-    agent: Agent | None
-    """None if it could not be made."""
-    digest: str
-    """Of its source; empty if it could not be made."""
-    error: str = ""
-    """Why it could not."""
+    name: str  # As of `swarm_envs.agents.load`
+    agent: Agent | None  # None if it could not be made
+    digest: str  # Of its source; empty if it could not be made
+    error: str = ""  # Why it could not
 
     @property
     def privileged(self) -> bool:
@@ -72,16 +66,11 @@ class LoadedAgent:
 class Evaluation:
     """An agent on a task."""
 
-    task: ScoredTask
-    """What is flown."""
-    loaded: LoadedAgent
-    """Who flies."""
-    seeds: Sequence[int]
-    """Of its episodes."""
-    spec: EvaluationSpec | None = None
-    """Its flights; None if there can be none."""
-    refusal: str = ""
-    """Why there can be none, found before anything flew."""
+    task: ScoredTask  # What is flown
+    loaded: LoadedAgent  # Who flies
+    seeds: Sequence[int]  # Of its episodes
+    spec: EvaluationSpec | None = None  # Its flights; None if there can be none
+    refusal: str = ""  # Why there can be none, found before anything flew
 
     @property
     def episodes(self) -> list[Episode]:

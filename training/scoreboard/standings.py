@@ -28,14 +28,11 @@ if TYPE_CHECKING:
 
 __all__ = ["NOTE", "align_columns", "standings"]
 
-THRESHOLDS = tuple(float(k) / 50.0 for k in range(51))
-"""Scores at which profiles are given."""
-_AT_ONCE = 4_000_000
-"""Numbers that a bootstrap holds at once."""
+THRESHOLDS = tuple(float(k) / 50.0 for k in range(51))  # Scores at which profiles are given
+_AT_ONCE = 4_000_000  # Numbers that a bootstrap holds at once
 RESULTS = ("refused", "success", "score", "makespan_s")
 """What the file holds of every episode of a cell, in the order of the seeds."""
-_METRIC_KEYS = ("name", "label", "unit", "better", "help")
-"""What the file says of a metric."""
+_METRIC_KEYS = ("name", "label", "unit", "better", "help")  # What the file says of a metric
 NOTE = "* sees the true state; (k of n): of the tasks it supports, all where nothing stands"
 """What the marks in the tables mean."""
 
@@ -167,14 +164,10 @@ def _cell(cell: Evaluation, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
 class Reached(NamedTuple):
     """What an agent scored on a task."""
 
-    task: ScoredTask
-    """What was flown."""
-    agent: str
-    """Its name."""
-    status: str
-    """`flown`, `failed` or `unsupported`."""
-    scores: Sequence[float]
-    """Of its episodes."""
+    task: ScoredTask  # What was flown
+    agent: str  # Its name
+    status: str  # `flown`, `failed` or `unsupported`
+    scores: Sequence[float]  # Of its episodes
 
 
 def _reached(cell: Evaluation, rows: Sequence[EpisodeRow]) -> Reached:
@@ -245,5 +238,4 @@ def _standing(standing: Mapping[str, Any] | None) -> str:
     return f"{standing['value']:.2f} [{low:.2f}, {high:.2f}]{part}"
 
 
-aligned = align_columns
-"""Its name in 0.1.0."""
+aligned = align_columns  # Its name in 0.1.0

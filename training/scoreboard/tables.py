@@ -10,8 +10,7 @@ from xml.etree.ElementTree import Element
 from swarm_envs.training.scoreboard.board import Board, Entry, Metric, TaskInfo
 from swarm_envs.training.scoreboard.markup import NONE, format_interval, format_value, tag
 
-PRIVILEGED = "sees the true state"
-"""What the mark beside an agent means."""
+PRIVILEGED = "sees the true state"  # What the mark beside an agent means
 _WORDS = {"failed": "failed", "unsupported": "n/a"}
 
 

@@ -53,19 +53,15 @@ class ScoredTask(TaskInfo):
     Slow agents fly the first so many of its episodes.
     """
 
-    environment: str
-    """First argument of `swarm_envs.make`."""
-    score: Score
-    """What an episode is scored by."""
-    clock_s: float
-    """How long an episode lasts at most, s."""
+    environment: str  # First argument of `swarm_envs.make`
+    score: Score  # What an episode is scored by
+    clock_s: float  # How long an episode lasts at most, s
     full_score: tuple[str, float] | None = None
     """Where the score is `own`: the metric that is the task's own score, and what counts as 1."""
     certificate: str = ""
     """Agent that succeeds in 95 % of the episodes or more: the task can be solved. With `@` and a
     number behind it, within a clock of so many seconds. Empty in version 1."""
-    retired: bool = False
-    """Whether a newer version of the task has replaced it."""
+    retired: bool = False  # Whether a newer version of the task has replaced it
 
     @property
     def drones(self) -> int:
@@ -204,8 +200,7 @@ _TABLE = (
     _task("formation", "shuffle", 16, _SHUFFLE),
 )
 
-_LONG_S = 12.0
-"""The clock of swaps of 16 drones and more, in which planners arrive."""
+_LONG_S = 12.0  # The clock of swaps of 16 drones and more, in which planners arrive
 
 
 def _classic(task: ScoredTask) -> ScoredTask:
@@ -388,5 +383,4 @@ def choose_tasks(
     return [task.changed(options) for task in chosen]
 
 
-choose = choose_tasks
-"""Its name in 0.1.0."""
+choose = choose_tasks  # Its name in 0.1.0

@@ -30,8 +30,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.state import FloatArray
 
-Stop = Literal["iterations", "no improvement", "time limit"]
-"""Why a search ended."""
+Stop = Literal["iterations", "no improvement", "time limit"]  # Why a search ended
 
 _SHARE = Range(0.0, 1.0)
 _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
@@ -69,15 +68,12 @@ class SearchConfig:
 class SearchResult:
     """What stage 1 found."""
 
-    trajectories: Trajectories | None
-    """The cheapest plan; None if none was found."""
+    trajectories: Trajectories | None  # The cheapest plan; None if none was found
     costs: tuple[float, ...]
     """Cost of the best plan after each outer loop, the integral of ||u|| of all robots (eq. 6),
     m/s; infinite as long as there is none."""
-    iterations: int
-    """Iterations in all trees."""
-    stop: Stop
-    """Why it ended."""
+    iterations: int  # Iterations in all trees
+    stop: Stop  # Why it ended
 
     @property
     def cost(self) -> float:

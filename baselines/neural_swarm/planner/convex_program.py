@@ -37,56 +37,33 @@ _TINY = 1e-9  # m; shorter offsets have no direction
 class ConvexSubproblem:
     """One robot's problem around a prior: T steps, D axes of motion, M neighbours. SI units."""
 
-    dt: float
-    """Time between knots, s."""
-    mass: float
-    """Mass of the robot, kg."""
-    prior: FloatArray
-    """(T + 1, 2 D) prior states xbar: positions, velocities."""
-    prior_control: FloatArray
-    """(T, D) prior controls ubar, m/s^2."""
-    goal: FloatArray
-    """(2 D) state to end in."""
-    lower: FloatArray
-    """(2 D) lower end of the states allowed."""
-    upper: FloatArray
-    """(2 D) upper end of the states allowed."""
-    control_bound: float
-    """Largest |u| along each axis, m/s^2."""
-    force: FloatArray
-    """(T, D) force on the robot at the knot that begins each step, N."""
-    force_by_state: FloatArray
-    """(T, D, 2 D) A_k: its derivative by the state there."""
+    dt: float  # Time between knots, s
+    mass: float  # Mass of the robot, kg
+    prior: FloatArray  # (T + 1, 2 D) prior states xbar: positions, velocities
+    prior_control: FloatArray  # (T, D) prior controls ubar, m/s^2
+    goal: FloatArray  # (2 D) state to end in
+    lower: FloatArray  # (2 D) lower end of the states allowed
+    upper: FloatArray  # (2 D) upper end of the states allowed
+    control_bound: float  # Largest |u| along each axis, m/s^2
+    force: FloatArray  # (T, D) force on the robot at the knot that begins each step, N
+    force_by_state: FloatArray  # (T, D, 2 D) A_k: its derivative by the state there
     effort_by_state: FloatArray
     """(T, 2 D) derivative of the neighbours' effort, the sum of ||u||^2, by the robot's state."""
-    shares: FloatArray
-    """(S,) moments of each step at which forces are bounded, in parts of it."""
-    bounded: FloatArray
-    """(S, T, 2 D) prior states of the robot at these moments."""
-    bounded_force: FloatArray
-    """(S, T) vertical force on the robot then, N."""
-    bounded_by_state: FloatArray
-    """(S, T, 2 D) its derivative by the robot's state then."""
-    force_bound: float
-    """f_a,max: largest vertical force on the robot, N."""
-    neighbor_force: FloatArray
-    """(S, T, M) vertical forces on the neighbours then, N."""
-    neighbor_by_state: FloatArray
-    """(S, T, M, 2 D) C_k: their derivatives by the robot's state then."""
-    neighbor_bound: FloatArray
-    """(M) f_a,max of each neighbour, N."""
-    force_change: float
-    """b_fa: largest change of a neighbour's force, N."""
+    shares: FloatArray  # (S,) moments of each step at which forces are bounded, in parts of it
+    bounded: FloatArray  # (S, T, 2 D) prior states of the robot at these moments
+    bounded_force: FloatArray  # (S, T) vertical force on the robot then, N
+    bounded_by_state: FloatArray  # (S, T, 2 D) its derivative by the robot's state then
+    force_bound: float  # f_a,max: largest vertical force on the robot, N
+    neighbor_force: FloatArray  # (S, T, M) vertical forces on the neighbours then, N
+    neighbor_by_state: FloatArray  # (S, T, M, 2 D) C_k: their derivatives by the robot's state then
+    neighbor_bound: FloatArray  # (M) f_a,max of each neighbour, N
+    force_change: float  # b_fa: largest change of a neighbour's force, N
     normal: FloatArray
     """(T, M, D) unit vectors from neighbour to robot at the closest approach of each step."""
-    fraction: FloatArray
-    """(T, M) share of the step at which it occurs."""
-    level: FloatArray
-    """(T, M) least value of <normal, p(fraction)>, m."""
-    trust_state: FloatArray
-    """(2 D) b_x: largest |x - xbar|."""
-    trust_control: float
-    """b_u: largest |u - ubar|, m/s^2."""
+    fraction: FloatArray  # (T, M) share of the step at which it occurs
+    level: FloatArray  # (T, M) least value of <normal, p(fraction)>, m
+    trust_state: FloatArray  # (2 D) b_x: largest |x - xbar|
+    trust_control: float  # b_u: largest |u - ubar|, m/s^2
 
 
 def convexify(
@@ -175,10 +152,8 @@ class PenaltyWeights:
 class SolverSettings:
     """How exactly OSQP solves."""
 
-    tolerance: float = 5e-4
-    """Of the residuals, absolute and relative."""
-    max_iterations: int = 1000
-    """After which an inexact solution is taken, and reported as one."""
+    tolerance: float = 5e-4  # Of the residuals, absolute and relative
+    max_iterations: int = 1000  # After which an inexact solution is taken, and reported as one
     rho: float = 30.0
     """OSQP's step, kept constant: OSQP adapts it by elapsed time, and results would vary."""
 
@@ -187,16 +162,11 @@ class SolverSettings:
 class ProgramSolution:
     """What a program's solver returned."""
 
-    states: FloatArray
-    """(T + 1, 2 D) new states as the linearised dynamics see them."""
-    controls: FloatArray
-    """(T, D) new controls as the linearised dynamics see them, m/s^2."""
-    objective: float
-    """Value of the program's objective."""
-    status: str
-    """OSQP's word: `solved`, `maximum iterations reached`, `primal infeasible` ..."""
-    iterations: int
-    """OSQP's iterations."""
+    states: FloatArray  # (T + 1, 2 D) new states as the linearised dynamics see them
+    controls: FloatArray  # (T, D) new controls as the linearised dynamics see them, m/s^2
+    objective: float  # Value of the program's objective
+    status: str  # OSQP's word: `solved`, `maximum iterations reached`, `primal infeasible` ..
+    iterations: int  # OSQP's iterations
 
     @property
     def usable(self) -> bool:

@@ -20,8 +20,7 @@ __all__ = ["FORCE_BOUNDS_G", "PlanningBounds", "shortest_time"]
 
 FORCE_BOUNDS_G: Mapping[str, float] = MappingProxyType({"S": 5.0, "S*": 5.0, "L": 10.0})
 """f_a,max by vehicle token, grams (Neural-Swarm2, Sec. VII-D, Fig. 6 and 7)."""
-Positive = Annotated[float, POSITIVE]
-"""A number, positive and finite."""
+Positive = Annotated[float, POSITIVE]  # A number, positive and finite
 
 
 @typed
@@ -93,8 +92,7 @@ class PlanningBounds:
 Plane = Literal["xyz", "yz"]
 """`"xyz"`: motion in space. `"yz"`: each robot keeps the x of its start (Fig. 6 and 7)."""
 
-ROUNDING = 1e-9
-"""Differences of states up to this, m and m/s, count as none."""
+ROUNDING = 1e-9  # Differences of states up to this, m and m/s, count as none
 _MOST_STEPS = 10_000
 
 

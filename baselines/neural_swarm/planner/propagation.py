@@ -25,8 +25,7 @@ from swarm_envs.interactions.packed import PackedField, Scratch, scratch_for
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
-LONGEST_BURST = 8
-"""Edges in the longest burst that is tried."""
+LONGEST_BURST = 8  # Edges in the longest burst that is tried
 COAST, PUSH = 0, 1
 """Which of `responses`: a velocity without control, or a control held from rest."""
 PLACE, SPEED = 0, 1
@@ -144,8 +143,7 @@ def rest_bursts(
     return best
 
 
-INVALID = -1.0
-"""What a step costs that must not be flown."""
+INVALID = -1.0  # What a step costs that must not be flown
 _SLACK = 1e-9  # rounding
 
 
@@ -155,63 +153,40 @@ class Scene(NamedTuple):
     K is the largest number of steps. Robots that have no motion yet are not among the n.
     """
 
-    field: PackedField
-    """The planner's force model."""
-    types: IntArray
-    """(n,) interaction types."""
-    mass: FloatArray
-    """(n,) kg."""
-    clearance: FloatArray
-    """(n,) distance to keep from each robot, m."""
-    force_limit: FloatArray
-    """(n,) f_a,max, the largest |f_a,z|, N."""
-    force_change: float
-    """b_fa, N."""
-    position: FloatArray
-    """(K + 1, n, 3) the others' motions, m; row 0 of each knot is free."""
-    velocity: FloatArray
-    """(K + 1, n, 3) m/s."""
-    acceleration: FloatArray
-    """(K + 1, n, 3) held after each knot, m/s^2."""
-    force_before: FloatArray
-    """(K + 1, n) vertical forces before this robot is replanned, N."""
+    field: PackedField  # The planner's force model
+    types: IntArray  # (n,) interaction types
+    mass: FloatArray  # (n,) kg
+    clearance: FloatArray  # (n,) distance to keep from each robot, m
+    force_limit: FloatArray  # (n,) f_a,max, the largest |f_a,z|, N
+    force_change: float  # b_fa, N
+    position: FloatArray  # (K + 1, n, 3) the others' motions, m; row 0 of each knot is free
+    velocity: FloatArray  # (K + 1, n, 3) m/s
+    acceleration: FloatArray  # (K + 1, n, 3) held after each knot, m/s^2
+    force_before: FloatArray  # (K + 1, n) vertical forces before this robot is replanned, N
     cost_left: FloatArray
     """(K + 1,) what the others' controls cost from each knot on without this robot, m/s."""
-    start: FloatArray
-    """(3,) m."""
-    goal: FloatArray
-    """(3,) m."""
+    start: FloatArray  # (3,) m
+    goal: FloatArray  # (3,) m
     guide: FloatArray
     """(K + 1, 6) a motion near which to sample: the one before, or the straight line."""
-    lower: FloatArray
-    """(3,) m; along an axis that is not free, the start."""
-    upper: FloatArray
-    """(3,) m."""
-    free: FloatArray
-    """(3,) 1 along axes in which the robot may move, else 0."""
+    lower: FloatArray  # (3,) m; along an axis that is not free, the start
+    upper: FloatArray  # (3,) m
+    free: FloatArray  # (3,) 1 along axes in which the robot may move, else 0
     limits: FloatArray
     """(4,) speed (m/s), |u| (m/s^2), distance (m) and speed (m/s) that count as at the goal."""
-    drag: FloatArray
-    """(3,) the robot's own drag per mass, 1/s."""
-    table: FloatArray
-    """`steering.responses` of the robot."""
-    dt: float
-    """Length of a step, s."""
-    edge: int
-    """Steps in an edge."""
+    drag: FloatArray  # (3,) the robot's own drag per mass, 1/s
+    table: FloatArray  # `steering.responses` of the robot
+    dt: float  # Length of a step, s
+    edge: int  # Steps in an edge
 
 
 class WorkingState(NamedTuple):
     """Working memory: all n robots as they are at one knot."""
 
-    position: FloatArray
-    """(n, 3) m."""
-    velocity: FloatArray
-    """(n, 3) m/s."""
-    force: FloatArray
-    """(n, 3) forces there, N."""
-    scratch: Scratch
-    """Working memory of the force model, which knows the robots' types."""
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    force: FloatArray  # (n, 3) forces there, N
+    scratch: Scratch  # Working memory of the force model, which knows the robots' types
 
 
 def working_state(scene: Scene) -> WorkingState:

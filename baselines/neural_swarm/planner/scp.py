@@ -38,18 +38,13 @@ from swarm_envs.state import FloatArray
 class MeritTerms:
     """The terms of the merit: the effort of a team, and by how much it misses goals and bounds."""
 
-    effort: FloatArray
-    """(N,) sum of ||u||^2, m^2/s^4."""
-    goal: FloatArray
-    """(N,) largest component by which the goal state is missed, m or m/s."""
-    state: FloatArray
-    """(N,) largest excess over the box, m or m/s, or over the own force bound, 1."""
-    apart: FloatArray
-    """(N, N) clearance that each pair lacks, summed over steps, m."""
+    effort: FloatArray  # (N,) sum of ||u||^2, m^2/s^4
+    goal: FloatArray  # (N,) largest component by which the goal state is missed, m or m/s
+    state: FloatArray  # (N,) largest excess over the box, m or m/s, or over the own force bound, 1
+    apart: FloatArray  # (N, N) clearance that each pair lacks, summed over steps, m
     force: FloatArray
     """(N,) excess of each step's peak over the force bound, in its units, summed over steps."""
-    control: FloatArray
-    """(N,) excess over the control bound, summed over knots and axes, m/s^2."""
+    control: FloatArray  # (N,) excess over the control bound, summed over knots and axes, m/s^2
 
     def team(self, weights: PenaltyWeights) -> float:
         """The merit of all: what the whole refinement decreases."""
@@ -97,8 +92,7 @@ def _force_excess(
 
 
 _Amount = Annotated[float, NOT_NEGATIVE]
-_NEARLY = 5e-3
-"""Share of a force bound by which it may be exceeded between knots."""
+_NEARLY = 5e-3  # Share of a force bound by which it may be exceeded between knots
 
 
 @typed
@@ -136,42 +130,28 @@ class RefinementOptions:
 class StepRecord:
     """One robot's program: what was asked, what came of it. Files of plans keep these names."""
 
-    sweep: int
-    """Which time all robots are planned, from 0."""
-    robot: int
-    """Index of the robot."""
-    status: str
-    """The solver's status."""
-    iterations: int
-    """The solver's iterations."""
-    step_ms: float
-    """Time for derivatives, program and solution, ms."""
-    trust: float
-    """Share of the trust region that was allowed."""
-    promised: float
-    """Predicted reduction of the merit, by the linearised program."""
+    sweep: int  # Which time all robots are planned, from 0
+    robot: int  # Index of the robot
+    status: str  # The solver's status
+    iterations: int  # The solver's iterations
+    step_ms: float  # Time for derivatives, program and solution, ms
+    trust: float  # Share of the trust region that was allowed
+    promised: float  # Predicted reduction of the merit, by the linearised program
     gained: float
     """Actual reduction of the team's merit on the nonlinear model; negative: an increase."""
-    taken: bool
-    """Whether the step was accepted."""
-    merit: float
-    """The team's merit afterwards."""
+    taken: bool  # Whether the step was accepted
+    merit: float  # The team's merit afterwards
 
 
 @dataclass(frozen=True)
 class RefinementResult:
     """The result of stage 2."""
 
-    trajectories: ways.Trajectories
-    """The best motions found."""
-    history: tuple[StepRecord, ...]
-    """Every program, in order."""
-    converged: bool
-    """Whether all robots have settled: not yet that the plan keeps its bounds."""
-    out_of_time: bool
-    """Whether it ended at the deadline."""
-    reason: str
-    """Why it ended, in words."""
+    trajectories: ways.Trajectories  # The best motions found
+    history: tuple[StepRecord, ...]  # Every program, in order
+    converged: bool  # Whether all robots have settled: not yet that the plan keeps its bounds
+    out_of_time: bool  # Whether it ended at the deadline
+    reason: str  # Why it ended, in words
 
 
 class _Refiner:

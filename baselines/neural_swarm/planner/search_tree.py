@@ -25,61 +25,43 @@ from swarm_envs.baselines.neural_swarm.planner.propagation import (
 from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray, IntArray
 
-NONE = -1
-"""No node."""
-DIMENSIONS = 8
-"""Of the space in which neighbours are sought: position, velocity, time, cost."""
+NONE = -1  # No node
+DIMENSIONS = 8  # Of the space in which neighbours are sought: position, velocity, time, cost
 METRIC = (1.0, 0.3, 2.0, 1.0)
 """Weights of the distance between nodes: of a metre, of a m/s, of the whole horizon, and of the
 cost of the direct flight. The force f_a follows from position, velocity and time, so its weight is
 none."""
 _PULL, _DAMP = 4.0, 4.0  # critically damped, settles within two seconds
-CANDIDATES = 5
-"""Random nodes among which the most promising is taken."""
+CANDIDATES = 5  # Random nodes among which the most promising is taken
 SPREAD, SPEED_SPREAD = 0.6, 0.8
 """Largest standard deviations of samples about the guide, m and m/s; most are far closer."""
-LONGEST_LEG = 10
-"""Edges in the longest motion towards a sample that lies in the past."""
+LONGEST_LEG = 10  # Edges in the longest motion towards a sample that lies in the past
 
 
 class Chances(NamedTuple):
     """Probabilities of what the search does in an iteration."""
 
-    goal: float = 0.5
-    """To try a flight from a new node straight to the goal."""
-    action: float = 0.3
-    """To hold a random action for one edge; else towards the sample's position."""
+    goal: float = 0.5  # To try a flight from a new node straight to the goal
+    action: float = 0.3  # To hold a random action for one edge; else towards the sample's position
     promising: float = 0.4
     """To start from the most promising of a few random nodes; else from the nearest to a sample."""
-    guided: float = 0.7
-    """To sample near the guide; else uniformly."""
+    guided: float = 0.7  # To sample near the guide; else uniformly
 
 
 class SearchTree(NamedTuple):
     """Nodes of a search tree; the arrays are the storage, written in place."""
 
-    state: FloatArray
-    """(capacity, 6) position (m) and velocity (m/s)."""
-    force: FloatArray
-    """(capacity, N, 3) forces on the n robots of the scene, N."""
-    control: FloatArray
-    """(capacity, 3) u on the edge that leads here, m/s^2."""
-    cost: FloatArray
-    """(capacity,) integral of ||u|| of all robots up to here, m/s."""
-    knot: IntArray
-    """(capacity,) time in steps."""
-    parent: IntArray
-    """(capacity,) the node before; -1 of the root."""
-    places: FloatArray
-    """(capacity, DIMENSIONS) the nodes in the space of `METRIC`."""
-    used: IntArray
-    """(1,) nodes in use."""
-    point: FloatArray
-    """(DIMENSIONS,) working memory."""
-    scale: FloatArray
-    """(4,) metric weights by unit, set for each search."""
-    vector: FloatArray
-    """(5, 3) working memory."""
+    state: FloatArray  # (capacity, 6) position (m) and velocity (m/s)
+    force: FloatArray  # (capacity, N, 3) forces on the n robots of the scene, N
+    control: FloatArray  # (capacity, 3) u on the edge that leads here, m/s^2
+    cost: FloatArray  # (capacity,) integral of ||u|| of all robots up to here, m/s
+    knot: IntArray  # (capacity,) time in steps
+    parent: IntArray  # (capacity,) the node before; -1 of the root
+    places: FloatArray  # (capacity, DIMENSIONS) the nodes in the space of `METRIC`
+    used: IntArray  # (1,) nodes in use
+    point: FloatArray  # (DIMENSIONS,) working memory
+    scale: FloatArray  # (4,) metric weights by unit, set for each search
+    vector: FloatArray  # (5, 3) working memory
 
 
 def empty_tree(capacity: int, robots: int) -> SearchTree:

@@ -120,19 +120,15 @@ BOUNDED_FRACTIONS = np.array([0.5, 1.0])
 """Fractions of each step at which programs bound forces; the start of a motion is at rest."""
 CHECKED_FRACTIONS = np.array([0.25, 0.5, 0.75, 1.0])
 """Fractions of each step at which a plan is checked."""
-_CHORDS = 4
-"""Chords for a step's parabola: a quarter of 0.1 s at 5 m/s^2 bends by 0.4 mm."""
+_CHORDS = 4  # Chords for a step's parabola: a quarter of 0.1 s at 5 m/s^2 bends by 0.4 mm
 
 
 class ClosestApproach(NamedTuple):
     """The closest approach of pairs within each of T steps: what eq. (17) keeps above r."""
 
-    distance: FloatArray
-    """(T, ...) smallest distance within the step, m."""
-    offset: FloatArray
-    """(T, ..., 3) offset there, m."""
-    fraction: FloatArray
-    """(T, ...) fraction of the step at which it occurs, in [0, 1]."""
+    distance: FloatArray  # (T, ...) smallest distance within the step, m
+    offset: FloatArray  # (T, ..., 3) offset there, m
+    fraction: FloatArray  # (T, ...) fraction of the step at which it occurs, in [0, 1]
 
 
 def step_weights(fraction: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:

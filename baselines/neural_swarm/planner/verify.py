@@ -16,22 +16,17 @@ from swarm_envs.vehicles import GRAM_FORCE
 class PlanCheck:
     """What came of flying a plan's controls forward under the planner's model of the forces."""
 
-    goal_error_m: float
-    """Largest distance of a robot from its goal at the end, m."""
-    goal_speed: float
-    """Largest speed of a robot at the end, m/s."""
+    goal_error_m: float  # Largest distance of a robot from its goal at the end, m
+    goal_speed: float  # Largest speed of a robot at the end, m/s
     worst_force_g: dict[str, float]
     """Largest vertical force |f_a,z| by vehicle token, grams, knots and between."""
-    force_ratio: float
-    """Largest vertical force over its bound."""
+    force_ratio: float  # Largest vertical force over its bound
     clearance_ratio: float
     """Smallest distance of a pair over the clearance to keep; 1 or more is good."""
     distance_ratio: float
     """Smallest distance of a pair over the sum of the radii; below 1 they collide."""
-    box_excess: float
-    """Largest excess over the box, m, the speed, m/s, or the control bound, m/s^2."""
-    defect: float
-    """Largest difference between the plan and its flight forward, m and m/s."""
+    box_excess: float  # Largest excess over the box, m, the speed, m/s, or the control bound, m/s^2
+    defect: float  # Largest difference between the plan and its flight forward, m and m/s
 
     def shortcomings(self) -> tuple[str, ...]:
         """What of the plan is not good, in words; empty if all is."""

@@ -176,8 +176,7 @@ def _nearest(hulls: FloatArray, out: FloatArray) -> None:
                 out[p, axis] += weight[k] * points[k, axis]
 
 
-FIXED = 3
-"""Control points at either end that stay: the robot rests there."""
+FIXED = 3  # Control points at either end that stay: the robot rests there
 _solve = solver("daqp")
 _TOLERANCE = 1e-6  # by which a row may be broken, m
 _AT_ONCE = 60  # broken rows that are added before the program is solved again

@@ -19,8 +19,7 @@ from swarm_envs.trajectories import Reference
 
 __all__ = ["on_grid", "shortest_step"]
 
-DEGREE = 3
-"""Of the splines."""
+DEGREE = 3  # Of the splines
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 """Coefficients of the power of u, by row, that weigh the four control points of a step."""
 _DERIVATIVE = (

@@ -26,8 +26,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-LINUX = sys.platform == "linux"
-"""Whether the kernel offers namespaces and Landlock."""
+LINUX = sys.platform == "linux"  # Whether the kernel offers namespaces and Landlock
 _DROP_FROM_BOUNDS, _CAPABILITIES_3 = 24, 0x20080522
 _GET_DUMPABLE, _SET_DUMPABLE, _SET_NO_NEW_PRIVS = 3, 4, 38  # of prctl(2)
 _SET_CHILD_SUBREAPER = 36
@@ -51,20 +50,14 @@ _MACHINES = {"x86_64": (0xC000003E, 203), "aarch64": (0xC00000B7, 122)}
 class Limits(NamedTuple):
     """What a work may use."""
 
-    work_s: float = 600.0
-    """Time until its first decision, and again for all others, s."""
+    work_s: float = 600.0  # Time until its first decision, and again for all others, s
     decision_s: float = 30.0
     """Time for a decision after the first, of one team or of many at once, s."""
-    memory: int = 8 << 30
-    """Address space of each of its processes, bytes."""
-    processes: int = 128
-    """Processes and threads."""
-    files: int = 256
-    """Open files of each process."""
-    file_size: int = 64 << 20
-    """Size of each file that it writes, bytes."""
-    disk: int = 512 << 20
-    """Size of all of them, bytes."""
+    memory: int = 8 << 30  # Address space of each of its processes, bytes
+    processes: int = 128  # Processes and threads
+    files: int = 256  # Open files of each process
+    file_size: int = 64 << 20  # Size of each file that it writes, bytes
+    disk: int = 512 << 20  # Size of all of them, bytes
 
 
 class Protections(NamedTuple):
@@ -72,11 +65,9 @@ class Protections(NamedTuple):
 
     unshare: tuple[str, ...]
     """The command that makes the namespaces, with its options; empty if there is none."""
-    landlock: int
-    """Version of Landlock; 0 if there is none."""
+    landlock: int  # Version of Landlock; 0 if there is none
 
-    user: int | None = None
-    """Another user that may write nothing of this one's; None for the same."""
+    user: int | None = None  # Another user that may write nothing of this one's; None for the same
 
     @property
     def own_processes(self) -> bool:

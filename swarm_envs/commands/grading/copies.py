@@ -26,8 +26,7 @@ from swarm_envs.interactions import load as load_forces
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 
-ALIKE = 0.1
-"""Difference of actions that are the same but for a disguise, over their size."""
+ALIKE = 0.1  # Difference of actions that are the same but for a disguise, over their size
 ALIKE_FORCES = 0.995
 """Correlation of forces from which on a model says what another does. Those that ship, which were
 fitted to the same flights in different ways, reach 0.988."""
@@ -35,8 +34,7 @@ _FILTER = "SafetyFilter"
 _NOBODYS = ("hover", "random")  # whoever does nothing has not copied it
 _LARGEST = 1 << 26  # bytes of a file that is looked at
 _SHORTEST = 400  # letters of a syntax tree: of less, two people write the same
-MOST_CONSTANTS = 2000
-"""Characters of all constants in a source that holds code, and no weights."""
+MOST_CONSTANTS = 2000  # Characters of all constants in a source that holds code, and no weights
 _PACKAGE = Path(swarm_envs.__file__).parent
 Twins = dict[str, SwarmParallelEnv]
 """Environments that shipped agents are made for, by their options: many share one."""

@@ -20,20 +20,13 @@ if TYPE_CHECKING:
 class Grade(NamedTuple):
     """What one work is worth."""
 
-    work: str
-    """Its name, as it can be printed."""
-    points: float
-    """From 0 to 100."""
-    value: float | None
-    """The assignment's number; None if the work failed."""
-    error: str
-    """Why it has no points; empty if it has."""
-    privileged: bool
-    """Whether it has asked for the true state."""
-    copied: str
-    """The shipped agent that it is a copy of, if any."""
-    failure: Recording | None = None
-    """The first episode that was no success."""
+    work: str  # Its name, as it can be printed
+    points: float  # From 0 to 100
+    value: float | None  # The assignment's number; None if the work failed
+    error: str  # Why it has no points; empty if it has
+    privileged: bool  # Whether it has asked for the true state
+    copied: str  # The shipped agent that it is a copy of, if any
+    failure: Recording | None = None  # The first episode that was no success
 
     @property
     def notes(self) -> str:

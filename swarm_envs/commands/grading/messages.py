@@ -23,14 +23,12 @@ from safetensors.numpy import load, save
 
 _PREFIX = struct.Struct("<4sII")
 _MAGIC = b"SWRM"
-MOST_HEADER = 1 << 16
-"""Bytes of a header."""
+MOST_HEADER = 1 << 16  # Bytes of a header
 MOST_NUMBERS = 1 << 31
 """Bytes of the numbers of a message to the work, which the grader alone sends."""
 _CHUNK = 1 << 20  # bytes that are read at once
 
-Array = npt.NDArray[Any]
-"""Numbers or truth values of a type that safetensors has."""
+Array = npt.NDArray[Any]  # Numbers or truth values of a type that safetensors has
 
 
 class BadMessage(ValueError):

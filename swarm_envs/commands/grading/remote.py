@@ -33,15 +33,13 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer, check_name
 
-KEPT = 256
-"""Decisions of a work that are kept, to be compared with those of agents that ship."""
+KEPT = 256  # Decisions of a work that are kept, to be compared with those of agents that ship
 OPTIONS = (
     *("action", "decision_rate", "observation"),
     *("num_neighbors", "num_obstacles", "observe_load"),
 )
 """Options that a work may require. All others say what is flown and when it is a success."""
-MOST_SEEN = 64
-"""Neighbours, or obstacles, that it may ask to observe."""
+MOST_SEEN = 64  # Neighbours, or obstacles, that it may ask to observe
 _MODULE = "swarm_envs.commands.grading.child"
 _SETUP_S = 60.0  # for imports and compilation, before a work trains
 _DECISIONS = ("act", "batch", "plan")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-LONGEST = 500
-"""Characters that are kept of a message."""
+LONGEST = 500  # Characters that are kept of a message
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
