@@ -46,16 +46,19 @@ _FILES = {
 class EpisodeFields:
     """What is flown: these come first in the help."""
 
-    task: str = "swap"  # task, such as `swap`, or with its version, `swap_v1`
+    task: str = "swap"
+    """task, such as `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """layout of the task, such as `random` or `stacked`; default: the task's"""
     drones: Count | None = None
     """number of drones if no team is given; default: 4 in swap, ring and formation, otherwise the
     task's"""
-    physics: str | None = None  # `bullet` or `batch`; default: Bullet if it is installed
+    physics: str | None = None
+    """`bullet` or `batch`; default: Bullet if it is installed"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    horizon_s: float | None = None  # time limit, s; default: the task's
+    horizon_s: float | None = None
+    """time limit, s; default: the task's"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,7 +135,8 @@ Given = FloatArray | None
 class _Flown:
     """Fields of every task."""
 
-    team: Team  # The drones, in the order of the agents
+    team: Team
+    """The drones, in the order of the agents."""
     reward_weights: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     """Weight of each reward term; a term left out has none. If empty, `default_weights`."""
     obstacles: tuple[Obstacle, ...] = field(default=(), kw_only=True)

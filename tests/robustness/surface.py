@@ -210,7 +210,7 @@ NOT_CALLED: dict[str, tuple[str, ...]] = {
     "takes what another function has made, not values of users": (
         *("plot_plan", "report", "flight_of", "export_flight"),
         *("write_replay", "write_table", "save_network", "save_rows"),
-        *("interaction_force", "interaction_rows", "next_clearance"),
+        *("interaction_force", "interaction_rows"),
     ),
     "takes settings, which tests/test_options.py gives bad values": (
         *("collect", "fit", "search"),
