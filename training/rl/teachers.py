@@ -61,7 +61,8 @@ class CoreAgent:
 
     def act(self, observations: Observations, view: View | None) -> Actions:
         """The labels of the environment's present state."""
-        return dict(zip(observations, self.teach(self._env.core)[0], strict=True))
+        actions = np.clip(self.teach(self._env.core)[0], -1.0, 1.0)
+        return dict(zip(observations, actions, strict=True))
 
     def teach(self, core: SwarmCore) -> FloatArray:
         """Actions (E, N, width) in the present state."""
