@@ -21,7 +21,6 @@ Paths = npt.NDArray[np.int32]  # (T + 1, n) the number of each robot's vertex af
 def _resolve(
     i: int,
     aim: Array,
-    at: Array,
     holder: Array,
     arrived: Array,
     left: Array,
@@ -86,8 +85,16 @@ def advance(
                 time[i] = -1
             row[i] = -1
         for k in range(moving):
-            if time[movers[k]] < 0:
-                _resolve(movers[k], aim, at, holder, arrived, left, chain, time)
+            i = movers[k]
+            if time[i] >= 0:
+                continue
+            leader = holder[aim[i]]
+            if leader < 0:
+                time[i] = max(arrived[i] + 1, left[aim[i]])
+            elif time[leader] >= 0:
+                time[i] = max(arrived[i] + 1, time[leader])
+            else:  # a call with so many arrays takes longer than all of the above
+                _resolve(i, aim, holder, arrived, left, chain, time)
         for k in range(moving):
             i = movers[k]
             left[at[i]] = time[i]

@@ -27,6 +27,10 @@ VERSION = 1  # Of the file format; a file of another version is refused
 _KEPT = ("method", "winner", "seed", "bound", "before_compaction", "set_bound")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
+MOVES = np.array([*np.kron(np.eye(3), [[-1], [1]]), np.zeros(3)], dtype=np.int8)
+"""(7, 3) the step along x, y and z that each number of a plan's `moves` stands for."""
+_NUMBERS = np.array([4, 2, 0, 6, 1, 3, 5], dtype=np.int8)
+"""Of moves by -3 to 3, which are steps down and up the axes 1 to 3."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,8 @@ class PlanningClock:
 
     def halved(self) -> PlanningClock:
         """The same clock, for a part of planning that may take half the time that is left."""
-        return dataclasses.replace(self, deadline=self.deadline - max(self.remaining, 0.0) / 2)
+        now = time.monotonic()
+        return dataclasses.replace(self, deadline=(now + max(self.deadline, now)) / 2)
 
     @property
     def remaining(self) -> float:
@@ -107,8 +112,9 @@ class PlanningClock:
 class GridPlan(GridInstance):
     """Paths of all robots, and how they were found."""
 
-    paths: npt.NDArray[np.int16]
-    """(T + 1, n, 3) vertex (x, y, z) of each robot after each step; T is the makespan."""
+    moves: npt.NDArray[np.int8]
+    """(T, n) move of each robot in each step: 0 and 1 down and up x, 2 and 3 y, 4 and 5 z, 6 a
+    wait; T is the makespan."""
     method: str
     """What was asked for."""
     winner: str
@@ -129,6 +135,15 @@ class GridPlan(GridInstance):
     can do without, with any assignment of goals. None for labelled plans."""
 
     @cached_property
+    def paths(self) -> npt.NDArray[np.int16]:
+        """(T + 1, n, 3) vertex (x, y, z) of each robot after each step: six times the moves."""
+        found = np.empty((len(self.moves) + 1, *self.starts.shape), dtype=np.int16)
+        found[0] = self.starts
+        for t, move in enumerate(self.moves):
+            np.add(found[t], MOVES[move], out=found[t + 1])
+        return found
+
+    @cached_property
     def lower_bound(self) -> int:
         """Steps that no plan can do without, given the labels, if there are any."""
         return super().lower_bound if self.set_bound is None else self.set_bound
@@ -136,7 +151,7 @@ class GridPlan(GridInstance):
     @property
     def makespan(self) -> int:
         """Steps until the last robot is at its goal."""
-        return len(self.paths) - 1
+        return len(self.moves)
 
     @property
     def ratio(self) -> float:
@@ -162,12 +177,10 @@ class GridPlan(GridInstance):
         about: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
         about["phases"] = [dataclasses.asdict(phase) for phase in self.phases]
         about |= {"version": VERSION, "shape": list(self.shape)}
-        # Steps compress four times better than places.
-        steps = np.diff(self.paths, axis=0).astype(np.int8)
         with written_whole(_checked_path(path)) as partial:
             np.savez_compressed(
                 partial,
-                steps=steps,
+                steps=MOVES[self.moves],
                 starts=self.starts,
                 goals=self.goals,
                 obstacles=self.obstacles,
@@ -218,7 +231,7 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
     if not report:
         raise ValueError(f"its paths are not feasible: {report.reason}")
     return GridPlan(
-        paths=paths,
+        moves=_NUMBERS[steps @ np.array([1, 2, 3], dtype=np.int8) + 3],
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
         **instance.fields(),

@@ -25,13 +25,12 @@ from swarm_envs.baselines.rth3d.grid import (
     NoHighways,
     NoPlanExists,
     PlanNotFound,
-    Shape,
     check_instance,
     numbers,
     points,
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
-from swarm_envs.baselines.rth3d.grid_validation import follow_paths, validate
+from swarm_envs.baselines.rth3d.grid_validation import check_paths, follow_paths
 from swarm_envs.baselines.rth3d.lacam import (
     Lacam,
     after_a_plan,
@@ -76,15 +75,12 @@ _LOST = 16
 """The robots are lost when it has not for so many: narrow passages are left by wandering about."""
 _GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
 _STRIDE = 16  # steps between them, at most
-_GIVEN_BACK = 16  # steps whose memory is given back at a time
 
 
 class PibtSearch:
     """PIBT and its restarts; keeps the best plan that is shorter than a known makespan."""
 
-    def __init__(
-        self, instance: GridInstance, seed: int, clock: PlanningClock, known: int | None = None
-    ) -> None:
+    def __init__(self, instance: GridInstance, seed: int) -> None:
         self.bound = instance.lower_bound
         self.cap = int(_PATIENCE * self.bound) + _MARGIN
         self.pibt = Pibt(instance, self.cap)
@@ -92,14 +88,21 @@ class PibtSearch:
         self.reached, self.left = 0, self.bound
         """The last step of the last attempt, and the longest way left to a robot then."""
         self._generator = np.random.default_rng(seed)
-        self._clock = clock
-        self._limit = self.cap if known is None else min(self.cap, known - 1)
         self._robots = len(instance.starts)
         self._chunk = min(_STRIDE, max(1, _GLANCE // self._robots))
-
-    def run(self) -> None:
-        """The first attempt, and restarts of it while there is something to gain."""
         self._begin(0)
+
+    def attempt(self, clock: PlanningClock) -> bool:
+        """Whether the first attempt is as short as the lower bound; it ends when it cannot be."""
+        self._clock, self._limit = clock, min(self.bound, self.cap)
+        self._advance(self._limit, self.bound)
+        self._keep()
+        return self.best is not None
+
+    def run(self, clock: PlanningClock, known: int | None = None) -> None:
+        """The rest of the first attempt, and restarts while there is something to gain."""
+        self._clock = clock
+        self._limit = self.cap if known is None else min(self.cap, known - 1)
         self._advance(int(_VERDICT * self.bound), self.cap)
         hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
         self._finish(last=hopeless)
@@ -117,6 +120,8 @@ class PibtSearch:
 
     def _begin(self, step: int) -> None:
         """Sample again, and forget what came after a step."""
+        if self.best is not None and self.best.base is not None:
+            self.best = self.best.copy()  # it is about to be overwritten
         self.pibt.shuffle(self._generator)
         self.pibt.rewind(step)
         self.reached, self.left = step, -1
@@ -126,8 +131,11 @@ class PibtSearch:
         if not last:  # others will go on from there
             self._advance(int(max(_RESTARTS) * self.bound), self.cap)
         self._advance(self.cap, self._limit)
+        self._keep()
+
+    def _keep(self) -> None:
         if self.left == 0 and self.reached <= self._limit:
-            self.best = self.pibt.paths[: self.reached + 1].copy()
+            self.best = self.pibt.paths[: self.reached + 1]
             self._limit = self.reached - 1
 
     def _advance(self, end: int, limit: int) -> None:
@@ -207,26 +215,25 @@ def _rth3d(
 _solve_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
 
 
-def _search(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: int | None = None
-) -> PibtSearch:
+def _search(search: PibtSearch, clock: PlanningClock, known: int | None = None) -> Paths | None:
+    """What PIBT finds that is shorter than a plan that is known."""
     with clock.phase("pibt") as record:
-        search = PibtSearch(instance, seed, clock, known)
-        search.run()
+        search.run(clock, known)
         record(search.reached if search.best is None else len(search.best) - 1)
-    return search
+    return search.best
 
 
 def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
     """PIBT alone; PlanNotFound if not all robots arrive in any attempt."""
-    search = _search(instance, seed, clock)
-    if search.best is None:
+    search = PibtSearch(instance, seed)
+    if _search(search, clock) is None:
         if clock.remaining <= 0:
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
             "try another seed, or method='auto', which continues where pibt gives up"
         )
+    assert search.best is not None
     return _Solution(search.best, "pibt", None)
 
 
@@ -244,12 +251,12 @@ def _finish_stalled(instance: GridInstance, search: PibtSearch, clock: PlanningC
 
 
 def _improve(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
+    instance: GridInstance, search: PibtSearch, clock: PlanningClock, known: _Solution
 ) -> _Solution:
     """A shorter plan than the one that is known, by PIBT or from where it has stalled; or that."""
-    search = _search(instance, seed, clock, known.makespan)
-    if search.best is not None:
-        return _Solution(search.best, "pibt", None)
+    best = _search(search, clock, known.makespan)
+    if best is not None:
+        return _Solution(best, "pibt", None)
     if search.reached + search.left >= known.makespan:
         return known
     return min(known, _finish_stalled(instance, search, clock), key=lambda found: found.makespan)
@@ -298,18 +305,24 @@ def _solve_lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _So
 
 
 def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """The best of RTH3D-LBA, PIBT, and RTH3D-LBA from where PIBT has stalled.
+    """PIBT's first plan if none is shorter; else the best of RTH3D-LBA, PIBT, and one after other.
 
     Where the highways do not fit, the best of LaCAM* and PIBT.
     """
     try:
-        sure = _solve_rth3d_lba(instance, seed, clock)
+        choose_highways(instance)
+        search = PibtSearch(instance, seed)
+        with clock.phase("pibt, to the lower bound") as record:
+            shortest = search.attempt(clock.halved())
+            record(search.reached)
+        if shortest and search.best is not None:
+            return _Solution(search.best, "pibt", None)
+        found = sure = _solve_rth3d_lba(instance, seed, clock)
     except NoHighways:
         return _solve_off_highways(instance, seed, clock)
-    found = sure
     if sure.makespan > instance.lower_bound:
         with suppress(PlanTimeout):
-            found = _improve(instance, seed, clock, sure)
+            found = _improve(instance, search, clock, sure)
     bounds = [b for b in (found.bound, sure.bound) if b is not None]
     return replace(found, bound=min(bounds))
 
@@ -326,9 +339,9 @@ def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock)
     known = None if found is None else found.makespan
     if known is None or known > instance.lower_bound:
         with suppress(PlanTimeout):
-            search = _search(instance, seed, clock, known)
-            if search.best is not None:
-                found = _Solution(search.best, "pibt", None)
+            best = _search(PibtSearch(instance, seed), clock, known)
+            if best is not None:
+                found = _Solution(best, "pibt", None)
     if found is None:
         assert failed is not None
         raise failed
@@ -435,21 +448,6 @@ def plan(
     return _result(instance, solution, method, seed, clock, bound)
 
 
-def _coordinates(paths: Paths, shape: Shape) -> npt.NDArray[np.int16]:
-    """The vertices (T + 1, n) as coordinates (T + 1, n, 3), in place of them.
-
-    From the last step on: the memory of steps that have been read is given back, since both would
-    be the most that a plan of many robots needs at a time.
-    """
-    where = points(np.arange(np.prod(shape), dtype=np.int32), shape).astype(np.int16)
-    found = np.empty((*paths.shape, 3), dtype=np.int16)
-    for t in range(len(found) - 1, -1, -1):
-        found[t] = where[paths[t]]
-        if paths.flags.owndata and t % _GIVEN_BACK == 1:
-            paths.resize((t, paths.shape[1]), refcheck=False)
-    return found
-
-
 def _result(
     instance: GridInstance,
     solution: _Solution,
@@ -459,16 +457,14 @@ def _result(
     set_bound: int | None,
 ) -> GridPlan:
     with clock.last_phase("validation") as record:
-        paths = _coordinates(solution.paths, instance.shape)
-        facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
-        report = validate(paths, *facts, labels=set_bound is None)
+        report, moves = check_paths(solution.paths, instance, labels=set_bound is None)
         record(report.makespan)
     if not report:
         raise AssertionError(f"{method!r} has made an invalid plan: {report.reason}")
     if set_bound is not None:
-        instance = replace(instance, goals=paths[-1].astype(np.int32))
+        instance = replace(instance, goals=points(solution.paths[-1], instance.shape))
     return GridPlan(
-        paths=paths,
+        moves=moves,
         set_bound=set_bound,
         method=method,
         winner=solution.method,

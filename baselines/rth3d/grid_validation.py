@@ -9,9 +9,21 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.rth3d.grid import Array, check_instance
+from swarm_envs.baselines.rth3d.compaction import Paths
+from swarm_envs.baselines.rth3d.grid import (
+    Array,
+    Coordinates,
+    GridInstance,
+    Shape,
+    Vertices,
+    check_instance,
+    numbers,
+    points,
+)
 from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray
 
+_EDGES = [(axis, step) for axis in range(3) for step in (-1, 1)]  # as a plan's moves number them
 _REASONS = (
     "",
     "does not begin at its start",
@@ -42,71 +54,107 @@ class ValidationReport:
 
 @kernel
 def follow_paths(
-    paths: Array, starts: Array, goals: Array, holder: Array, last: Array, movers: Array
-) -> tuple[int, int, int, int]:
-    """Walk all paths; return (broken rule or 0, time, robot, moves).
+    paths: Array, ways: Array, deltas: Array, arrived: Array, last: Array, moves: Array
+) -> tuple[int, int]:
+    """Walk all paths; return (the first step in which a rule is broken or 0, moves along edges).
 
-    `holder` says who is on each vertex: -1 for nobody, -2 for an obstacle. Who waits stays in it:
-    only movers (n,) are looked at.
+    Args:
+        paths: (T + 1, n) vertices.
+        ways: (V,) bit k says whether the edge k of a vertex leads to a vertex that is free.
+        deltas: (7,) differences of the numbers of the vertices along each edge, and 0 of a wait.
+        arrived: (V,) of -1. When somebody came last to a vertex, times 8, plus by which edge.
+        last: (n,) zeros; on return the last step in which each robot has moved.
+        moves: (T, n) on return the edge of each move, 6 of a wait.
     """
-    steps, count, _ = paths.shape
-    for i in range(count):
-        for k in range(3):
-            if paths[0, i, k] != starts[i, k]:
-                return 1, 0, i, 0
-            if paths[steps - 1, i, k] != goals[i, k]:
-                return 2, steps - 1, i, 0
-        holder[paths[0, i, 0], paths[0, i, 1], paths[0, i, 2]] = i
-    moves = 0
+    steps, count = paths.shape
+    moved = 0
     for t in range(1, steps):
-        rule, i, moving = _leave(paths[t - 1], paths[t], holder, movers)
-        for k in range(moving):
-            if rule:
-                break
-            i = movers[k]
-            x, y, z = paths[t, i, 0], paths[t, i, 1], paths[t, i, 2]
-            rule = 6 if holder[x, y, z] >= 0 else 0
-            holder[x, y, z] = i
-            last[i] = t
-        if rule:
-            return rule, t, i, moves
-        moves += moving
-    return 0, 0, 0, moves
+        for i in range(count):
+            before, now = paths[t - 1, i], paths[t, i]
+            edge = 6
+            if now != before:
+                edge = 0
+                while edge < 6 and deltas[edge] != now - before:
+                    edge += 1
+                if edge == 6 or not ways[before] >> edge & 1:
+                    return t, moved
+                last[i] = t
+                moved += 1
+            if arrived[now] >> 3 == t:
+                return t, moved
+            arrived[now] = t << 3 | edge
+            moves[t - 1, i] = edge
+        for i in range(count):
+            before, now = paths[t - 1, i], paths[t, i]
+            other = arrived[before]
+            if before != now and other >> 3 == t and deltas[other & 7] == before - now:
+                return t, moved
+    return 0, moved
 
 
-@kernel
-def _leave(before: Array, now: Array, holder: Array, movers: Array) -> tuple[int, int, int]:
-    """Check every move, and take the movers off the grid; return (broken rule or 0, robot, moves).
+def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
+    """(V,) of `follow_paths`: which edges of each vertex lead to a free one."""
+    free = np.pad(~obstacles, 1, constant_values=False)
+    found = np.zeros(obstacles.shape, dtype=np.uint8)
+    for edge, (axis, step) in enumerate(_EDGES):
+        there = np.roll(free, -step, axis=axis)[1:-1, 1:-1, 1:-1]
+        found |= there.astype(np.uint8) << edge
+    return found.ravel()
 
-    Whether two movers meet is not seen here.
-    """
-    moving = 0
-    for i in range(now.shape[0]):
-        length = 0
-        for k in range(3):
-            length += abs(now[i, k] - before[i, k])
-        if length == 0:
-            continue
-        for k in range(3):
-            if now[i, k] < 0 or now[i, k] >= holder.shape[k]:
-                return 3, i, moving
-        other = holder[now[i, 0], now[i, 1], now[i, 2]]
-        if other == -2:
-            return 5, i, moving
-        if length > 1:
-            return 4, i, moving
-        if other >= 0:
-            same = True
-            for k in range(3):
-                same = same and now[other, k] == before[i, k]
-            if same:
-                return 7, i, moving
-        movers[moving] = i
-        moving += 1
-    for k in range(moving):
-        i = movers[k]
-        holder[before[i, 0], before[i, 1], before[i, 2]] = -1
-    return 0, 0, moving
+
+def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple[int, int]:
+    """Which rule is broken by a step that breaks one, and the robot that does."""
+    sides = np.array(obstacles.shape)
+    lengths = np.abs(now - before).sum(axis=1)
+    outside = ((now < 0) | (now >= sides)).any(axis=1)
+    inside = np.where(outside[:, None], 0, now)
+    at = {tuple(place): i for i, place in enumerate(before.tolist())}
+    who = np.array([at.get(tuple(place), -1) for place in now.tolist()])
+    swaps = (who >= 0) & (now[who] == before).all(axis=1)
+    rules = np.select([outside, obstacles[tuple(inside.T)], lengths > 1, swaps], [3, 5, 4, 7], 0)
+    rules[lengths == 0] = 0
+    if rules.any():
+        robot = int(rules.nonzero()[0][0])
+        return int(rules[robot]), robot
+    taken = set(map(tuple, now[lengths == 0].tolist()))
+    for robot in np.flatnonzero(lengths).tolist():
+        place = tuple(now[robot].tolist())
+        if place in taken:
+            return 6, robot
+        taken.add(place)
+    raise AssertionError("no rule is broken in this step")
+
+
+def check_paths(
+    paths: Paths, instance: GridInstance, labels: bool = True
+) -> tuple[ValidationReport, npt.NDArray[np.int8]]:
+    """A report on paths (T + 1, n) of vertices, and their moves (T, n); -1 is outside the grid."""
+    starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
+    count = paths.shape[1]
+    last, moves = np.zeros(count, dtype=np.int32), np.empty((len(paths) - 1, count), dtype=np.int8)
+    strays = paths[-1] != goals if labels else ~np.isin(paths[-1], goals)
+    for rule, step, wrong in ((1, 0, paths[0] != starts), (2, len(paths) - 1, strays)):
+        if wrong.any():
+            return _broken(rule, int(wrong.argmax()), step), moves
+    _, m2, m3 = instance.shape
+    deltas = np.array([-m2 * m3, m2 * m3, -m3, m3, -1, 1, 0], dtype=np.int32)
+    arrived = np.full(np.prod(instance.shape), -1, dtype=np.int32)
+    step, moved = follow_paths(paths, _ways(instance.obstacles), deltas, arrived, last, moves)
+    if step:
+        before, now = (_places(paths[t], instance.shape) for t in (step - 1, step))
+        return _broken(*_fault(before, now, instance.obstacles), step), moves
+    costs = {"makespan": int(last.max()), "sum_of_costs": int(last.sum(dtype=np.int64))}
+    return ValidationReport(ok=True, reason="", moves=moved, **costs), moves
+
+
+def _places(vertices: Vertices, shape: Shape) -> Coordinates:
+    """Coordinates (n, 3) of vertices; three times -1 where one is outside."""
+    return np.where(vertices[:, None] < 0, -1, points(np.maximum(vertices, 0), shape))
+
+
+def _broken(rule: int, robot: int, step: int) -> ValidationReport:
+    reason = f"robot {robot} {_REASONS[rule]} at time {step}"
+    return ValidationReport(ok=False, reason=reason, time=step, robot=robot)
 
 
 @typed
@@ -145,31 +193,9 @@ def validate(
         raise ValueError(f"paths have shape {given.shape}, but must have {wanted}")
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"paths are of type {given.dtype}, but must be integers")
-    if given.dtype != np.int16:
-        wide = np.clip(given, -1, 32767)  # what is outside stays outside
-        given = wide.astype(np.int16)
-    goals_of = instance.goals
-    if not labels:
-        wanted_ends = set(map(tuple, instance.goals.tolist()))
-        reached = [tuple(end) in wanted_ends for end in given[-1].tolist()]
-        goals_of = np.where(np.array(reached)[:, None], given[-1], -1).astype(np.int32)
-    last = np.zeros(given.shape[1], dtype=np.int64)
-    holder = np.where(instance.obstacles, np.int32(-2), np.int32(-1))
-    rule, step, robot, moves = follow_paths(
-        np.ascontiguousarray(given),
-        instance.starts,
-        goals_of,
-        holder,
-        last,
-        np.empty(given.shape[1], dtype=np.int32),
-    )
-    if rule:
-        reason = f"robot {robot} {_REASONS[rule]} at time {step}"
-        return ValidationReport(ok=False, reason=reason, time=int(step), robot=int(robot))
-    return ValidationReport(
-        ok=True,
-        reason="",
-        makespan=int(last.max()),
-        sum_of_costs=int(last.sum()),
-        moves=int(moves),
-    )
+    vertices = np.empty(given.shape[:2], dtype=np.int32)
+    sides = np.array(instance.shape)
+    for t, places in enumerate(given):
+        inside = ((places >= 0) & (places < sides)).all(axis=1)
+        vertices[t] = np.where(inside, numbers(places, instance.shape), -1)
+    return check_paths(vertices, instance, labels)[0]

@@ -25,14 +25,17 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.baselines.rth3d.pibt import (
+    WALL,
     Robots,
     Terrain,
-    distance,
     draw,
     line_up,
+    neighbor,
     new_robots,
-    settle_next,
+    settle_rest,
     survey,
+    take,
+    way,
 )
 from swarm_envs.compiled import kernel
 
@@ -174,8 +177,7 @@ def _add_node(
     pools.state[_NODES] += 1
     at, longest = nodes.at[new], 0
     for i in range(at.shape[0]):
-        x, y, z = terrain.at[at[i], 0], terrain.at[at[i], 1], terrain.at[at[i], 2]
-        left = distance(terrain, x, y, z, robots.where[i])
+        left = way(terrain, robots, i, at[i])
         longest = max(longest, left)
         before = 0 if parent < 0 else nodes.away[parent, i]
         nodes.away[new, i] = 0 if left == 0 else before + 1
@@ -197,29 +199,25 @@ def _load(terrain: Terrain, robots: Robots, nodes: _Nodes, before: int, node: in
     at, top = nodes.at[node], robots.counts.shape[0] - 1
     if before >= 0:
         for i in range(at.shape[0]):
-            robots.now[nodes.at[before, i]] = -1
+            terrain.cells[nodes.at[before, i]]["now"] = -1
     for i in range(at.shape[0]):
-        robots.now[at[i]] = i
-        where = robots.where[i]
-        for axis in range(3):
-            where[axis] = terrain.at[at[i], axis]
-        robots.urgency[i] = top - min(nodes.away[node, i], top)
+        terrain.cells[at[i]]["now"] = i
+        robots.crew[i]["urgency"] = top - min(nodes.away[node, i], top)
     line_up(robots, 0)
 
 
 @kernel
-def _constrain(robots: Robots, pools: _Pools, at: Array, constraint: int) -> bool:
+def _constrain(terrain: Terrain, robots: Robots, pools: _Pools, at: Array, constraint: int) -> bool:
     """Settle what the constraints say; whether that is possible."""
     while pools.constraints[constraint, _PARENT] >= 0:
         entry = pools.constraints[constraint]
         who, to = entry[_WHO], entry[_TO]
-        other = robots.now[to]
-        if robots.taken[to] >= 0:
+        other = terrain.cells[to]["now"]
+        if terrain.cells[to]["taken"] >= 0:
             return False
-        if other >= 0 and other != who and robots.next[other] == at[who]:
+        if other >= 0 and other != who and robots.crew[other]["next"] == at[who]:
             return False  # they would swap
-        robots.next[who] = to
-        robots.taken[to] = who
+        take(terrain.cells, robots.crew, who, to)
         constraint = entry[_PARENT]
     return True
 
@@ -230,42 +228,20 @@ def _branch(
 ) -> None:
     """Constrain one robot more, in each way there is, in random order."""
     depth = pools.constraints[constraint, _DEPTH]
-    if depth >= robots.queue.shape[0]:
+    if depth >= robots.crew.shape[0]:
         return
-    who, choices, kept = robots.queue[depth], robots.keys, 0
-    where, here = robots.where[who], nodes.at[node, who]
+    who, choices, kept = robots.crew[depth]["queue"], robots.asked[0], 0
+    here = nodes.at[node, who]
     for k in range(7):
-        vertex = here
-        if k < 6:
-            axis, step = k >> 1, 2 * (k & 1) - 1
-            to = where[axis] + step
-            if to < 0 or to >= terrain.sides[axis]:
-                continue
-            vertex += step * terrain.strides[axis]
-            if terrain.walls.shape[0] > 0 and terrain.walls[vertex]:
-                continue
+        vertex = neighbor(terrain.grid, terrain.cells[here], here, k)
+        if vertex < 0 or terrain.cells[vertex]["taken"] == WALL:
+            continue
         other = draw(robots.random) % (kept + 1)
         choices[kept] = choices[other]
         choices[other] = vertex
         kept += 1
     for k in range(kept):
         _constrain_more(nodes, pools, node, constraint, who, choices[k])
-
-
-@kernel
-def _follow(terrain: Terrain, robots: Robots, at: Array) -> bool:
-    """Have PIBT settle all who are not yet; whether it can."""
-    top = robots.counts.shape[0] - 1
-    for k in range(at.shape[0]):
-        i = robots.queue[k]
-        if robots.next[i] >= 0:
-            continue
-        if robots.urgency[i] == top and robots.taken[at[i]] < 0:  # at its goal, and may stay
-            robots.next[i] = at[i]
-            robots.taken[at[i]] = i
-        elif not settle_next(terrain, robots, at, i, False):
-            return False
-    return True
 
 
 @kernel
@@ -297,16 +273,16 @@ def _make(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: 
     nodes.first[node] = pools.constraints[constraint, _NEXT]
     pools.state[_MADE] += 1
     for i in range(count):
-        robots.next[i] = -1
-    made = _constrain(robots, pools, at, constraint)
+        robots.crew[i]["next"] = -1
+    made = _constrain(terrain, robots, pools, at, constraint)
     if made:
         _branch(terrain, robots, nodes, pools, node, constraint)
-        made = _follow(terrain, robots, at)
+        made = settle_rest(terrain, robots, at, False)
     new = nodes.at[pools.state[_NODES]]
     for i in range(count):
-        if robots.next[i] >= 0:
-            robots.taken[robots.next[i]] = -1
-        new[i] = robots.next[i]
+        new[i] = robots.crew[i]["next"]
+        if new[i] >= 0:
+            terrain.cells[new[i]]["taken"] = -1
     if made:
         _keep(terrain, robots, nodes, pools, node)
 
@@ -367,7 +343,7 @@ class Lacam:
         self._robots = new_robots(instance, instance.lower_bound + _SLACK)
         order = generator.permutation(count)
         far_first = np.argsort(-instance.lengths[order], kind="stable")
-        self._robots.order[:] = order[far_first]
+        self._robots.crew["order"] = order[far_first]
         self._robots.random[0] = generator.integers(2**62)
         room = max(16, min(1024, 4 * _MORE_ENTRIES // count))
         self._nodes = _new_nodes(room, count)

@@ -16,50 +16,82 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, breaks_pattern, numbers
 from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table, ways_to
-from swarm_envs.compiled import kernel
-from swarm_envs.state import BoolArray
+from swarm_envs.compiled import equation, kernel
 
 _Ints = npt.NDArray[np.int32]
 _MOST_WAYS = 250_000_000  # lengths that are kept at most, four bytes each
+
+# What belongs together lies together, in one array. An array more that a kernel is given is counted
+# twice at each of its calls, which took three quarters of PIBT's time.
+_CELL = np.dtype(
+    [
+        *((name, np.int32) for name in ("x", "y", "z")),
+        ("now", np.int32),  # who is there, or -1
+        ("taken", np.int32),  # who has taken it for the next step, -1, or `WALL`
+        ("column", np.int32),  # its column of `ways`
+        ("along_x", np.int32),  # obstacles at smaller or equal x in the same row
+        ("along_y", np.int32),  # obstacles at smaller or equal y in the same column
+    ]
+)
+_ROBOT = np.dtype(
+    [
+        *((name, np.int32) for name in ("x", "y", "z")),  # its goal
+        # The less the more urgent: the top, less `away` and the steps that are left
+        ("urgency", np.int32),
+        # Steps that it has not been at its goal, halved by each step that it is. Were it zero at
+        # once, two robots in each other's way could push each other off their goals for ever
+        ("away", np.int32),
+        ("next", np.int32),  # the vertex that it has taken, or -1
+        ("order", np.int32),  # not of this robot: a random order of all
+        ("queue", np.int32),  # not of this robot: all, by urgency
+    ]
+)
+WALL = np.iinfo(np.int32).max
+"""Who has taken an obstacle's vertex, for all time."""
+_OPEN, _PATTERN, _ANY = range(3)  # obstacles: none, columns that follow the pattern, others
+
+
+class Grid(NamedTuple):
+    """What the shape says of distances, and of who is next to whom."""
+
+    obstacles: int  # `_OPEN`, `_PATTERN` or `_ANY`
+    m1: int
+    m2: int
+    m3: int
 
 
 class Terrain(NamedTuple):
     """The grid, and how far it is to the goals."""
 
-    at: _Ints  # (V, 3) coordinates of each vertex
-    sides: _Ints  # (3,) the shape
-    strides: _Ints  # (3,) differences of the numbers of neighbours along each axis
-    walls: BoolArray  # (V,) whether an obstacle stands there; of shape (0,) if there is none
+    cells: Array  # (V,) of `_CELL`: each vertex
     # (n, F) length of the shortest way from free vertices to each robot's goal; (0, 0) where a
     # formula says it
     ways: _Ints
-    column: _Ints  # (V,) the column of `ways` of each free vertex, or (0,)
-    along_x: _Ints  # (m1, m2) obstacles at smaller or equal x in the same row
-    along_y: _Ints  # (m1, m2) obstacles at smaller or equal y in the same column
     table: Neighbors  # (V, 7) neighbours, or (0, 7) where all vertices have three and more
+    grid: Grid
 
 
 def survey(instance: GridInstance) -> Terrain:
-    """The terrain of an instance.
+    """The terrain of an instance, no robot on it.
 
     Raises:
         NoPlanExists: obstacles cut a robot off from its goal.
         ValueError: the lengths of ways would not fit into memory.
     """
-    walls, (_, m2, m3) = instance.obstacles, instance.shape
-    columns = np.asarray(walls.any(axis=2), dtype=np.int32)
-    table = neighbor_table(instance.shape, walls)
+    walls, shape = instance.obstacles, instance.shape
+    columns = np.asarray(walls.any(axis=2), dtype=np.int32)[:, :, None]
+    table = neighbor_table(shape, walls)
     narrow = bool(((table[:, :6] >= 0).sum(axis=1)[table[:, STAY] >= 0] < 3).any())
-    return Terrain(
-        np.ascontiguousarray(np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T),
-        np.array(instance.shape, dtype=np.int32),
-        np.array([m2 * m3, m3, 1], dtype=np.int32),
-        walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
-        *_ways_to_goals(instance, table),
-        np.cumsum(columns, axis=0, dtype=np.int32),
-        np.cumsum(columns, axis=1, dtype=np.int32),
-        table if narrow else table[:0],
-    )
+    cells = np.empty(shape, dtype=_CELL)
+    cells["x"], cells["y"], cells["z"] = np.indices(shape, dtype=np.int32, sparse=True)
+    cells["now"], cells["taken"] = -1, np.where(walls, WALL, -1)
+    ways, column = _ways_to_goals(instance, table)
+    cells["column"] = column.reshape(shape) if len(ways) else -1
+    for axis, name in enumerate(("along_x", "along_y")):
+        cells[name] = np.cumsum(columns, axis=axis, dtype=np.int32)
+    obstacles = _ANY if len(ways) else _PATTERN if walls.any() else _OPEN
+    grid = Grid(obstacles, *shape)
+    return Terrain(cells.ravel(), ways, table if narrow else table[:0], grid)
 
 
 def _ways_to_goals(instance: GridInstance, table: Neighbors) -> tuple[_Ints, _Ints]:
@@ -85,21 +117,11 @@ def _ways_to_goals(instance: GridInstance, table: Neighbors) -> tuple[_Ints, _In
 class Robots(NamedTuple):
     """The robots, and memory for their decisions."""
 
-    where: _Ints  # (n, 7) where each robot is now, its goal, and its row of `ways`
-    order: _Ints  # (n,) a random order
-    urgency: _Ints  # (n,) less the more urgent: the top, less `away` and the steps that are left
-    # (n,) steps that a robot has not been at its goal, halved by each step that it is. Were it zero
-    # at once, two robots in each other's way could push each other off their goals for ever
-    away: _Ints
-    now: _Ints  # (V,) who is on each vertex
-    taken: _Ints  # (V,) who has taken it for the next step
-    next: _Ints  # (n,) the vertex taken by each robot, or -1
-    queue: _Ints  # (n,) robots by urgency
-    # (n, 11) robots that wait for an answer: who, number of vertices tried, of all, these, and
-    # who is pulled along, or -1
+    crew: Array  # (n,) of `_ROBOT`
+    # (n, 18) robots that wait for an answer: who, number of vertices tried, of all, these, who is
+    # pulled along or -1, and the keys by which the vertices are sorted
     asked: _Ints
     counts: _Ints  # How many robots have each urgency
-    keys: _Ints  # (7,) by which choices are sorted
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
@@ -107,32 +129,60 @@ _MULTIPLIER = 6364136223846793005
 _INCREMENT = 1442695040888963407
 
 
-@kernel
+@equation
 def draw(random: Array) -> int:
     """30 random bits."""
     random[0] = random[0] * _MULTIPLIER + _INCREMENT
     return (random[0] >> 33) & 0x3FFFFFFF
 
 
+@equation
+def _manhattan(cell: Array, goal: Array) -> int:
+    x, y, z = cell["x"] - goal["x"], cell["y"] - goal["y"], cell["z"] - goal["z"]
+    return int(abs(x) + abs(y) + abs(z))
+
+
 @kernel
-def distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
-    """Length of a shortest path; two more than the Manhattan distance where a column is between."""
-    if terrain.ways.shape[0] > 0:
-        vertex = x * terrain.strides[0] + y * terrain.strides[1] + z * terrain.strides[2]
-        return int(terrain.ways[where[6], terrain.column[vertex]])
-    found = int(abs(x - where[3]) + abs(y - where[4]) + abs(z - where[5]))
-    if terrain.walls.shape[0] > 0:
-        if x == where[3]:
-            if terrain.along_y[x, y] != terrain.along_y[x, where[4]]:
-                found += 2
-        elif y == where[4] and terrain.along_x[x, y] != terrain.along_x[where[3], y]:
+def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
+    cells, cell, goal = terrain.cells, terrain.cells[vertex], robots.crew[robot]
+    if terrain.grid.obstacles == _ANY:
+        return int(terrain.ways[robot, cell["column"]])
+    x, y, _, m2, m3 = cell["x"], cell["y"], *terrain.grid[1:]
+    found = _manhattan(cell, goal)
+    if x == goal["x"]:
+        if cell["along_y"] != cells[(x * m2 + goal["y"]) * m3]["along_y"]:
             found += 2
+    elif y == goal["y"] and cell["along_x"] != cells[(goal["x"] * m2 + y) * m3]["along_x"]:
+        found += 2
     return found
+
+
+@equation
+def way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
+    """Length of a robot's shortest way from a vertex; two more where a column is between."""
+    if terrain.grid.obstacles == _OPEN:
+        return _manhattan(terrain.cells[vertex], robots.crew[robot])
+    return _way_around(terrain, robots, robot, vertex)
+
+
+@equation
+def neighbor(grid: Grid, cell: Array, here: int, k: int) -> int:
+    """Neighbour k of a vertex, which is its seventh itself; -1 if it would be outside."""
+    step, axis = 2 * (k & 1) - 1, k >> 1
+    if axis == 0:
+        side, at, to = grid.m1, cell["x"] + step, here + step * grid.m2 * grid.m3
+    elif axis == 1:
+        side, at, to = grid.m2, cell["y"] + step, here + step * grid.m3
+    elif axis == 2:
+        side, at, to = grid.m3, cell["z"] + step, here + step
+    else:
+        return here
+    return to if 0 <= at < side else -1
 
 
 @kernel
 def _ask(
-    terrain: Terrain, robots: Robots, at: Array, robot: int, first: int, entry: Array, lost: bool
+    terrain: Terrain, robots: Robots, here: int, robot: int, first: int, depth: int, lost: bool
 ) -> None:
     """Sort a robot's choices: near its goal, off the way of `first`, free ones, at random.
 
@@ -140,71 +190,56 @@ def _ask(
     pushes it back later, and so on for ever; who steps aside, pushing others, lets it pass. When
     the robots is lost, one choice in four is at random, but of those who are at their goals.
     """
-    entry[0], entry[1] = robot, 0
-    where, here = robots.where[robot], at[robot]
-    bits = draw(robots.random)
-    keys, kept = robots.keys, 0
-    away = distance(terrain, where[0], where[1], where[2], where)
-    wander = lost and bits >> 28 == 0 and away > 0
-    goal, ahead = robots.where[first], 0
-    if first != robot:
-        ahead = distance(terrain, where[0], where[1], where[2], goal)
+    bits, kept, asked = draw(robots.random), 0, robots.asked
+    grid, cells, crew = terrain.grid, terrain.cells, robots.crew
+    cell, is_open = cells[here], grid.obstacles == _OPEN
+    wander = lost and bits >> 28 == 0 and way(terrain, robots, robot, here) > 0
+    ahead = 0 if first == robot else way(terrain, robots, first, here)
     for k in range(7):
-        x, y, z = where[0], where[1], where[2]
-        vertex = here
-        if k < 6:
-            axis, step = k >> 1, 2 * (k & 1) - 1
-            to = where[axis] + step
-            if to < 0 or to >= terrain.sides[axis]:
-                continue
-            vertex += step * terrain.strides[axis]
-            if axis == 0:
-                x = to
-            elif axis == 1:
-                y = to
-            else:
-                z = to
-            if terrain.walls.shape[0] > 0 and terrain.walls[vertex]:
-                continue
-        if robots.taken[vertex] >= 0:
+        vertex = neighbor(grid, cell, here, k)
+        if vertex < 0 or cells[vertex]["taken"] >= 0:
             continue
-        key = (bits >> 4 * k) & 15
+        to, key = cells[vertex], (bits >> 4 * k) & 15
         if not wander:
-            key += 64 * distance(terrain, x, y, z, where)
-        if ahead > 0 and distance(terrain, x, y, z, goal) < ahead:
-            key += 32
-        if robots.now[vertex] >= 0 and k < 6:
+            # A call with arrays takes as long as all else together.
+            left = (
+                _manhattan(to, crew[robot])
+                if is_open
+                else _way_around(terrain, robots, robot, vertex)
+            )
+            key += 64 * left
+        if ahead > 0:
+            left = (
+                _manhattan(to, crew[first])
+                if is_open
+                else _way_around(terrain, robots, first, vertex)
+            )
+            key += 32 * (left < ahead)
+        if k < 6 and to["now"] >= 0:
             key += 16
         place = kept
-        while place > 0 and keys[place - 1] > key:
-            keys[place] = keys[place - 1]
-            entry[3 + place] = entry[2 + place]
+        while place > 0 and asked[depth, 10 + place] > key:
+            asked[depth, 11 + place] = asked[depth, 10 + place]
+            asked[depth, 3 + place] = asked[depth, 2 + place]
             place -= 1
-        keys[place] = key
-        entry[3 + place] = vertex
+        asked[depth, 11 + place] = key
+        asked[depth, 3 + place] = vertex
         kept += 1
-    entry[2], entry[10] = kept, -1
+    asked[depth, 0], asked[depth, 1], asked[depth, 2], asked[depth, 10] = robot, 0, kept, -1
     if terrain.table.shape[0] > 0 and not wander:
-        _back_out(terrain, robots, at, robot, entry)
+        _back_out(terrain, robots, here, robot, asked[depth])
 
 
 @kernel
-def _back_out(terrain: Terrain, robots: Robots, at: Array, robot: int, entry: Array) -> None:
+def _back_out(terrain: Terrain, robots: Robots, here: int, robot: int, entry: Array) -> None:
     """Have a robot go where it wants least, if it takes that to change places with another."""
     kept = entry[2]
-    if kept < 2 or entry[3] == at[robot]:
+    if kept < 2 or entry[3] == here:
         return
-    entry[10] = _to_pull(terrain, robots, at, robot, entry[3])
+    entry[10] = _to_pull(terrain, robots, here, robot, entry[3])
     if entry[10] >= 0:
         for k in range(kept // 2):
             entry[3 + k], entry[2 + kept - k] = entry[2 + kept - k], entry[3 + k]
-
-
-@kernel
-def _way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
-    """Length of the shortest way of a robot from a vertex to its goal."""
-    x, y, z = terrain.at[vertex, 0], terrain.at[vertex, 1], terrain.at[vertex, 2]
-    return distance(terrain, x, y, z, robots.where[robot])
 
 
 @kernel
@@ -218,11 +253,11 @@ def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int
         u = terrain.table[here, k]
         if u < 0 or u == back:
             continue
-        sides, who = 0, robots.now[u]
+        sides, who = 0, terrain.cells[u]["now"]
         for j in range(6):
             if terrain.table[u, j] >= 0:
                 sides += 1
-        if sides > 1 or who < 0 or _way(terrain, robots, who, u) > 0:
+        if sides > 1 or who < 0 or way(terrain, robots, who, u) > 0:
             ways += 1
             last = u
     return ways, last
@@ -236,16 +271,16 @@ def _must_swap(
 
     They stand at `first` and `second`, or would.
     """
-    while _way(terrain, robots, pusher, second) < _way(terrain, robots, pusher, first):
+    while way(terrain, robots, pusher, second) < way(terrain, robots, pusher, first):
         ways, onward = _onward(terrain, robots, first, second)
         if ways >= 2:
             return False
         if ways == 0:
             break
         first, second = second, onward
-    ahead = _way(terrain, robots, pusher, first)
-    return _way(terrain, robots, puller, first) < _way(terrain, robots, puller, second) and (
-        ahead == 0 or _way(terrain, robots, pusher, second) < ahead
+    ahead = way(terrain, robots, pusher, first)
+    return way(terrain, robots, puller, first) < way(terrain, robots, puller, second) and (
+        ahead == 0 or way(terrain, robots, pusher, second) < ahead
     )
 
 
@@ -267,38 +302,45 @@ def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool
 
 
 @kernel
-def _to_pull(terrain: Terrain, robots: Robots, at: Array, robot: int, aim: int) -> int:
+def _to_pull(terrain: Terrain, robots: Robots, here: int, robot: int, aim: int) -> int:
     """Who must follow a robot that wants to be at `aim`, backwards to where both can pass; or -1.
 
     The swap of Okumura, "Improving LaCAM for Scalable Eventually Optimal Multi-Agent Pathfinding"
     (IJCAI 2023), Sec. 4: with who is in the way, or with who comes from behind towards `aim`.
     """
-    here = at[robot]
     if not _may_swap(terrain, robots, aim, here):
         return -1
-    other = robots.now[aim]
-    ask = other >= 0 and robots.next[other] < 0
+    other = terrain.cells[aim]["now"]
+    ask = other >= 0 and robots.crew[other]["next"] < 0
     if ask and _must_swap(terrain, robots, robot, other, here, aim):
         return int(other)
     for k in range(6):
         u = terrain.table[here, k]
         if u < 0 or u == aim:
             continue
-        other = robots.now[u]
+        other = terrain.cells[u]["now"]
         if other >= 0 and _must_swap(terrain, robots, other, robot, here, aim):
             return int(other)
     return -1
 
 
 @kernel
-def _pull(robots: Robots, at: Array, depth: int) -> None:
+def _pull(terrain: Terrain, robots: Robots, at: Array, depth: int) -> None:
     """Have those follow who are to be pulled along, where the pullers go away as they wish."""
     for k in range(depth, -1, -1):
         entry = robots.asked[k]
         here, other = at[entry[0]], entry[10]
-        if other >= 0 and entry[1] == 1 and robots.next[other] < 0 and robots.taken[here] < 0:
-            robots.next[other] = here
-            robots.taken[here] = other
+        if other < 0 or entry[1] != 1:
+            continue
+        if robots.crew[other]["next"] < 0 and terrain.cells[here]["taken"] < 0:
+            take(terrain.cells, robots.crew, other, here)
+
+
+@equation
+def take(cells: Array, crew: Array, robot: int, vertex: int) -> None:
+    """Let a robot be at a vertex in the next step."""
+    crew[robot]["next"] = vertex
+    cells[vertex]["taken"] = robot
 
 
 @kernel
@@ -307,53 +349,69 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
 
     It always does if none of them had its vertex settled before by others.
     """
-    depth = 0
-    _ask(terrain, robots, at, robot, robot, robots.asked[0], lost)
+    depth, asked, cells, crew = 0, robots.asked, terrain.cells, robots.crew
+    _ask(terrain, robots, at[robot], robot, robot, 0, lost)
     while depth >= 0:
-        entry = robots.asked[depth]
-        who = entry[0]
+        who = asked[depth, 0]
         here = at[who]
         settled = False
-        while entry[1] < entry[2]:
-            vertex = entry[3 + entry[1]]
-            entry[1] += 1
-            other = robots.now[vertex]
-            if robots.taken[vertex] >= 0:
+        while asked[depth, 1] < asked[depth, 2]:
+            vertex = asked[depth, 3 + asked[depth, 1]]
+            asked[depth, 1] += 1
+            other = cells[vertex]["now"]
+            if cells[vertex]["taken"] >= 0:
                 continue
-            if other >= 0 and other != who and robots.next[other] == here:
+            if other >= 0 and other != who and crew[other]["next"] == here:
                 continue  # they would swap
-            robots.taken[vertex] = who
-            robots.next[who] = vertex
-            if other >= 0 and other != who and robots.next[other] < 0:
+            take(cells, crew, who, vertex)
+            if other >= 0 and other != who and crew[other]["next"] < 0:
                 depth += 1
-                _ask(terrain, robots, at, other, robot, robots.asked[depth], lost)
+                _ask(terrain, robots, at[other], other, robot, depth, lost)
             else:
                 settled = True
             break
         else:
-            robots.next[who] = here  # nowhere to go: the one who asked must look elsewhere
-            robots.taken[here] = who
+            take(cells, crew, who, here)  # nowhere to go: the one who asked must look elsewhere
             depth -= 1
             continue
         if settled:
-            _pull(robots, at, depth)
+            if terrain.table.shape[0] > 0:
+                _pull(terrain, robots, at, depth)
             return True
     return False
 
 
 @kernel
+def settle_rest(terrain: Terrain, robots: Robots, at: Array, lost: bool) -> bool:
+    """Settle all who are not yet, the most urgent first, until that goes wrong; whether it did not.
+
+    It never goes wrong if none was settled before.
+    """
+    cells, crew, top = terrain.cells, robots.crew, robots.counts.shape[0] - 1
+    for k in range(at.shape[0]):
+        i = crew[k]["queue"]
+        if crew[i]["next"] >= 0:
+            continue
+        if crew[i]["urgency"] == top and cells[at[i]]["taken"] < 0:  # at its goal, and may stay
+            take(cells, crew, i, at[i])
+        elif not settle_next(terrain, robots, at, i, lost):
+            return False
+    return True
+
+
+@kernel
 def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
     """Queue the robots by urgency; return the longest way that is left."""
-    count = at.shape[0]
-    longest, top = 0, robots.counts.shape[0] - 1
+    cells, crew, count = terrain.cells, robots.crew, at.shape[0]
+    longest, top, is_open = 0, robots.counts.shape[0] - 1, terrain.grid.obstacles == _OPEN
     for i in range(count):
-        where = robots.where[i]
-        for axis in range(3):
-            where[axis] = terrain.at[at[i], axis]
-        left = distance(terrain, where[0], where[1], where[2], where)
-        robots.away[i] = robots.away[i] // 2 if left == 0 else robots.away[i] + 1
+        if is_open:
+            left = _manhattan(cells[at[i]], crew[i])
+        else:
+            left = _way_around(terrain, robots, i, at[i])
+        crew[i]["away"] = crew[i]["away"] // 2 if left == 0 else crew[i]["away"] + 1
         longest = max(longest, left)
-        robots.urgency[i] = top - min(left + robots.away[i], top)
+        crew[i]["urgency"] = top - min(left + crew[i]["away"], top)
     line_up(robots, draw(robots.random) % count)
     return longest
 
@@ -361,17 +419,18 @@ def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
 @kernel
 def line_up(robots: Robots, begin: int) -> None:
     """Queue the robots by urgency; of equals, `order` decides, from its place `begin` on."""
-    count, top, total = robots.queue.shape[0], robots.counts.shape[0] - 1, 0
-    robots.counts[:] = 0
+    crew, counts = robots.crew, robots.counts
+    count, total = crew.shape[0], 0
+    counts[:] = 0
     for i in range(count):
-        robots.counts[robots.urgency[i]] += 1
-    for k in range(top + 1):
-        total += robots.counts[k]
-        robots.counts[k] = total - robots.counts[k]
+        counts[crew[i]["urgency"]] += 1
+    for k in range(counts.shape[0]):
+        total += counts[k]
+        counts[k] = total - counts[k]
     for k in range(count):
-        i = robots.order[k + begin - count if k + begin >= count else k + begin]
-        robots.queue[robots.counts[robots.urgency[i]]] = i
-        robots.counts[robots.urgency[i]] += 1
+        i = crew[k + begin - count if k + begin >= count else k + begin]["order"]
+        crew[counts[crew[i]["urgency"]]]["queue"] = i
+        counts[crew[i]["urgency"]] += 1
 
 
 @kernel
@@ -390,8 +449,7 @@ def _run_pibt(
     `left` is what the call that planned step `begin` has returned; -1 if there was none. Returns
     the last planned step, and the longest way that is left to anyone then.
     """
-    count, top = paths.shape[1], robots.counts.shape[0] - 1
-    longest = left
+    cells, crew, count, longest = terrain.cells, robots.crew, paths.shape[1], left
     for t in range(begin, end + 1):
         at = paths[t]
         if t > begin or left < 0:
@@ -399,22 +457,14 @@ def _run_pibt(
         if longest == 0 or t + longest > limit or t == end:
             return t, longest
         for i in range(count):
-            robots.now[at[i]] = i
-            robots.next[i] = -1
-        for k in range(count):
-            i = robots.queue[k]
-            if robots.next[i] >= 0:
-                continue
-            if robots.urgency[i] == top and robots.taken[at[i]] < 0:  # at its goal, and may stay
-                robots.next[i] = at[i]
-                robots.taken[at[i]] = i
-            else:
-                settle_next(terrain, robots, at, i, lost)
+            cells[at[i]]["now"] = i
+            crew[i]["next"] = -1
+        settle_rest(terrain, robots, at, lost)
         for i in range(count):
-            robots.now[at[i]] = -1
+            cells[at[i]]["now"] = -1
         for i in range(count):
-            robots.taken[robots.next[i]] = -1
-            paths[t + 1, i] = robots.next[i]
+            paths[t + 1, i] = crew[i]["next"]
+            cells[crew[i]["next"]]["taken"] = -1
     return end, longest
 
 
@@ -431,7 +481,7 @@ class Pibt:
 
     def shuffle(self, generator: np.random.Generator) -> None:
         """Draw another order and other random choices from here on."""
-        self.robots.order[:] = generator.permutation(len(self.robots.order))
+        self.robots.crew["order"] = generator.permutation(len(self.robots.crew))
         self.robots.random[0] = generator.integers(2**62)
 
     def run(self, begin: int, end: int, limit: int, left: int, lost: bool) -> tuple[int, int]:
@@ -442,7 +492,7 @@ class Pibt:
     def rewind(self, begin: int) -> None:
         """Forget all after step `begin`."""
         goal = numbers(self.instance.goals, self.instance.shape)
-        away = self.robots.away
+        away = self.robots.crew["away"]
         away[:] = 0
         for t in range(begin):  # how long each has been away, as if it had just walked here
             away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
@@ -450,19 +500,12 @@ class Pibt:
 
 def new_robots(instance: GridInstance, most_steps: int) -> Robots:
     """The robots of an instance at their starts, told apart by up to `most_steps` of urgency."""
-    count, total = len(instance.starts), int(np.prod(instance.shape))
-    integers = {name: np.zeros(count, dtype=np.int32) for name in ("urgency", "away", "queue")}
+    count = len(instance.starts)
+    crew = np.zeros(count, dtype=_ROBOT)
+    crew["x"], crew["y"], crew["z"] = instance.goals.T
     return Robots(
-        where=np.hstack([instance.starts, instance.goals, np.arange(count)[:, None]]).astype(
-            np.int32
-        ),
-        keys=np.empty(7, dtype=np.int32),
-        order=np.arange(count, dtype=np.int32),
-        now=np.full(total, -1, dtype=np.int32),
-        taken=np.full(total, -1, dtype=np.int32),
-        next=np.full(count, -1, dtype=np.int32),
-        asked=np.empty((count, 11), dtype=np.int32),
+        crew=crew,
+        asked=np.empty((count, 18), dtype=np.int32),
         counts=np.zeros(most_steps + sum(instance.shape) + 3, dtype=np.int32),
         random=np.zeros(1, dtype=np.int64),
-        **integers,
     )

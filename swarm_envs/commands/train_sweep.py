@@ -172,6 +172,8 @@ def run_sweep(options: SweepOptions) -> int:
             write_json(path, report)
             print(f"wrote {path}", flush=True)
     print(_table(report))
+    for line in _failures(report):
+        print(line, file=sys.stderr)
     return sum("error" in entry for entry in found.values())
 
 
@@ -250,18 +252,21 @@ def _table(report: dict[str, Any]) -> str:
 
     names = list(dict.fromkeys(name for v in report["variants"] for name in v["measured"]))
     rows = [["options", "runs", *(name.replace("_", " ") for name in names), "CPU, min"]]
-    failed = []
     for variant in report["variants"]:
         whole = [entry for entry in variant["runs"] if "error" not in entry]
         cells = [_cell(name, variant["measured"].get(name)) for name in names]
         spent = sum(entry["cpu_s"] for entry in whole) / max(len(whole), 1) / 60
         rows.append([variant["options"] or "-", str(len(whole)), *cells, f"{spent:.1f}"])
-        failed += [
-            f"{variant['options']} seed {entry['seed']} FAILED: {entry['error']}".strip()
-            for entry in variant["runs"]
-            if "error" in entry
-        ]
-    return "\n" + "\n".join([*align_columns(rows), *failed])
+    return "\n" + "\n".join(align_columns(rows))
+
+
+def _failures(report: dict[str, Any]) -> list[str]:
+    return [
+        f"{variant['options']} seed {entry['seed']} FAILED: {entry['error']}".strip()
+        for variant in report["variants"]
+        for entry in variant["runs"]
+        if "error" in entry
+    ]
 
 
 def _cell(name: str, measure: dict[str, Any] | None) -> str:

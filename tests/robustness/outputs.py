@@ -207,7 +207,8 @@ def deleted(trial: Trial, folder: Path) -> None:
 
     found = trial.run(out, after=remove)
     if found.code:
-        refused(found, "No such file")
+        why = "No such file|no weights file at|does not see"
+        assert found.said and all(re.search(why, line) for line in found.said), found
     if not out.exists() or set(differences(trial.whole, out)) - {NOTE}:
         found = trial.run(out)
     trial.check_done(out, found)

@@ -116,8 +116,8 @@ def test_the_ratio_falls_with_size(family, most, shapes):
 
 def test_where_pibt_has_stalled_rth3d_goes_on():
     instance = make_instance("mirror", (12, 6, 3), seed=0)
-    stalled = PibtSearch(instance, 0, PlanningClock())
-    stalled._begin(0)
+    stalled = PibtSearch(instance, 0)
+    stalled._clock = PlanningClock()
     stalled._advance(10, stalled.cap)
     assert stalled.reached == 10
     assert stalled.left > 0
@@ -319,15 +319,6 @@ def test_what_cannot_be_is_refused(asked, code, said, capsys, monkeypatch, tmp_p
         assert end.code == code
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-def test_paths_become_coordinates_in_place_of_their_numbers():
-    given = np.random.default_rng(0).integers(0, 60, (70, 5)).astype(np.int32)
-    wanted = np.stack(np.unravel_index(given, (5, 4, 3)), axis=-1)
-    view = grid_planning._coordinates(given[:], (5, 4, 3))
-    assert given.shape == (70, 5) and np.array_equal(view, wanted)
-    assert np.array_equal(grid_planning._coordinates(given, (5, 4, 3)), wanted)
-    assert len(given) == 1 and view.dtype == np.int16
 
 
 def test_compaction_gives_back_the_steps_that_it_saves():

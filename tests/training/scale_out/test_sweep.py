@@ -62,7 +62,7 @@ def test_processes_train_the_same_and_a_run_that_fails_is_named(serial, tmp_path
     (other / "report.json").write_text('{"config": {}}')
     sweep = [*SWEEP, "--compare", "hidden=8,8", "hidden=4", "--out", str(tmp_path)]
     assert main([*sweep, "--workers", "2"]) == 1
-    assert "hidden=4 seed 1 FAILED: ValueError" in capsys.readouterr().out
+    assert "hidden=4 seed 1 FAILED: ValueError" in capsys.readouterr().err
     same, small = json.loads((tmp_path / "sweep.json").read_text())["variants"]
     (whole,) = json.loads((serial / "sweep.json").read_text())["variants"]
     assert same["measured"] == whole["measured"]
