@@ -62,64 +62,35 @@ def _label(
         node = queue[head]
         head += 1
         side, place = node & 1, node >> 1
-        t, v = place // total, place % total
-        for arc in range(8):
-            before = _arc_back(table, used_out, used_in, total, side, t, v, arc)
-            if before >= 0 and label[before & 1, before >> 1] == _FAR:
-                label[before & 1, before >> 1] = label[side, place] + 1
-                queue[tail] = before
+        farther = label[side, place] + 1
+        if side == 0:
+            v = place % total
+            for arc in range(7):
+                u = table[v, arc]
+                before = place - total + u - v
+                if u < 0 or before < 0 or label[1, before] < _FAR:
+                    continue
+                if used_out[before] != (arc ^ 1 if arc < 6 else arc):
+                    label[1, before] = farther
+                    queue[tail] = 2 * before + 1
+                    tail += 1
+            passes = place < used_out.shape[0] and used_in[place] >= 0
+            if passes and label[1, place] == _FAR:  # what passes through may be taken back
+                label[1, place] = farther
+                queue[tail] = 2 * place + 1
                 tail += 1
-
-
-@kernel
-def _arc_back(
-    table: Array, used_out: Array, used_in: Array, total: int, side: int, t: int, v: int, arc: int
-) -> int:
-    """The node from which an arc of the residual graph leads here, or -1."""
-    place = t * total + v
-    if side == 0:
-        if arc == 7:  # what passes through may be taken back
-            return 2 * place + 1 if used_in[place] >= 0 and place < used_out.shape[0] else -1
-        u = table[v, arc]
-        if u < 0 or t == 0:
-            return -1
-        came = place - total + u - v
-        return 2 * came + 1 if used_out[came] != (arc ^ 1 if arc < 6 else arc) else -1
-    if arc == 0 and t > 0 and used_in[place] < 0:
-        return 2 * place
-    if arc == 1 and used_out[place] >= 0:  # by taking back the flow that continues
-        return 2 * (place + total + table[v, used_out[place]] - v)
-    return -1
-
-
-@kernel
-def _arc(
-    table: Array,
-    used_out: Array,
-    used_in: Array,
-    steps: int,
-    total: int,
-    side: int,
-    t: int,
-    v: int,
-    arc: int,
-) -> int:
-    """The node to which an arc of the residual graph leads, or -1."""
-    place = t * total + v
-    if side == 1:
-        if arc == 7:  # take back what passes through
-            return 2 * place if t > 0 and used_in[place] >= 0 else -1
-        u = table[v, arc]
-        if u < 0 or used_out[place] == arc:
-            return -1
-        return 2 * (place + total + u - v)
-    if arc > 0:
-        return -1
-    came = used_in[place]
-    if came >= 0:  # only by taking back the flow that comes in
-        before = table[v, came ^ 1] if came < 6 else v
-        return 2 * (place - total + before - v) + 1
-    return -1 if t == steps else 2 * place + 1
+            continue
+        if place >= total and used_in[place] < 0 and label[0, place] == _FAR:
+            label[0, place] = farther
+            queue[tail] = 2 * place
+            tail += 1
+        if used_out[place] >= 0:  # by taking back the flow that continues
+            v = place % total
+            after = place + total + table[v, used_out[place]] - v
+            if label[0, after] == _FAR:
+                label[0, after] = farther
+                queue[tail] = 2 * after
+                tail += 1
 
 
 @kernel
@@ -151,20 +122,35 @@ def _augment(
         while depth >= 0:
             node = path[depth]
             side, place = node & 1, node >> 1
-            t, v = place // total, place % total
+            v, came = place % total, used_in[place]
             label[side, place] = _FAR
-            if t == steps and sink[v] and used_in[place] < 0:
+            is_last = place - v == steps * total
+            if is_last and sink[v] and came < 0:
                 _send(used_out, used_in, path, arcs, depth)
                 pending[s] = False
                 sent += 1
                 break
             lowest = _FAR
-            for arc in range(8):
-                following = _arc(table, used_out, used_in, steps, total, side, t, v, arc)
-                if following >= 0 and label[following & 1, following >> 1] < lowest:
-                    lowest = label[following & 1, following >> 1]
-                    arcs[depth] = arc
-                    path[depth + 1] = following
+            if side == 1:
+                for arc in range(7):
+                    u = table[v, arc]
+                    if u < 0 or used_out[place] == arc:
+                        continue
+                    after = place + total + u - v
+                    if label[0, after] < lowest:
+                        lowest = label[0, after]
+                        arcs[depth], path[depth + 1] = arc, 2 * after
+                passes = place >= total and came >= 0
+                if passes and label[0, place] < lowest:  # take back what passes through
+                    lowest = label[0, place]
+                    arcs[depth], path[depth + 1] = 7, 2 * place
+            elif came >= 0:  # only by taking back the flow that comes in
+                before = place - total + (table[v, came ^ 1] if came < 6 else v) - v
+                lowest = label[1, before]
+                arcs[depth], path[depth + 1] = 0, 2 * before + 1
+            elif not is_last:
+                lowest = label[1, place]
+                arcs[depth], path[depth + 1] = 0, 2 * place + 1
             depth += 1 if lowest < _FAR else -1
     return sent
 

@@ -94,7 +94,7 @@ def follow_paths(
 
 def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
     """(V,) of `follow_paths`: which edges of each vertex lead to a free one."""
-    free = np.pad(~obstacles, 1, constant_values=False)
+    free: BoolArray = np.pad(~obstacles, 1, constant_values=False)
     found = np.zeros(obstacles.shape, dtype=np.uint8)
     for edge, (axis, step) in enumerate(_EDGES):
         there = np.roll(free, -step, axis=axis)[1:-1, 1:-1, 1:-1]
@@ -106,8 +106,8 @@ def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple
     """Which rule is broken by a step that breaks one, and the robot that does."""
     sides = np.array(obstacles.shape)
     lengths = np.abs(now - before).sum(axis=1)
-    outside = ((now < 0) | (now >= sides)).any(axis=1)
-    inside = np.where(outside[:, None], 0, now)
+    outside = np.logical_or(now < 0, now >= sides).any(axis=1)
+    inside = np.where(outside.reshape(-1, 1), 0, now)
     at = {tuple(place): i for i, place in enumerate(before.tolist())}
     who = np.array([at.get(tuple(place), -1) for place in now.tolist()])
     swaps = (who >= 0) & (now[who] == before).all(axis=1)

@@ -19,18 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import equation, kernel
 
 Items = npt.NDArray[np.int32]  # Whole numbers that stand for items or places
 
 
-@kernel
-def _flexible(shift: Array, middle: int, item: int, low: bool, reach: int) -> bool:
+@equation
+def _is_flexible(level: int, middle: int, low: bool, reach: int) -> bool:
     """Whether an item may change sides: by at most `reach` levels beyond the middle."""
-    level = shift[item]
-    if level < 0:
-        return True
-    return (middle - level if low else level - middle + 1) <= reach
+    return level < 0 or (middle - level if low else level - middle + 1) <= reach
 
 
 @kernel
@@ -51,9 +48,10 @@ def _levels(
 ) -> int:
     """Number columns by their distance from overfull aims; the nearest aim with room, or -1.
 
-    Nodes 0 .. K - 1 are aims, K .. 2 K - 1 the columns that are left.
+    Nodes 0 .. K - 1 are aims, K .. 2 K - 1 the columns that are left. An item that changes sides
+    leads from one to the other: from its aim if it is low, from its column if it is not.
     """
-    count = excess.shape[0]
+    count, width = by_aim.shape
     tail, found = 0, -1
     for k in range(2 * count):
         depth[k] = -1
@@ -69,8 +67,13 @@ def _levels(
         if depth[node] == found:
             break
         for k in range(begin, begin + size):
-            following = _across(aims, shift, low, by_aim, at, node, k, middle, reach, count)
-            if following < 0 or depth[following] >= 0:
+            item = by_aim[node, k] if node < count else at[node - count, k]
+            if low[item] != (node < count):
+                continue
+            following = count + item // width if node < count else aims[item]
+            if depth[following] >= 0:
+                continue
+            if not _is_flexible(shift[item], middle, low[item], reach):
                 continue
             depth[following] = depth[node] + 1
             queue[tail] = following
@@ -78,31 +81,6 @@ def _levels(
             if following < count and excess[following] < 0 and found < 0:
                 found = depth[following]
     return found
-
-
-@kernel
-def _across(
-    aims: Array,
-    shift: Array,
-    low: Array,
-    by_aim: Array,
-    at: Array,
-    node: int,
-    k: int,
-    middle: int,
-    reach: int,
-    count: int,
-) -> int:
-    """The node to which the k-th item of a node leads when it changes sides, or -1."""
-    if node < count:
-        item = by_aim[node, k]
-        if low[item] and _flexible(shift, middle, item, True, reach):
-            return count + item // by_aim.shape[1]
-        return -1
-    item = at[node - count, k]
-    if not low[item] and _flexible(shift, middle, item, False, reach):
-        return aims[item]
-    return -1
 
 
 @kernel
@@ -123,7 +101,7 @@ def _exchange(
     last: int,
 ) -> int:
     """Make items change sides along shortest paths from overfull aims to those with room."""
-    count = excess.shape[0]
+    count, width = by_aim.shape
     done = 0
     for k in range(2 * count):
         arcs[k] = begin - 1
@@ -140,10 +118,13 @@ def _exchange(
                     depth[node] = -2
                     top -= 1
                     continue
-                following = _across(
-                    aims, shift, low, by_aim, at, node, arcs[node], middle, reach, count
-                )
-                if following >= 0 and depth[following] == depth[node] + 1:
+                item = by_aim[node, arcs[node]] if node < count else at[node - count, arcs[node]]
+                if low[item] != (node < count):
+                    continue
+                following = count + item // width if node < count else aims[item]
+                if depth[following] != depth[node] + 1:
+                    continue
+                if _is_flexible(shift[item], middle, low[item], reach):
                     top += 1
                     path[top] = following
             if top < 0:
