@@ -66,12 +66,14 @@ DRONE = np.dtype(
 )
 
 
-def as_row(state: KnownState) -> np.ndarray:
-    """A row of the program's input, its set-point at rest."""
+def as_row(state: KnownState, force: bool = False) -> np.ndarray:
+    """A row of the program's input, its set-point at rest; `force`: one is predicted."""
     own: list[Any] = [("up", *VECTOR), ("thrust", np.float32), ("setpoint", *VECTOR)]
     own += [("task", np.float32, len(state.task))]
-    if len(state.near):  # a force, and how many obstacles are where
-        own += [("force", *VECTOR), ("count", np.int32), ("ways", np.float32, len(state.near) - 4)]
+    own += [("force", *VECTOR)] * force
+    near = state.near[3 * force :]
+    if len(near):  # how many obstacles are where
+        own += [("count", np.int32), ("ways", np.float32, len(near) - 1)]
     own += [("steered", np.float32, 12)]
     drone = np.dtype(DRONE.descr + [("load", *VECTOR)] * bool(state.load.shape[1]))
     head = [("others", np.int32), ("dt", np.float32), ("drones", drone, MOST)]
@@ -84,8 +86,10 @@ def as_row(state: KnownState) -> np.ndarray:
         row[name] = getattr(state, name)
     if state.load.shape[1]:
         row["drones"]["load"][:count] = state.load
-    if len(state.near):
-        row["force"], row["count"], row["ways"] = np.split(state.near, [3, 4])
+    if force:
+        row["force"] = state.near[:3]
+    if len(near):
+        row["count"], row["ways"] = near[0], near[1:]
     row["steered"][:3] = state.setpoint
     return row
 
@@ -206,7 +210,8 @@ def test_policies_in_c(made: tuple[Any, ...], tmp_path: Path) -> None:
     policy = policy.policy if make_policy is shipped else policy
     found = [draw_state(policy, int(rng.integers(0, MOST)), rng) for _ in range(2000)]
     found += edge_states(policy, rng)
-    out = in_c(policy, tmp_path, np.stack([as_row(state) for state in found]))
+    force = policy.note.observe_force
+    out = in_c(policy, tmp_path, np.stack([as_row(state, force) for state in found]))
     expected = decide(policy, found)
     assert out[:, 0].all()
     assert np.ptp(expected, axis=0).min() > 0.5 or make_policy is not shipped
