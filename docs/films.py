@@ -52,7 +52,7 @@ FILMS = {
     "delivery": Take("delivery_v0", "air-aware", {}),
     "crowd": Take("crowd_v0", "roundabout", {"num_drones": 16, "layout": "forest"}),
     "pursuit": Take("pursuit_v0", "air-aware", {"layout": "chase"}),
-    "gates": Take("gates_v0", "straight-line", {}),
+    "gates": Take("gates_v0", "gates-dagger", {"num_drones": 4}),
     "tracking": Take("swap_v1", "tracking", {"team": "L2S", "layout": "stacked"}),
     "tracking-compensated": Take(
         "swap_v1", "tracking-compensated", {"team": "L2S", "layout": "stacked"}

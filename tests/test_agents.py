@@ -61,12 +61,13 @@ def test_who_compensates_believes_what_was_fitted_in_the_forces_of_the_version(n
 def test_agents_load_by_name_and_fly(name) -> None:
     agent = load(name)
     assert isinstance(agent, Agent)
-    task, fewest = "swap_v0", 2
+    task, fewest, pair = "swap_v0", 2, "LS"
     if isinstance(agent, PolicyAgent):
-        task, fewest = agent.policy.note.task, agent.policy.note.fewest
+        note = agent.policy.note
+        task, fewest, pair = note.task, note.fewest, "SS" if note.types == ("S",) else "LS"
     layout = {"layout": "stacked"} if task == "swap_v0" else {}
     given = {"physics": "batch", "horizon_s": 0.2, **layout, **agent.requires}
-    env = make(task, team="LS" * (fewest // 2), **given)
+    env = make(task, team=pair * (fewest // 2), **given)
     assert fly_episode(env, agent, seed=0)["length_s"] == pytest.approx(0.2, abs=0.03)
     env.close()
 

@@ -351,6 +351,30 @@ def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     env.close()
 
 
+def slalom(drones: int) -> tuple[SwarmParallelEnv, Agent]:
+    """The slalom of the benchmark with so many drones, and who flies it."""
+    agent = load("gates-dagger")
+    options = {"num_drones": drones, "world": "hall", "horizon_s": 12.0, "physics": "batch"}
+    return make("gates_v0", **options, **agent.requires), agent
+
+
+@pytest.mark.parametrize("drones", [2, 3, 4])
+def test_columns_pass_gates_by_imitation(drones):
+    env, agent = slalom(drones)
+    assert successes(env, agent, frozen_seeds(5, 16)) == 1.0
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_column_of_four_passes_gates_as_fast_as_its_card_says():
+    """The benchmark's episodes; scripts without the true state end in none of them in time."""
+    env, agent = slalom(4)
+    flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(2026, 256))]
+    assert sum(metrics["success"] for metrics in flown) >= 254
+    assert np.mean([metrics["gates_per_min"] for metrics in flown]) > 72.5
+    env.close()
+
+
 def test_a_policy_flies_the_other_tasks_that_its_note_names():
     agent = load("swap-dagger")
     assert isinstance(agent, PolicyAgent)

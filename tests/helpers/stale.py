@@ -104,6 +104,11 @@ PRODUCTS = {
         (LEARNED,),
         "the commands in agents/weights/MODEL_CARD.md",
     ),
+    "gates-dagger": Product(
+        ("agents/weights/gates-dagger.safetensors",),
+        (LEARNED, BELIEF),
+        "the command in agents/weights/MODEL_CARD.md",
+    ),
     "benchmark": Product(
         ("docs/benchmark.png", "docs/generated/benchmark.md", "agents/recommended.json"),
         (LEARNED, WAKE, BELIEF, *POLICIES),
