@@ -450,6 +450,8 @@ swap_dagger = partial(_shipped_policy, "swap-dagger")
 """The policy that ships for swaps and formations of two to 32 drones, small and large."""
 gates_dagger = partial(_shipped_policy, "gates-dagger")
 """The policy that ships for the slalom of two to four small drones through gates."""
+pursuit_dagger = partial(_shipped_policy, "pursuit-dagger")
+"""The policy that ships for two to eight small drones whose goals do not stay."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

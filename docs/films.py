@@ -51,7 +51,7 @@ FILMS = {
     "columns": Take("columns_v0", "air-aware", {}),
     "delivery": Take("delivery_v0", "air-aware", {}),
     "crowd": Take("crowd_v0", "roundabout", {"num_drones": 16, "layout": "forest"}),
-    "pursuit": Take("pursuit_v0", "air-aware", {"layout": "chase"}),
+    "pursuit": Take("pursuit_v0", "pursuit-dagger", {"layout": "chase"}),
     "gates": Take("gates_v0", "gates-dagger", {"num_drones": 4}),
     "tracking": Take("swap_v1", "tracking", {"team": "L2S", "layout": "stacked"}),
     "tracking-compensated": Take(

@@ -375,6 +375,20 @@ def test_a_column_of_four_passes_gates_as_fast_as_its_card_says():
     env.close()
 
 
+@pytest.mark.parametrize("layout", ["moving", "swap-goals", "chase"])
+@pytest.mark.parametrize(
+    ("drones", "episodes"), [(2, 8), (8, 8), pytest.param(8, 256, marks=pytest.mark.slow)]
+)
+def test_goals_that_do_not_stay_are_reached_by_imitation(layout, drones, episodes):
+    """The benchmark's episodes; its card has how many of the 256 succeed."""
+    agent, least = load("pursuit-dagger"), {"moving": 0.99, "swap-goals": 0.97, "chase": 0.94}
+    options = {"num_drones": drones, "layout": layout, "physics": "batch"}
+    env = make("pursuit_v0", **options, **agent.requires)
+    rate = successes(env, agent, frozen_seeds(2026, episodes))
+    assert rate >= (least[layout] if episodes > 8 else 7 / 8)
+    env.close()
+
+
 def test_a_policy_flies_the_other_tasks_that_its_note_names():
     agent = load("swap-dagger")
     assert isinstance(agent, PolicyAgent)

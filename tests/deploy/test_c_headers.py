@@ -118,7 +118,10 @@ def in_c(policy: Policy, folder: Path, rows: np.ndarray) -> np.ndarray:
     return run_program(folder, program, rows).reshape(-1, 17)
 
 
-SHIPPED = ("swap-ppo", "swap-ppo-8", "swap-dagger", "gates-dagger", "formation-ppo", "ring-ppo")
+SHIPPED = (
+    *("swap-ppo", "swap-ppo-8", "formation-ppo", "ring-ppo"),
+    *("swap-dagger", "gates-dagger", "pursuit-dagger"),
+)
 
 
 def shipped(name: str) -> PolicyAgent:

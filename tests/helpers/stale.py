@@ -100,7 +100,7 @@ PRODUCTS = {
         "the commands in agents/weights/MODEL_CARD.md",
     ),
     "imitation": Product(
-        ("agents/weights/swap-dagger.safetensors",),
+        ("agents/weights/swap-dagger.safetensors", "agents/weights/pursuit-dagger.safetensors"),
         (LEARNED,),
         "the commands in agents/weights/MODEL_CARD.md",
     ),

@@ -69,6 +69,10 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "swap-ppo-8+filter": Place("swap PPO 8 + filter", _FILTERED),
         "swap-dagger": Place("swap DAgger", f"{_POLICY} It imitates a roundabout."),
         "gates-dagger": Place("gates DAgger", f"{_POLICY} It imitates who settles the fastest."),
+        "pursuit-dagger": Place(
+            "pursuit DAgger", f"{_POLICY} It imitates tracking, and a roundabout."
+        ),
+        "pursuit-dagger+filter": Place("pursuit DAgger + filter", _FILTERED),
         "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
         "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
         "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),

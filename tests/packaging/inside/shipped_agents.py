@@ -10,7 +10,10 @@ from swarm_envs import make
 from swarm_envs.agents import load
 from swarm_envs.agents.registry import SHIPPED
 
-TASKS = {"formation-ppo": "formation_v1", "ring-ppo": "ring_v1", "gates-dagger": "gates_v0"}
+TASKS = {
+    **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1"},
+    **{"gates-dagger": "gates_v0", "pursuit-dagger": "pursuit_v0"},
+}
 TEAMS = {"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5}
 """Numbers of drones, of agents that were made for so many; the others fly two."""
 DECISIONS = 3
