@@ -1,4 +1,6 @@
-"""How long robots take to go through a plane: no two use one of its edges in the same step.
+"""What robots cannot do without: time to go through a plane, and steps aside to pass each other.
+
+No two robots use one of a plane's edges in the same step.
 
 Of N robots that are a steps or more from a plane with m open edges, and whose goals are b steps or
 more behind it, the first goes through after a steps, the last not before ceil(N / m) more, and then
@@ -11,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, ways_to_any
+from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
 _Ints = npt.NDArray[np.int32]
@@ -76,3 +79,33 @@ def _staggered(before: _Ints, behind: _Ints, edges: int) -> int:
     farther = count[::-1, ::-1].cumsum(axis=0).cumsum(axis=1)[::-1, ::-1]
     bound = a[:, None] + -(-farther // edges) + b
     return int(bound[farther > 0].max())
+
+
+@kernel
+def _passing(lines: npt.NDArray[np.int64], first: _Ints, last: _Ints) -> int:
+    """`passing_bound` of robots in the order of their lines, which go from `first` to `last`."""
+    best = 0
+    for i in range(len(lines)):
+        j = i + 1
+        while j < len(lines) and lines[j] == lines[i]:
+            if (first[i] - first[j]) * (last[i] - last[j]) < 0:
+                best = max(best, 2 + min(abs(last[i] - first[i]), abs(last[j] - first[j])))
+            j += 1
+    return best
+
+
+def passing_bound(starts: _Ints, goals: _Ints) -> int:
+    """Steps that it takes at least for robots to pass each other within a line along an axis.
+
+    Of two whose starts and goals are in one line, in opposite orders, one has to leave the line and
+    to come back: two steps more than its distance.
+    """
+    best = 0
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        stays = (starts[:, others] == goals[:, others]).all(axis=1)
+        kept, to = starts[stays], goals[stays]
+        lines = kept[:, others[0]].astype(np.int64) << 32 | kept[:, others[1]]
+        order = np.argsort(lines, kind="stable")
+        best = max(best, _passing(lines[order], kept[order, axis], to[order, axis]))
+    return best

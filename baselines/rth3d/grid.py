@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import Seed, typed
-from swarm_envs.baselines.rth3d.cuts import cut_bound
+from swarm_envs.baselines.rth3d.cuts import cut_bound, passing_bound
 from swarm_envs.baselines.rth3d.ways import FAR, neighbor_table, shortest_ways
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray
@@ -87,7 +87,7 @@ class GridInstance:
         """Steps that no plan can do without.
 
         The longest of the robots' shortest ways, or more where many have to go through a plane
-        with few openings (see `cut_bound`).
+        with few openings (`cut_bound`), or to pass each other within a line (`passing_bound`).
 
         Raises:
             NoPlanExists: obstacles cut a robot off from its goal.
@@ -95,7 +95,8 @@ class GridInstance:
         longest = int(self.lengths.max())
         detours = breaks_pattern(self.obstacles) != ""
         table = neighbor_table(self.shape, self.obstacles) if detours else None
-        return cut_bound(self.starts, self.goals, self.obstacles, longest, table)
+        passing = passing_bound(self.starts, self.goals)
+        return max(cut_bound(self.starts, self.goals, self.obstacles, longest, table), passing)
 
     @property
     def density(self) -> float:

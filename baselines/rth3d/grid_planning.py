@@ -31,6 +31,7 @@ from swarm_envs.baselines.rth3d.grid import (
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_validation import check_paths, follow_paths
+from swarm_envs.baselines.rth3d.halfway import halfway
 from swarm_envs.baselines.rth3d.lacam import (
     Lacam,
     after_a_plan,
@@ -38,9 +39,10 @@ from swarm_envs.baselines.rth3d.lacam import (
     stride,
 )
 from swarm_envs.baselines.rth3d.matching import assign_levels
+from swarm_envs.baselines.rth3d.negotiation import Negotiation
 from swarm_envs.baselines.rth3d.paper_lba import assign_levels_in_turn, balance_by_distance
 from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
-from swarm_envs.baselines.rth3d.pibt import Pibt
+from swarm_envs.baselines.rth3d.pibt_search import GOOD_ENOUGH, PibtSearch
 from swarm_envs.baselines.rth3d.rubik import (
     Highways,
     Matching,
@@ -52,103 +54,6 @@ from swarm_envs.baselines.rth3d.unlabelled import assign, occupied, unlabelled_b
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_name
-
-_PATIENCE = 1.5
-"""An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
-_MARGIN = 60
-_RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
-"""From which part of the lower bound on PIBT is tried again, as long as it helps."""
-_WORK = 250_000
-"""Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
-of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
-_MOST_WORK = 12.0
-_VERDICT = 0.75
-"""Part of the lower bound after which the first attempt shows whether others may do better."""
-_HOPELESS = 1.1
-"""They may not if by then it cannot end within so many times the lower bound, and `_SLACK` more
-steps: true of rings and mirrors, whose robots meet in the middle, and never of random instances."""
-_SLACK = 4
-_GOOD_ENOUGH = 1.02  # multiple of the lower bound from which on PIBT is not tried again
-_STALL = 48
-"""PIBT has stalled when the farthest robot has come no nearer to its goal for so many steps."""
-_LOST = 16
-"""The robots are lost when it has not for so many: narrow passages are left by wandering about."""
-_GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
-_STRIDE = 16  # steps between them, at most
-
-
-class PibtSearch:
-    """PIBT and its restarts; keeps the best plan that is shorter than a known makespan."""
-
-    def __init__(self, instance: GridInstance, seed: int) -> None:
-        self.bound = instance.lower_bound
-        self.cap = int(_PATIENCE * self.bound) + _MARGIN
-        self.pibt = Pibt(instance, self.cap)
-        self.best: Paths | None = None
-        self.reached, self.left = 0, self.bound
-        """The last step of the last attempt, and the longest way left to a robot then."""
-        self._generator = np.random.default_rng(seed)
-        self._robots = len(instance.starts)
-        self._chunk = min(_STRIDE, max(1, _GLANCE // self._robots))
-        self._begin(0)
-
-    def attempt(self, clock: PlanningClock) -> bool:
-        """Whether the first attempt is as short as the lower bound; it ends when it cannot be."""
-        self._clock, self._limit = clock, min(self.bound, self.cap)
-        self._advance(self._limit, self.bound)
-        self._keep()
-        return self.best is not None
-
-    def run(self, clock: PlanningClock, known: int | None = None) -> None:
-        """The rest of the first attempt, and restarts while there is something to gain."""
-        self._clock = clock
-        self._limit = self.cap if known is None else min(self.cap, known - 1)
-        self._advance(int(_VERDICT * self.bound), self.cap)
-        hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
-        self._finish(last=hopeless)
-        if hopeless:
-            return
-        work = min(_MOST_WORK, _WORK / self._robots) * self.bound
-        for part in _RESTARTS:
-            done = self.best is not None and len(self.best) - 1 <= _GOOD_ENOUGH * self.bound
-            if done or work <= 0 or self._clock.remaining <= 0:
-                return
-            begin = min(int(part * self.bound), self.reached)
-            self._begin(begin)
-            self._finish(last=False)
-            work -= self.reached - begin
-
-    def _begin(self, step: int) -> None:
-        """Sample again, and forget what came after a step."""
-        if self.best is not None and self.best.base is not None:
-            self.best = self.best.copy()  # it is about to be overwritten
-        self.pibt.shuffle(self._generator)
-        self.pibt.rewind(step)
-        self.reached, self.left = step, -1
-
-    def _finish(self, last: bool) -> None:
-        """Bring an attempt to an end; keep its plan if it is the best."""
-        if not last:  # others will go on from there
-            self._advance(int(max(_RESTARTS) * self.bound), self.cap)
-        self._advance(self.cap, self._limit)
-        self._keep()
-
-    def _keep(self) -> None:
-        if self.left == 0 and self.reached <= self._limit:
-            self.best = self.pibt.paths[: self.reached + 1]
-            self._limit = self.reached - 1
-
-    def _advance(self, end: int, limit: int) -> None:
-        """Go on until a step, all have arrived, none can in time, it has stalled, time is up."""
-        least, since = self.bound + 1, self.reached
-        while self.reached < end and self.left != 0 and self._clock.remaining > 0:
-            to = min(self.reached + self._chunk, end)
-            lost = self.reached >= since + _LOST
-            self.reached, self.left = self.pibt.run(self.reached, to, limit, self.left, lost)
-            if self.left < least:
-                least, since = self.left, self.reached
-            if self.reached < to or self.reached > max(self.bound, since + _STALL):
-                return
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +167,50 @@ def _improve(
     return min(known, _finish_stalled(instance, search, clock), key=lambda found: found.makespan)
 
 
+def _shorten(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
+) -> _Solution:
+    """A shorter plan than one that is far from the lower bound; or that."""
+    for attempt in (_meet_halfway, _negotiate):
+        if known.makespan > GOOD_ENOUGH * instance.lower_bound:
+            known = attempt(instance, seed, clock, known)
+    return known
+
+
+def _meet_halfway(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
+) -> _Solution:
+    """By PIBT from the starts and from the goals to places halfway, if that is shorter."""
+    if instance.obstacles.any():
+        return known
+    middle = halfway(instance)
+    halves = [replace(instance, starts=p, goals=middle) for p in (instance.starts, instance.goals)]
+    if max(half.lower_bound for half in halves) >= known.makespan:
+        return known
+    with clock.phase("meeting halfway") as record:
+        searches = [PibtSearch(half, seed) for half in halves]
+        for search in searches:
+            search.run(clock)
+        there, back = (search.best for search in searches)
+        if there is None or back is None:
+            return known
+        whole = compact(np.concatenate([there, back[-2::-1]]), int(np.prod(instance.shape)))
+        record(len(whole) - 1)
+    return min(
+        known, _Solution(whole, "pibt halfway", known.bound), key=lambda found: found.makespan
+    )
+
+
+def _negotiate(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
+) -> _Solution:
+    """By negotiation, if that finds a plan that is shorter."""
+    with clock.phase("negotiation") as record:
+        best = Negotiation(instance, seed, clock).shorten(instance.lower_bound, known.makespan)
+        record(known.makespan if best is None else len(best) - 1)
+    return known if best is None else _Solution(best, "negotiation", known.bound)
+
+
 def _search_part(part: GridInstance, seed: int, clock: PlanningClock) -> Paths:
     """The best plan of LaCAM* for robots that all can get to each other."""
     count = len(part.starts)
@@ -307,7 +256,7 @@ def _solve_lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _So
 def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
     """PIBT's first plan if none is shorter; else the best of RTH3D-LBA, PIBT, and one after other.
 
-    Where the highways do not fit, the best of LaCAM* and PIBT.
+    Where the highways do not fit, the best of LaCAM* and PIBT. Then what `_shorten` finds.
     """
     try:
         choose_highways(instance)
@@ -323,6 +272,7 @@ def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
     if sure.makespan > instance.lower_bound:
         with suppress(PlanTimeout):
             found = _improve(instance, search, clock, sure)
+            found = _shorten(instance, seed, clock, found)
     bounds = [b for b in (found.bound, sure.bound) if b is not None]
     return replace(found, bound=min(bounds))
 
@@ -345,6 +295,8 @@ def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock)
     if found is None:
         assert failed is not None
         raise failed
+    with suppress(PlanTimeout):
+        found = _shorten(instance, seed, clock, found)
     return found
 
 
@@ -414,7 +366,8 @@ def plan(
             `"pibt"` takes any density and promises nothing; `"lacam"` takes any, too, and given
             enough configurations finds the shortest plan, or shows that none exists; `"auto"` is
             the best of `"rth3d-lba"` and `"pibt"`, or where the former does not fit, of `"lacam"`
-            and `"pibt"`.
+            and `"pibt"`. If that is not near the lower bound, it also tries PIBT from both ends to
+            places halfway, and negotiated congestion (PathFinder).
         seed: of the choices of PIBT and LaCAM*; the others make none. The same seed gives the same
             plan, unless a time limit cuts it short.
         time_limit: seconds after which no further phase begins.

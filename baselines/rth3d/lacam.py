@@ -25,18 +25,15 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.baselines.rth3d.pibt import (
-    WALL,
     Robots,
-    Terrain,
     draw,
     line_up,
-    neighbor,
     new_robots,
     settle_rest,
-    survey,
     take,
     way,
 )
+from swarm_envs.baselines.rth3d.terrain import WALL, Terrain, neighbor, survey
 from swarm_envs.compiled import kernel
 
 _Ints = npt.NDArray[np.int32]

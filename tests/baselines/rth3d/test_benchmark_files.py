@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.rth3d import GridPlan, make_instance, pibt, plan, validate
+from swarm_envs.baselines.rth3d import GridPlan, make_instance, plan, terrain, validate
 from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark, write_benchmark
 from swarm_envs.cli import main
 from tests.baselines.rth3d.cases import between, maze
@@ -75,9 +75,9 @@ def test_only_free_vertices_of_a_map_take_memory(tmp_path, monkeypatch, method):
     lines = [f"0\tsmall.map\t60\t46\t{20 + k}\t40\t{39 - k}\t45\t9.0" for k in range(12)]
     given = read_benchmark(*files(tmp_path, text, "\n".join(["version 1", *lines])))
     facts = (given.starts, given.goals, given.shape, given.obstacles)
-    monkeypatch.setattr(pibt, "_MOST_WAYS", 12 * 120)
+    monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120)
     assert validate(plan(*facts, method=method).paths, *facts)
-    monkeypatch.setattr(pibt, "_MOST_WAYS", 12 * 120 - 1)
+    monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120 - 1)
     with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 numbers"):
         plan(*facts, method=method)
 

@@ -17,13 +17,14 @@ from swarm_envs.baselines.rth3d import (
     grid_planning,
     make_instance,
     max_density,
+    pibt_search,
     plan,
     validate,
 )
 from swarm_envs.baselines.rth3d.compaction import compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, points
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
-from swarm_envs.baselines.rth3d.grid_planning import PibtSearch
+from swarm_envs.baselines.rth3d.pibt_search import PibtSearch
 from swarm_envs.cli import main
 from tests.baselines.rth3d.cases import load_checker, random_instance
 
@@ -132,8 +133,8 @@ def test_where_pibt_has_stalled_rth3d_goes_on():
 
 def test_pibt_alone_may_find_no_plan(monkeypatch):
     """Its attempts must end before all can have arrived; `auto` then has RTH3D's."""
-    monkeypatch.setattr(grid_planning, "_PATIENCE", 0.6)
-    monkeypatch.setattr(grid_planning, "_MARGIN", 0)
+    monkeypatch.setattr(pibt_search, "_PATIENCE", 0.6)
+    monkeypatch.setattr(pibt_search, "_MARGIN", 0)
     instance = make_instance("mirror", (12, 6, 3), seed=0)
     with pytest.raises(PlanNotFound, match=r"no plan of at most 10 steps \(lower bound 18\)"):
         plan_instance(instance, method="pibt")

@@ -1,0 +1,215 @@
+"""Negotiated congestion: paths of all robots at once, whose collisions are bid away.
+
+Every robot has a path of the same number of steps, at first through others. Again and again those
+that collide are led anew, each along the cheapest path in space and time, and where they have met
+becomes dearer, until nobody collides. So routers lay wires on chips: McMurchie and Ebeling,
+"PathFinder: A Negotiation-Based Performance-Driven Router for FPGAs" (FPGA 1995). It suits crowds
+that go opposite ways, which PIBT leads into each other step by step. There is no guarantee.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.compaction import Paths
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table
+from swarm_envs.compiled import kernel
+
+_Ints = npt.NDArray[np.int32]
+_MOST_PLACES = 40_000_000  # vertices times steps that are kept, 19 bytes each
+_WORK, _MOST_WORK = 6000, 1_000_000_000
+"""Moves that are weighed, as a multiple of robots times bound, and at most: some five seconds."""
+_GLANCE = 50_000_000  # the same between two looks at the clock
+_ROUNDS = 60
+_PRICE = 64  # of a collision in the first round; ties are broken by up to 7
+_DEAREST = 8 * _PRICE
+
+
+class _Space(NamedTuple):
+    """The grid at each step, who uses it, and what that costs."""
+
+    at: _Ints  # (V, 3) coordinates of each vertex
+    table: Neighbors  # (V, 7) neighbours
+    used: npt.NDArray[np.int16]  # (T + 1, V) robots on each vertex
+    moves: npt.NDArray[np.int16]  # (T, V, 6) robots that leave it along each edge
+    dear: _Ints  # (T + 1, V) what a vertex costs more, because robots have met there
+    back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path gets there
+    cost: _Ints  # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
+    reached: _Ints  # (2, V) vertices that paths lead to, at even and odd steps
+    random: npt.NDArray[np.uint64]  # (1,) state of the generator
+
+
+@kernel
+def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
+    """Lead a robot along a cheapest path (T + 1,) to its goal; return the moves that were weighed.
+
+    There is one: T is at least the length of its shortest way.
+    """
+    at, table, used, moves, dear, back, cost, reached, random = space
+    steps, bits = path.shape[0] - 1, random[0]
+    x, y, z = at[goal, 0], at[goal, 1], at[goal, 2]
+    reached[0, 0], cost[0, path[0]] = path[0], 0
+    count, weighed = 1, 0
+    for t in range(steps):
+        even, odd, kept = t & 1, (t + 1) & 1, 0
+        for k in range(count):
+            v = reached[even, k]
+            for edge in range(7):
+                u = table[v, edge]
+                if (
+                    u < 0
+                    or abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z) > steps - t - 1
+                ):
+                    continue
+                bits = bits * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+                tie = np.int64(bits >> np.uint64(61))
+                value = cost[even, v] + price * used[t + 1, u] + dear[t + 1, u] + tie
+                if edge < 6:
+                    value += price * moves[t, u, edge ^ 1]
+                if cost[odd, u] < 0:
+                    reached[odd, kept] = u
+                    kept += 1
+                elif cost[odd, u] <= value:
+                    continue
+                cost[odd, u] = value
+                back[t + 1, u] = edge
+        weighed += 7 * count
+        for k in range(count):
+            cost[even, reached[even, k]] = -1
+        count = kept
+    random[0] = bits
+    cost[steps & 1, goal] = -1
+    path[steps] = goal
+    for t in range(steps, 0, -1):
+        edge = back[t, path[t]]
+        path[t - 1] = path[t] if edge == 6 else table[path[t], edge ^ 1]
+    return weighed
+
+
+@kernel
+def _use(space: _Space, path: Array, change: int) -> None:
+    """Add a path to what is used, or take it away."""
+    table, used, moves = space.table, space.used, space.moves
+    used[0, path[0]] += change
+    for t in range(1, path.shape[0]):
+        used[t, path[t]] += change
+        for edge in range(6):
+            if table[path[t - 1], edge] == path[t]:
+                moves[t - 1, path[t - 1], edge] += change
+
+
+@kernel
+def _meets(space: _Space, path: Array) -> bool:
+    """Whether a path meets others; where it does becomes dearer."""
+    table, used, moves, dear = space.table, space.used, space.moves, space.dear
+    found = False
+    for t in range(1, path.shape[0]):
+        contested = used[t, path[t]] > 1
+        for edge in range(6):
+            if table[path[t - 1], edge] == path[t]:
+                contested = contested or moves[t - 1, path[t], edge ^ 1] > 0
+        if contested:
+            dear[t, path[t]] += _PRICE
+            found = True
+    return found
+
+
+@kernel
+def _lead_some(
+    space: _Space, paths: Array, goals: Array, order: Array, begin: int, price: int, most: int
+) -> tuple[int, int, int]:
+    """Lead those anew who meet others, or have no path yet, until `most` moves have been weighed.
+
+    Returns the place in `order` to go on from, how many met others, and the moves.
+    """
+    met, weighed = 0, 0
+    while begin < order.shape[0] and weighed < most:
+        i = order[begin]
+        begin += 1
+        is_new = paths[i, 1] < 0
+        if not is_new and not _meets(space, paths[i]):
+            continue
+        if not is_new:
+            _use(space, paths[i], -1)
+            met += 1
+        weighed += _lead(space, paths[i], goals[i], price)
+        _use(space, paths[i], 1)
+    return begin, met, weighed
+
+
+class Negotiation:
+    """The search on one instance, for plans of any number of steps."""
+
+    def __init__(self, instance: GridInstance, seed: int, clock: PlanningClock) -> None:
+        count = len(instance.starts)
+        self._starts, self._goals = (
+            numbers(p, instance.shape) for p in (instance.starts, instance.goals)
+        )
+        self._at = np.ascontiguousarray(np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T)
+        self._table = neighbor_table(instance.shape, instance.obstacles)
+        self._generator = np.random.default_rng(seed)
+        self._clock = clock
+        self._work = min(_WORK * count * instance.lower_bound, _MOST_WORK)
+
+    def shorten(self, bound: int, known: int) -> Paths | None:
+        """The shortest plan that bisection finds from a bound to below a known makespan, or None.
+
+        The bound is at least the longest of the robots' shortest ways.
+        """
+        best, steps = None, min(known - 1, bound + bound // 4)
+        while bound <= steps < known and self._goes_on:
+            found = self.plan(steps)
+            if found is None:
+                bound = steps + 1
+            else:
+                best, known = found, steps
+            steps = (bound + known) // 2
+        return best
+
+    @property
+    def _goes_on(self) -> bool:
+        return self._work > 0 and self._clock.remaining > 0
+
+    def plan(self, steps: int) -> Paths | None:
+        """A plan (T + 1, n) of so many steps, or None if none was found."""
+        if (steps + 1) * len(self._table) > _MOST_PLACES:
+            return None
+        space, count = self._new_space(steps), len(self._starts)
+        paths = np.full((count, steps + 1), -1, dtype=np.int32)
+        paths[:, 0] = self._starts
+        order = self._generator.permutation(count)
+        price, met = _PRICE, -1
+        for _ in range(1 + _ROUNDS):
+            met = self._round(space, paths, order, price)
+            if met == 0 or not self._goes_on:
+                break
+            price = min(price + price // 8, _DEAREST)
+        return np.ascontiguousarray(paths.T) if met == 0 else None
+
+    def _round(self, space: _Space, paths: _Ints, order: npt.NDArray[np.int64], price: int) -> int:
+        """Lead all once who must be; how many met others, or -1 if some had no path before."""
+        begin, met, is_first = 0, 0, bool((paths[:, 1] < 0).any())
+        while begin < len(order) and self._goes_on:
+            begin, some, work = _lead_some(space, paths, self._goals, order, begin, price, _GLANCE)
+            met += some
+            self._work -= work
+        return -1 if is_first or begin < len(order) else met
+
+    def _new_space(self, steps: int) -> _Space:
+        total = len(self._table)
+        return _Space(
+            at=self._at,
+            table=self._table,
+            used=np.zeros((steps + 1, total), dtype=np.int16),
+            moves=np.zeros((steps, total, 6), dtype=np.int16),
+            dear=np.zeros((steps + 1, total), dtype=np.int32),
+            back=np.zeros((steps + 1, total), dtype=np.int8),
+            cost=np.full((2, total), -1, dtype=np.int32),
+            reached=np.zeros((2, total), dtype=np.int32),
+            random=self._generator.integers(2**62, size=1, dtype=np.uint64),
+        )

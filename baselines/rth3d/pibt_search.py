@@ -1,0 +1,107 @@
+"""PIBT with restarts: attempts from the start, and from where an earlier one was still well."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarm_envs.baselines.rth3d.compaction import Paths
+from swarm_envs.baselines.rth3d.grid import GridInstance
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.pibt import Pibt
+
+_PATIENCE = 1.5
+"""An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
+_MARGIN = 60
+_RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
+"""From which part of the lower bound on PIBT is tried again, as long as it helps."""
+_WORK = 250_000
+"""Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
+of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
+_MOST_WORK = 12.0
+_VERDICT = 0.75
+"""Part of the lower bound after which the first attempt shows whether others may do better."""
+_HOPELESS = 1.1
+"""They may not if by then it cannot end within so many times the lower bound, and `_SLACK` more
+steps: true of rings and mirrors, whose robots meet in the middle, and never of random instances."""
+_SLACK = 4
+GOOD_ENOUGH = 1.02  # multiple of the lower bound from which on PIBT is not tried again
+_STALL = 48
+"""PIBT has stalled when the farthest robot has come no nearer to its goal for so many steps."""
+_LOST = 16
+"""The robots are lost when it has not for so many: narrow passages are left by wandering about."""
+_GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
+_STRIDE = 16  # steps between them, at most
+
+
+class PibtSearch:
+    """PIBT and its restarts; keeps the best plan that is shorter than a known makespan."""
+
+    def __init__(self, instance: GridInstance, seed: int) -> None:
+        self.bound = instance.lower_bound
+        self.cap = int(_PATIENCE * self.bound) + _MARGIN
+        self.pibt = Pibt(instance, self.cap)
+        self.best: Paths | None = None
+        self.reached, self.left = 0, self.bound
+        """The last step of the last attempt, and the longest way left to a robot then."""
+        self._generator = np.random.default_rng(seed)
+        self._robots = len(instance.starts)
+        self._chunk = min(_STRIDE, max(1, _GLANCE // self._robots))
+        self._begin(0)
+
+    def attempt(self, clock: PlanningClock) -> bool:
+        """Whether the first attempt is as short as the lower bound; it ends when it cannot be."""
+        self._clock, self._limit = clock, min(self.bound, self.cap)
+        self._advance(self._limit, self.bound)
+        self._keep()
+        return self.best is not None
+
+    def run(self, clock: PlanningClock, known: int | None = None) -> None:
+        """The rest of the first attempt, and restarts while there is something to gain."""
+        self._clock = clock
+        self._limit = self.cap if known is None else min(self.cap, known - 1)
+        self._advance(int(_VERDICT * self.bound), self.cap)
+        hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
+        self._finish(last=hopeless)
+        if hopeless:
+            return
+        work = min(_MOST_WORK, _WORK / self._robots) * self.bound
+        for part in _RESTARTS:
+            done = self.best is not None and len(self.best) - 1 <= GOOD_ENOUGH * self.bound
+            if done or work <= 0 or self._clock.remaining <= 0:
+                return
+            begin = min(int(part * self.bound), self.reached)
+            self._begin(begin)
+            self._finish(last=False)
+            work -= self.reached - begin
+
+    def _begin(self, step: int) -> None:
+        """Sample again, and forget what came after a step."""
+        if self.best is not None and self.best.base is not None:
+            self.best = self.best.copy()  # it is about to be overwritten
+        self.pibt.shuffle(self._generator)
+        self.pibt.rewind(step)
+        self.reached, self.left = step, -1
+
+    def _finish(self, last: bool) -> None:
+        """Bring an attempt to an end; keep its plan if it is the best."""
+        if not last:  # others will go on from there
+            self._advance(int(max(_RESTARTS) * self.bound), self.cap)
+        self._advance(self.cap, self._limit)
+        self._keep()
+
+    def _keep(self) -> None:
+        if self.left == 0 and self.reached <= self._limit:
+            self.best = self.pibt.paths[: self.reached + 1]
+            self._limit = self.reached - 1
+
+    def _advance(self, end: int, limit: int) -> None:
+        """Go on until a step, all have arrived, none can in time, it has stalled, time is up."""
+        least, since = self.bound + 1, self.reached
+        while self.reached < end and self.left != 0 and self._clock.remaining > 0:
+            to = min(self.reached + self._chunk, end)
+            lost = self.reached >= since + _LOST
+            self.reached, self.left = self.pibt.run(self.reached, to, limit, self.left, lost)
+            if self.left < least:
+                least, since = self.left, self.reached
+            if self.reached < to or self.reached > max(self.bound, since + _STALL):
+                return
