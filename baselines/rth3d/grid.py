@@ -351,6 +351,29 @@ def _moved_blocks(draw: _Draw, parts: Shape | None = None) -> _Pair:
     return starts, found
 
 
+def _shift(draw: _Draw) -> _Pair:
+    starts, _ = _uniform(draw)
+    half = np.array([draw.shape[0] // 2, 0, 0])
+    return starts, ((starts + half) % draw.shape).astype(np.int32)
+
+
+def _reflection(draw: _Draw) -> _Pair:
+    starts, _ = _uniform(draw)
+    return starts, np.abs(starts - [draw.shape[0] - 1, 0, 0]).astype(np.int32)
+
+
+def _layers(draw: _Draw) -> _Pair:
+    starts, _ = _uniform(draw)
+    heights = draw.generator.permutation(draw.shape[2])[starts[:, 2]]
+    return starts, np.column_stack([starts[:, :2], heights]).astype(np.int32)
+
+
+def _ends(draw: _Draw) -> _Pair:
+    third = points(np.arange(np.prod(draw.shape) // 3), draw.shape)
+    goals = draw.generator.permutation(third) + np.array([draw.shape[0] * 2 // 3, 0, 0])
+    return draw.generator.permutation(third), goals.astype(np.int32)
+
+
 class Family(NamedTuple):
     """A kind of instance."""
 
@@ -376,6 +399,10 @@ FAMILIES: Mapping[str, Family] = {
     "quasi-buildings": Family(
         "random, between tall buildings, every block holds 6 of each", _quasi, 3, buildings=True
     ),
+    "shift": Family("uniform starts, goals half the side x further, cyclically", _shift, 3),
+    "reflection": Family("uniform starts, goals reflected along x", _reflection, 3),
+    "layers": Family("uniform starts, the layers along z in another order", _layers, 3),
+    "ends": Family("a full third of the grid, to the other end in random order", _ends, 3),
 }
 """Every family by its name."""
 

@@ -46,6 +46,10 @@ def _half(m: int) -> tuple[int, int, int]:
     return (2 * m, 2 * m, m)
 
 
+def _small(m: int) -> tuple[int, int, int]:
+    return (4 * m, 2 * m, m)
+
+
 LARGE = (144, 72, 36)
 CASES = (
     *(Case("large", "uniform", LARGE, method) for method in ("rth3d", "rth3d-lba", "auto")),
@@ -56,9 +60,12 @@ CASES = (
     Case("rings", "rings", _half(24)),
     *(Case("blocks", "blocks", (m, m, m)) for m in (27, 36)),
     *(Case("blocks", "small-blocks", _half(m)) for m in (12, 24, 36)),
-    *(Case("mirror", "mirror", (4 * m, 2 * m, m)) for m in (12, 24, 36)),
+    *(Case("mirror", "mirror", _small(m)) for m in (12, 24, 36)),
     *(Case("buildings", "buildings", LARGE, method) for method in ("rth3d-lba", "auto")),
     *(Case("few", "uniform", (120, 60, 6), robots=n) for n in (144, 720, 4800)),
+    *(Case(f, f, _small(m)) for f in ("shift", "reflection", "layers", "ends") for m in (6, 12)),
+    Case("larger", "uniform", (192, 96, 48)),
+    *(Case("huge", "uniform", (300, 150, 75), method) for method in ("rth3d-lba", "auto")),
 )
 
 

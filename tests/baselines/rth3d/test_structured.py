@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.rth3d import plan, validate
+from swarm_envs.baselines.rth3d import make_instance, plan, validate
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.halfway import halfway
@@ -15,63 +15,21 @@ from tests.baselines.rth3d.test_lacam import shortest_makespan
 SHAPE = (24, 12, 6)
 
 
-def a_third(seed: int, shape: tuple[int, ...] = SHAPE) -> np.ndarray:
-    everywhere = np.argwhere(np.ones(shape, dtype=bool))
-    return np.random.default_rng(seed).permutation(everywhere)[: len(everywhere) // 3]
-
-
-def shifted(starts: np.ndarray, axis: int) -> np.ndarray:
-    goals = starts.copy()
-    goals[:, axis] = (goals[:, axis] + SHAPE[axis] // 2) % SHAPE[axis]
-    return goals
-
-
-def mirrored(starts: np.ndarray, axis: int) -> np.ndarray:
-    goals = starts.copy()
-    goals[:, axis] = SHAPE[axis] - 1 - goals[:, axis]
-    return goals
-
-
-def layers_exchanged(starts: np.ndarray, axis: int) -> np.ndarray:
-    goals = starts.copy()
-    goals[:, axis] = np.random.default_rng(axis).permutation(SHAPE[axis])[goals[:, axis]]
-    return goals
-
-
-def end_to_end(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A full third of the grid, and the opposite one in random order."""
-    everywhere = np.argwhere(np.ones(SHAPE, dtype=bool))
-    side = SHAPE[0] // 3
-    ends = everywhere[everywhere[:, 0] >= SHAPE[0] - side]
-    return everywhere[everywhere[:, 0] < side], np.random.default_rng(seed).permutation(ends)
-
-
 @pytest.mark.parametrize(
-    ("goals_of", "axis", "most"),
-    [
-        *((shifted, axis, 1.3) for axis in range(3)),
-        *((mirrored, axis, 1.3) for axis in range(3)),
-        *((layers_exchanged, axis, 1.2) for axis in (0, 2)),
-    ],
+    ("family", "most"), [("shift", 1.3), ("reflection", 1.3), ("layers", 1.2), ("ends", 1.2)]
 )
-def test_those_who_go_opposite_ways_pass_each_other(goals_of, axis, most):
-    starts = a_third(axis)
-    goals = goals_of(starts, axis)
-    found = plan(starts, goals, SHAPE)
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+def test_those_who_go_opposite_ways_pass_each_other(family, most, axes):
+    """Along each axis: the instance is turned."""
+    instance = make_instance(family, SHAPE)
+    shape = tuple(SHAPE[k] for k in axes)
+    found = plan(instance.starts[:, axes], instance.goals[:, axes], shape)
     assert found.ratio <= most, found.ratio
-    assert validate(found.paths, starts, goals, SHAPE)
-
-
-def test_a_full_third_goes_to_the_opposite_third():
-    starts, goals = end_to_end(0)
-    found = plan(starts, goals, SHAPE)
-    assert found.ratio <= 1.1
-    assert validate(found.paths, starts, goals, SHAPE)
 
 
 def test_places_halfway_are_between_and_differ():
-    starts, goals = end_to_end(1)
-    instance = check_instance(starts, goals, SHAPE, None)
+    instance = make_instance("ends", SHAPE, seed=1)
+    starts, goals = instance.starts, instance.goals
     middle = halfway(instance)
     assert len(np.unique(middle, axis=0)) == len(starts)
     assert (middle >= 0).all() and (middle < SHAPE).all()
@@ -82,9 +40,8 @@ def test_places_halfway_are_between_and_differ():
 
 
 def test_negotiation_finds_what_is_asked_or_nothing():
-    starts = a_third(0, (12, 6, 3))
-    goals = np.random.default_rng(1).permutation(starts)
-    instance = check_instance(starts, goals, (12, 6, 3), None)
+    instance = make_instance("uniform", (12, 6, 3))
+    starts, goals = instance.starts, instance.goals
     for steps in range(instance.lower_bound, instance.lower_bound + 4):
         paths = Negotiation(instance, 0, PlanningClock()).plan(steps)
         if paths is not None:
