@@ -338,6 +338,7 @@ METHODS: Mapping[str, Solver] = {
     "auto": _solve_auto,
 }
 """Every method by its name."""
+OBJECTIVES = ("makespan", "sum_of_costs")
 
 
 @typed
@@ -352,6 +353,7 @@ def plan(
     watch: Callable[[str], None] | None = None,
     configurations: Count | None = None,
     labels: bool = True,
+    objective: str = "makespan",
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
@@ -379,6 +381,9 @@ def plan(
             over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
             beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal
             that robot i takes.
+        objective: `"makespan"`, or `"sum_of_costs"`, the sum over the robots of the step in which
+            each arrives for good (`check().sum_of_costs`): within the makespan that was found, a
+            smaller sum is negotiated, if the grid is not too large for that.
 
     Returns:
         A plan that `validate` has found feasible.
@@ -391,6 +396,7 @@ def plan(
     """
     instance = check_instance(starts, goals, shape, obstacles)
     check_name("method", method, METHODS)
+    check_name("objective", objective, OBJECTIVES)
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
@@ -398,7 +404,17 @@ def plan(
         solution, bound = _labelled(instance, method, seed, clock), None
     else:
         solution, bound = _without_labels(instance, method, seed, clock)
+    if objective == "sum_of_costs" and clock.remaining > 0:
+        solution = _hasten(instance, seed, clock, solution)
     return _result(instance, solution, method, seed, clock, bound)
+
+
+def _hasten(instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution) -> _Solution:
+    with clock.phase("sum of costs") as record:
+        ends = replace(instance, goals=points(known.paths[-1], instance.shape))
+        paths = Negotiation(ends, seed, clock).hasten(known.paths)
+        record(len(paths) - 1)
+    return replace(known, paths=paths)
 
 
 def _result(

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
-from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, neighbor, survey
+from swarm_envs.baselines.rth3d.grid import Array, Coordinates, GridInstance, numbers
+from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, free_ways, neighbor, survey
 from swarm_envs.compiled import equation, kernel
 
 _Ints = npt.NDArray[np.int32]
@@ -394,6 +394,15 @@ class Pibt:
         """Go on from step `begin`; see `_run_pibt`."""
         last, left = _run_pibt(self.terrain, self.robots, self.paths, begin, end, limit, left, lost)
         return int(last), int(left)
+
+    def aim(self, robots: _Ints, goals: Coordinates) -> None:
+        """Give robots (k,) other goals (k, 3)."""
+        crew = self.robots.crew
+        for name, values in zip("xyz", goals.T, strict=True):
+            crew[name][robots] = values
+        crew["away"][robots] = 0
+        if len(self.terrain.ways):
+            self.terrain.ways[robots] = free_ways(self.instance, goals)
 
     def rewind(self, begin: int) -> None:
         """Forget all after step `begin`."""

@@ -7,7 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, breaks_pattern, numbers
+from swarm_envs.baselines.rth3d.grid import (
+    Array,
+    Coordinates,
+    GridInstance,
+    breaks_pattern,
+    numbers,
+)
 from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import equation
 
@@ -88,10 +94,18 @@ def _ways_to_goals(instance: GridInstance, table: Neighbors) -> tuple[_Ints, _In
             f"obstacles off the pattern need the ways of {count} robots on {len(free)} vertices, "
             f"but at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
         )
+    column = np.full(len(table), -1, dtype=np.int32)
+    column[free] = np.arange(len(free))
+    return free_ways(instance, instance.goals), column
+
+
+def free_ways(instance: GridInstance, goals: Coordinates) -> _Ints:
+    """(n, F) length of the shortest way from each free vertex to each of goals (n, 3)."""
+    table = neighbor_table(instance.shape, instance.obstacles)
+    free = np.flatnonzero(table[:, STAY] >= 0)
     column = np.full(len(table) + 1, -1, dtype=np.int32)  # -1 stands for no neighbour
     column[free] = np.arange(len(free))
-    goals = column[numbers(instance.goals, instance.shape)]
-    return ways_to(column[table[free]], goals), column[:-1]
+    return ways_to(column[table[free]], column[numbers(goals, instance.shape)])
 
 
 @equation

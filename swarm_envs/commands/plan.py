@@ -46,6 +46,8 @@ class PlanOptions:
     method: str = "auto"
     """rth3d, rth3d-lba, rth3d-lba-paper, pibt, lacam, or auto, the best of the applicable
     methods"""
+    objective: str = "makespan"
+    """what is to be small: makespan or sum_of_costs"""
     labels: bool = True
     """labeled planning: each robot has its own goal; otherwise any robot may take any goal, in the
     fewest steps"""
@@ -134,10 +136,11 @@ def _instance(options: PlanOptions) -> GridInstance:
 
 
 def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
-    from swarm_envs.baselines.rth3d import METHODS, PlanNotFound, PlanTimeout, plan
+    from swarm_envs.baselines.rth3d import METHODS, OBJECTIVES, PlanNotFound, PlanTimeout, plan
 
     with as_misuse():
         check_name("method", options.method, METHODS)
+        check_name("objective", options.objective, OBJECTIVES)
     with tqdm(desc="plan", unit="phase", mininterval=0.1) as bar:
 
         def watch(name: str) -> None:
@@ -151,6 +154,7 @@ def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
                 instance.shape,
                 instance.obstacles,
                 method=options.method,
+                objective=options.objective,
                 seed=options.seed,
                 time_limit=options.time_limit_s,
                 watch=watch,
