@@ -49,8 +49,8 @@ class _Space(NamedTuple):
 def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
     """Lead a robot along a cheapest path (T + 1,) to its goal; return the moves that were weighed.
 
-    There is one: T is at least the length of its shortest way. `price` is that of a collision,
-    `haste` that of a step away from the goal.
+    Nothing is done if there is none in T steps. `price` is that of a collision, `haste` that of a
+    step away from the goal.
     """
     at, table, used, moves, dear, back, cost, reached, random = space
     steps, bits = path.shape[0] - 1, random[0]
@@ -87,6 +87,8 @@ def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
             cost[even, reached[even, k]] = -1
         count = kept
     random[0] = bits
+    if count == 0:
+        return weighed
     cost[steps & 1, goal] = -1
     path[steps] = goal
     for t in range(steps, 0, -1):
@@ -178,17 +180,21 @@ def _hasten_some(
     while begin < order.shape[0] and weighed < most:
         i = order[begin]
         begin += 1
+        arrival, way = _arrival(paths[i]), 0
+        for axis in range(3):
+            way += abs(space.at[paths[i, 0], axis] - space.at[goals[i], axis])
+        if arrival <= way:
+            continue
         old[:] = paths[i]
         _use(space, old, -1)
-        weighed += _lead(space, paths[i], goals[i], _DEAREST << 12, _PRICE)
+        weighed += _lead(space, paths[i, :arrival], goals[i], _DEAREST << 12, _PRICE)
         _use(space, paths[i], 1)
-        sooner = _arrival(old) - _arrival(paths[i])
-        if sooner <= 0 or _meets(space, paths[i]):
+        if paths[i, arrival - 1] != goals[i] or _meets(space, paths[i]):
             _use(space, paths[i], -1)
             _use(space, old, 1)
             paths[i] = old
         else:
-            saved += sooner
+            saved += arrival - _arrival(paths[i])
     return begin, saved, weighed
 
 
@@ -224,16 +230,21 @@ class Negotiation:
     def hasten(self, paths: Paths) -> Paths:
         """A plan of at most as many steps with a smaller sum of costs, or the same.
 
-        Negotiated anew, with robots in haste, if that is less; then one robot after the other is
-        led anew among all others, until none arrives earlier so.
+        One robot after the other is led anew among all others, until none arrives earlier so; and
+        then the same, after all have been negotiated anew, in haste.
         """
         if len(paths) * len(self._table) > _MOST_PLACES:
             return paths
         self._work *= _MORE_WORK
-        anew = self.plan(len(paths) - 1, _PRICE // 2)
-        known = [paths] if anew is None else [paths, anew]
-        found = min((np.ascontiguousarray(p.T) for p in known), key=_sum_of_costs)
-        space = self._new_space(len(paths) - 1)
+        found = self._lead_singly(paths)
+        anew = self.plan(len(paths) - 1, _PRICE // 2) if self._goes_on else None
+        if anew is not None:
+            found = min(found, self._lead_singly(anew), key=_sum_of_costs)
+        return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)
+
+    def _lead_singly(self, paths: Paths) -> _Ints:
+        """(n, T + 1) paths after each was led anew, until none arrives earlier so."""
+        space, found = self._new_space(len(paths) - 1), np.ascontiguousarray(paths.T)
         for path in found:
             _use(space, path, 1)
         order, saved = self._generator.permutation(len(found)), 1
@@ -243,7 +254,7 @@ class Negotiation:
                 begin, some, work = _hasten_some(space, found, self._goals, order, begin, _GLANCE)
                 saved += some
                 self._work -= work
-        return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)
+        return found
 
     @property
     def _goes_on(self) -> bool:
