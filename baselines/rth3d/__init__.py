@@ -14,7 +14,7 @@ from swarm_envs.baselines.rth3d.grid import (
     make_instance,
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanTimeout
-from swarm_envs.baselines.rth3d.grid_planning import METHODS, OBJECTIVES, plan
+from swarm_envs.baselines.rth3d.grid_planning import METHODS, plan
 from swarm_envs.baselines.rth3d.grid_validation import validate
 from swarm_envs.baselines.rth3d.lifelong import LifelongPlan, plan_lifelong
 from swarm_envs.baselines.rth3d.rubik import max_density
@@ -22,7 +22,6 @@ from swarm_envs.baselines.rth3d.rubik import max_density
 __all__ = [
     "FAMILIES",
     "METHODS",
-    "OBJECTIVES",
     "GridInstance",
     "GridPlan",
     "LifelongPlan",

@@ -56,11 +56,10 @@ def plan_lifelong(
         ValueError: starts, goals or obstacles are not as they must be; the message says why.
         NoPlanExists: obstacles cut a robot off from a goal.
     """
-    targets = np.asarray(goals)
-    count = len(np.asarray(starts))
+    instance = check_instance(starts, starts, shape, obstacles)
+    targets, count = np.asarray(goals), len(instance.starts)
     if targets.ndim != 3 or targets.shape[0] != count or targets.shape[1] == 0:
         raise ValueError(f"goals have shape {targets.shape}, but must be ({count}, K, 3), K > 0")
-    instance = check_instance(starts, starts, shape, obstacles)
     check_vertices(
         "goals", np.unique(targets.reshape(-1, 3), axis=0), instance.shape, instance.obstacles
     )

@@ -170,7 +170,11 @@ GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
     error_ball: {"gains": PositionGains(1.5, 2.5, 0.5), "mass": 0.03, "error_rate": 0.1},
     rth3d.plan: {
         **{**PLAN, "obstacles": None, "method": "auto", "seed": 0, "time_limit": None},
-        **{"configurations": None},
+        **{"configurations": None, "objective": "makespan"},
+    },
+    rth3d.plan_lifelong: {
+        **{**PLAN, "goals": [[corner] for corner in CORNERS]},
+        **{"steps": 20, "obstacles": None, "seed": 0},
     },
     rth3d.validate: {"paths": [CORNERS, CORNERS], **PLAN, "goals": CORNERS, "obstacles": None},
     rth3d.max_density: {"shape": (6, 6, 6), "obstacles": None},

@@ -69,7 +69,8 @@ class Outcome:
     result: Any = None  # What the function gave, if there is no error
     error: str | None = None  # Why there is no result
     trace: str = ""
-    """Where the function failed, as Python prints it; empty if it was not the function, or an OSError."""
+    """Where the function failed, as Python prints it; empty if it was not the function, or was an
+    OSError."""
 
 
 def answer(request: str) -> str:
@@ -89,8 +90,9 @@ def answer(request: str) -> str:
         return json.dumps({"result": result}, allow_nan=False)
     except (Exception, SystemExit) as error:
         why = f"{type(error).__name__}: {error}"
-        at_fault = not isinstance(error, OSError)  # else it is the disk or the network, not the code
-        return json.dumps({"error": why, "trace": traceback.format_exc() if at_fault else ""})
+        # An OSError is the fault of the disk or the network, not of the code.
+        trace = "" if isinstance(error, OSError) else traceback.format_exc()
+        return json.dumps({"error": why, "trace": trace})
 
 
 class WorkerPool(ABC):
