@@ -36,7 +36,7 @@ if sys.platform == "linux":
     from swarm_envs.commands.grading import confinement, remote
     from swarm_envs.commands.grading.confinement import Protections
     from swarm_envs.commands.grading.copies import copied_acts, copied_forces
-    from swarm_envs.commands.grading.messages import BadMessage, Channel
+    from swarm_envs.commands.grading.messages import BadMessage, Channel, TooLate
     from swarm_envs.commands.grading.remote import opened
     from swarm_envs.commands.grading.text import cell, printable
 
@@ -266,6 +266,24 @@ class Agent(Agent):
         Agent.count += 1
         if Agent.count > 1: time.sleep(10**6)
         return super().act(observations, view)
+# asks for the view for ever, and lets another read it | took longer than 10 s
+import fcntl, stat
+from safetensors.numpy import save
+HEAD, NONE = b'{"kind": "view"}', save({})
+ASK = (struct.pack('<4sII', b'SWRM', len(HEAD), len(NONE)) + HEAD + NONE) * 1000
+def pipes(mode):
+    return [n for n in range(3, 64) if isopen(n) and stat.S_ISFIFO(os.fstat(n).st_mode)
+            and fcntl.fcntl(n, fcntl.F_GETFL) & os.O_ACCMODE == mode]
+def isopen(n):
+    try: return bool(os.fstat(n))
+    except OSError: return False
+def loop(call, descriptor, given):
+    os.set_blocking(descriptor, True)
+    while True: call(descriptor, given)
+class Agent(Agent):
+    def act(self, observations, view):
+        if os.fork() == 0: loop(os.read, pipes(os.O_RDONLY)[0], 2**20)
+        loop(os.write, pipes(os.O_WRONLY)[0], ASK)
 """)
 """Cheats that last."""
 
@@ -655,6 +673,8 @@ def test_a_message_that_is_not_what_it_says_is_refused():
     channel = Channel(source, sink)
     numbers = np.arange(6, dtype=np.float32).reshape(2, 3)
     channel.send({"kind": "rows", "x": 1}, [numbers, numbers > 2])
+    with pytest.raises(TooLate):  # although it is there: who sends without a pause ends too
+        channel.receive(until=time.monotonic() - 1.0)
     header, arrays = channel.receive()
     assert header["x"] == 1
     np.testing.assert_array_equal(arrays[0], numbers)

@@ -90,6 +90,8 @@ class Channel:
             TooLate: it did not come in time.
             EOFError: there is no other side.
         """
+        if time.monotonic() > until:  # whoever sends without a pause is never waited for
+            raise TooLate("no message in time")
         magic, length, size = _PREFIX.unpack(self._read(_PREFIX.size, until))
         if magic != _MAGIC or length > MOST_HEADER or size > most:
             raise BadMessage(f"begins with {magic!r} and {length} + {size} bytes")
