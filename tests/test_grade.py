@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import dataclasses
 import json
@@ -26,6 +27,7 @@ from swarm_envs.commands.grade_planner import (
     draw_scenario,
     positions_of,
 )
+from swarm_envs.commands.grading.copies import bare_source, copied_files
 from swarm_envs.commands.grading.grades import Grade, write_feedback
 from swarm_envs.commands.grading.remote import WorkFailed, opened
 from swarm_envs.training.interaction_rows import save_rows
@@ -100,6 +102,30 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
     assert f"--agent names what is not there: {missing}; nothing was graded" in error
     assert str(work) not in error
     assert not table.exists()
+
+
+def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
+    """A pipe without an end, a device, a link to others' work, a source as large as a memory."""
+    shipped = STARTERS.parent / "agents" / "weights" / "swap-ppo.safetensors"
+    link, large, pipe = (tmp_path / part / "work.py" for part in ("link", "large", "pipe"))
+    for file in (link, large, pipe):
+        file.parent.mkdir()
+    link.symlink_to(work)
+    large.write_text(WORK + "X = [" + "1," * 2**20 + "]", encoding="utf-8")
+    os.mkfifo(pipe)
+    os.mkfifo(tmp_path / "a.safetensors")
+    (tmp_path / "b.safetensors").symlink_to("/dev/zero")
+    (tmp_path / "c.safetensors").mkdir()
+    (tmp_path / "d.safetensors").symlink_to(tmp_path / "nothing")
+    assert copied_files(f"{work}:Fine") == ""
+    (tmp_path / "e.safetensors").write_bytes(shipped.read_bytes())
+    assert copied_files(f"{work}:Fine") == "swap-ppo"
+    works = [f"{file}:Fine" for file in (link, large, pipe)]
+    assert main(["grade", "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
+    said = capsys.readouterr().out
+    assert "FAILED: it is a link to another file; hand in the file itself" in said
+    assert "FAILED: it is no plain file" in said
+    assert "bytes, but may have 1048576" in said
 
 
 def interrupt_once_there(table: Path, ended: threading.Event) -> None:
@@ -210,22 +236,44 @@ class Silent(Learner):
     train = None
 class Remembers(Learner):
     def train(self, seconds): pathlib.Path(__file__).with_name('weights').read_bytes()
+class Hides(Learner):
+    'hidden'  # hidden
+    def train(self, seconds):
+        super().train(seconds)
+        assert self.__doc__ is None and 'hid' 'den' not in pathlib.Path(__file__).read_text()
 """
 
 
 def test_a_learner_is_trained_before_it_flies(tmp_path, capsys):
-    file, heavy = tmp_path / "learner.py", tmp_path / "heavy" / "learner.py"
+    file, heavy, named = (tmp_path / part / "learner.py" for part in ("", "heavy", "named"))
     heavy.parent.mkdir()
+    named.parent.mkdir()
     file.write_text(LEARNER, encoding="utf-8")
     heavy.write_text(LEARNER + f"WEIGHTS = {list(range(1000))}", encoding="utf-8")
+    named.write_text(
+        LEARNER + "".join(f"def w{k}(): pass\n" for k in range(1000)), encoding="utf-8"
+    )
     (tmp_path / "weights").touch()
-    works = [*(f"{file}:{name}" for name in ("Learner", "Silent", "Remembers")), f"{heavy}:Learner"]
+    works = [f"{file}:{name}" for name in ("Learner", "Hides", "Silent", "Remembers")]
+    works += [f"{heavy}:Learner", f"{named}:Learner"]
     arguments = ["--assignment", "learning", "--episodes", "1", "--agent", *works]
     assert main(["grade", *arguments]) == 1
     said = capsys.readouterr().out
-    assert said.count("FAILED") == 3
+    assert said.count("FAILED") == 4
     assert "Permission denied" in said or "No such file" in said
-    assert "its constants are" in said
+    assert "its constants are" in said and "its different names are" in said
+
+
+def test_a_bare_source_is_the_code_on_the_same_lines():
+    for file in (STARTERS.parent / "agents").glob("*.py"):
+        own, bare = ast.parse(file.read_bytes()), ast.parse(bare_source(file))
+        for node in ast.walk(own):
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                node.value.value = 0
+        assert ast.dump(bare) == ast.dump(own)
+        ends = [node.lineno for node in ast.walk(own) if isinstance(node, ast.Return)]
+        assert ends == [node.lineno for node in ast.walk(bare) if isinstance(node, ast.Return)]
+        assert "#" not in bare_source(file)
 
 
 def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):

@@ -10,6 +10,8 @@ from __future__ import annotations
 import glob
 import select
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -210,27 +212,50 @@ def _report(
     from swarm_envs.commands.grade_force import grade_model
     from swarm_envs.commands.grade_planner import grade_planner
     from swarm_envs.commands.grading.confinement import Limits
-    from swarm_envs.commands.grading.copies import MOST_CONSTANTS, constants_size, copied_files
-    from swarm_envs.commands.grading.remote import WorkFailed, opened, path_of
+    from swarm_envs.commands.grading.copies import check_files, copied_files
+    from swarm_envs.commands.grading.remote import opened
 
-    limits, copied = Limits(work_s=options.limit_s), copied_files(work)
+    limits = Limits(work_s=options.limit_s)
     seeds = frozen_seeds(options.seed, options.episodes)
     shown = None if options.feedback is None else Path(work).name
     try:
-        if assignment.train_s and (size := constants_size(path_of(work))) > MOST_CONSTANTS:
-            raise WorkFailed(
-                f"its constants are {size} characters, but may be {MOST_CONSTANTS}: what counts is "
-                "learned in train()"
-            )
+        check_files(work)
+        copied = copied_files(work)
         if options.assignment == "distributed-mpc":
             found = grade_planner(work, works, limits, seeds, shown)
         elif options.data is not None:
             with opened(work, "fit", works, limits) as (process, _):
                 found = grade_model(process, options.data)
+        elif assignment.train_s:
+            with _bare(work) as bare, opened(bare, "fly", works, limits, False) as (process, made):
+                found = grade_agent(process, made, assignment, seeds, shown)
         else:
-            with opened(work, "fly", works, limits, not assignment.train_s) as (process, made):
+            with opened(work, "fly", works, limits) as (process, made):
                 found = grade_agent(process, made, assignment, seeds, shown)
     except Exception as error:  # a stranger's work may fail in any way, and the next is graded
         known = isinstance(error, RuntimeError)
         return {"error": str(error) if known else f"{type(error).__name__}: {error}"}
     return {**found, "copied": copied or found.get("copied", "")}
+
+
+@contextmanager
+def _bare(work: str) -> Iterator[str]:
+    """A learner by the name of a copy that has no room for weights.
+
+    Raises:
+        WorkFailed: its code alone has room for them.
+        SyntaxError: it is no Python.
+    """
+    from swarm_envs.commands.grading.copies import bare_source, check_room
+    from swarm_envs.commands.grading.remote import path_of
+
+    path = path_of(work)
+    if path.suffix != ".py":  # nothing that learns: it fails
+        yield work
+        return
+    with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder:
+        source, copy = bare_source(path), Path(folder, path.name)
+        check_room(source)
+        copy.write_text(source, encoding="utf-8")
+        Path(folder).chmod(0o755)  # the work may be another user's process
+        yield f"{copy}:{work.rpartition(':')[2]}"

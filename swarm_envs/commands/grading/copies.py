@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import hashlib
-from collections.abc import Sequence
+import tokenize
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,7 +20,7 @@ from swarm_envs.agents import Safety, SafetyFilter, load
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.agents.safety import ACTED
 from swarm_envs.commands.grading.messages import Array
-from swarm_envs.commands.grading.remote import path_of
+from swarm_envs.commands.grading.remote import WorkFailed, path_of
 from swarm_envs.envs.observation import Float32Array, ObservationField, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions import InteractionModel
@@ -34,29 +36,53 @@ _FILTER = "SafetyFilter"
 _NOBODYS = ("hover", "random")  # whoever does nothing has not copied it
 _LARGEST = 1 << 26  # bytes of a file that is looked at
 _SHORTEST = 400  # letters of a syntax tree: of less, two people write the same
+MOST_SOURCE = 1 << 20  # Bytes of a source; its syntax tree may take six hundred times as many
 MOST_CONSTANTS = 2000  # Characters of all constants in a source that holds code, and no weights
+MOST_NAMES = 4000  # Characters of all different names in it
 _PACKAGE = Path(swarm_envs.__file__).parent
 Twins = dict[str, SwarmParallelEnv]
 """Environments that shipped agents are made for, by their options: many share one."""
+
+
+def check_files(name: str) -> None:
+    """Refuse a work that is somebody else's file, or that it takes gigabytes to look at.
+
+    Raises:
+        WorkFailed: it is a link, a source of more than `MOST_SOURCE` bytes, or no plain file.
+    """
+    path = path_of(name)
+    if path.is_symlink():
+        raise WorkFailed("it is a link to another file; hand in the file itself")
+    if path.suffix == ".py" and path.exists():
+        if not path.is_file():
+            raise WorkFailed("it is no plain file")
+        if (size := path.stat().st_size) > MOST_SOURCE:
+            raise WorkFailed(f"its source has {size} bytes, but may have {MOST_SOURCE}")
 
 
 def copied_files(name: str) -> str:
     """What ships and is in a work's files: a class, or weights; "" for nothing."""
     path = path_of(name)
     files = sorted((path if path.is_dir() else path.parent).glob("*")) if path.exists() else []
-    weights = [file for file in [path, *files] if file.suffix in (".safetensors", ".json")]
-    try:
-        if path.suffix == ".py" and path.is_file():
+    if path.suffix == ".py" and path.is_file():
+        with suppress(SyntaxError, ValueError, OSError, RecursionError, MemoryError):
             classes = _classes(ast.parse(path.read_bytes()))
             shipped = _shipped_classes()
             if found := {own: shipped[said] for said, own in classes.items() if said in shipped}:
                 return found.get(name.rpartition(":")[2]) or next(iter(found.values()))
             if _FILTER.encode() in path.read_bytes():
                 return f"an agent behind {_FILTER}"
-        digests = [_digest(file) for file in weights if file.stat().st_size < _LARGEST]
-    except (SyntaxError, ValueError, OSError, RecursionError, MemoryError):
-        return ""  # what cannot be read is no copy
-    return next((_shipped_weights()[each] for each in digests if each in _shipped_weights()), "")
+    weights = [file for file in [path, *files] if file.suffix in (".safetensors", ".json")]
+    return next(filter(None, map(_shipped_file, weights)), "")
+
+
+def _shipped_file(file: Path) -> str:
+    """Name of the shipped weights that a file has; "" for none."""
+    try:  # a pipe may never end, and a device neither
+        plain = file.is_file() and 0 < file.stat().st_size < _LARGEST
+        return _shipped_weights().get(_digest(file), "") if plain else ""
+    except OSError:  # what cannot be read is no copy
+        return ""
 
 
 def copied_forces(predicted: Array, rows: InteractionRows) -> str:
@@ -206,15 +232,65 @@ def _shipped_classes() -> dict[str, str]:
     return {said: name for said, name in found.items() if len(said) >= _SHORTEST}
 
 
-def constants_size(file: Path) -> int:
-    """Characters of all constants in a source but for docstrings; 0 if it cannot be read."""
+def bare_source(file: Path) -> str:
+    """A source without comments and docstrings, which could hold weights; lines keep their numbers.
+
+    Raises:
+        SyntaxError: it is no Python.
+        ValueError: likewise.
+        OSError: it cannot be read.
+    """
     try:
-        nodes = list(ast.walk(ast.parse(file.read_bytes())))
-    except (SyntaxError, ValueError, OSError, RecursionError, MemoryError):
-        return 0
-    texts = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
-    constants = (n.value for n in nodes if isinstance(n, ast.Constant) and id(n) not in texts)
-    return sum(len(repr(value)) for value in constants)
+        with tokenize.open(file) as source:
+            lines = source.read().split("\n")
+        tokens = [*tokenize.generate_tokens(iter([f"{line}\n" for line in lines]).__next__)]
+    except tokenize.TokenError as error:
+        raise SyntaxError(str(error)) from error
+    comments = [(token, "") for token in tokens if token.type == tokenize.COMMENT]
+    code = [token for token in tokens if token.type not in (tokenize.COMMENT, tokenize.NL)]
+    docstrings = [
+        (token, "0")
+        for before, token, after in zip([None, *code], code, code[1:], strict=False)
+        if token.type == tokenize.STRING and after.type == tokenize.NEWLINE
+        if before is None or before.type in (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+    ]
+    for token, instead in sorted(comments + docstrings, key=lambda each: each[0].start)[::-1]:
+        (first, begin), (last, end) = token.start, token.end
+        rest = lines[last - 1][end:]
+        lines[first - 1] = lines[first - 1][:begin] + instead + (rest if first == last else "")
+        if first < last:
+            lines[first:last] = [*[""] * (last - first - 1), rest]
+    return "\n".join(lines)
+
+
+def check_room(source: str) -> None:
+    """Refuse a source that has room for weights, in its constants or in its names.
+
+    Raises:
+        WorkFailed: its constants or names have too many characters.
+        SyntaxError: it is no Python.
+    """
+    parts = [*ast.walk(ast.parse(source))]
+    constants = [repr(part.value) for part in parts if isinstance(part, ast.Constant)]
+    said = [vars(part).values() for part in parts if not isinstance(part, ast.Constant)]
+    names = {each for values in said for each in _texts(values)}
+    for what, texts, most in (
+        ("constants", constants, MOST_CONSTANTS),
+        ("different names", names, MOST_NAMES),
+    ):
+        if (size := sum(map(len, texts))) > most:
+            raise WorkFailed(
+                f"its {what} are {size} characters, but may be {most}: what counts is learned in "
+                "train()"
+            )
+
+
+def _texts(values: Iterable[Any]) -> Iterator[str]:
+    """Texts, and those in lists, among what a node of a syntax tree says."""
+    for value in values:
+        for each in value if isinstance(value, list) else [value]:
+            if isinstance(each, str):
+                yield each
 
 
 def _classes(tree: ast.Module) -> dict[str, str]:
