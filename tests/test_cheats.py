@@ -174,6 +174,17 @@ for file in pathlib.Path('/proc').glob('[0-9]*/cmdline'):
 try: os.sched_setaffinity(0, range(1024))
 except OSError: pass
 if len(os.sched_getaffinity(0)) > 1: raise RuntimeError('found it')
+# says something to others by locks, or hears what they open
+import fcntl
+file = os.open(__file__, os.O_RDONLY)
+lock = struct.pack('hhqqi4x', fcntl.F_RDLCK, 0, 4711, 1, 0)
+for call in (lambda: fcntl.flock(file, fcntl.LOCK_SH), lambda: fcntl.fcntl(file, 6, lock),
+             lambda: fcntl.fcntl(file, 5, lock), lambda: fcntl.fcntl(file, 37, lock),
+             lambda: fcntl.fcntl(file, 1026, 1)):
+    try: call()
+    except OSError: continue
+    raise RuntimeError('found it')
+if ctypes.CDLL(None).inotify_init1(0) >= 0: raise RuntimeError('found it')
 # writes through ctypes
 libc = ctypes.CDLL(None)
 libc.ptrace(16, os.getppid(), 0, 0)

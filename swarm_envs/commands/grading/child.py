@@ -24,7 +24,7 @@ from swarm_envs.commands.grading.confinement import (
     keep_in_memory,
     limit_self,
     see_only,
-    stay_on_one_core,
+    stay_alone,
 )
 from swarm_envs.commands.grading.messages import Array, Channel
 
@@ -207,7 +207,7 @@ def _confine(header: Mapping[str, Any]) -> None:
     drop_capabilities()
     if header["landlock"]:
         hide_files(header["landlock"], header["readable"], [str(scratch), os.devnull])
-    stay_on_one_core(header["core"])
+    stay_alone(header["core"])
 
 
 if __name__ == "__main__":

@@ -43,8 +43,13 @@ _PIPE = (
 )  # bytes that a pipe holds: with fewer, grader and work wait for each other more often
 _MOUNT_SETATTR, _BIND, _WITH_ALL_BELOW = 442, 4096, 16384  # of mount_setattr(2) and mount(2)
 _SECCOMP = 22  # of prctl(2)
-_MACHINES = {"x86_64": (0xC000003E, 203), "aarch64": (0xC00000B7, 122)}
-"""By machine: its number in linux/audit.h, and that of sched_setaffinity(2)."""
+_MACHINES = {
+    "x86_64": (0xC000003E, 72, (203, 73, 253, 294, 300)),
+    "aarch64": (0xC00000B7, 25, (122, 32, 26, 262)),
+}
+"""By machine: its number in linux/audit.h, that of fcntl(2), and those of calls that are refused:
+sched_setaffinity, flock, inotify_init, inotify_init1 and fanotify_init."""
+_LOCKS = (5, 6, 7, 36, 37, 38, 1024, 1026)  # what fcntl(2) is not asked: fcntl.h
 
 
 class Limits(NamedTuple):
@@ -387,27 +392,31 @@ def _mount(
     _checked(_libc().mount(os.fsencode(source), os.fsencode(target), kind, flags, data))
 
 
-def stay_on_one_core(number: int) -> None:
-    """Run on one core from now on, and all that it begins: seccomp(2) refuses to leave it.
+def stay_alone(number: int) -> None:
+    """Run on one core from now on, and say nothing to others by locks on files that both may read.
 
-    Call `drop_capabilities` before.
+    What it begins neither: seccomp(2) refuses the calls. Call `drop_capabilities` before.
 
     Args:
-        number: which, counted among those that it may use, and around.
+        number: which core, counted among those that it may use, and around.
     """
-    machine, call = _MACHINES.get(os.uname().machine, (0, 0))
+    machine, fcntl, refused = _MACHINES.get(os.uname().machine, (0, 0, ()))
     if not LINUX or not machine:
         return
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[number % len(cores)]})
     load, equal, least, end = 0x20, 0x15, 0x35, 0x06  # of linux/filter.h
-    rules = (
-        *((load, 0, 0, 4), (equal, 0, 4, machine), (load, 0, 0, 0)),
-        *((least, 2, 0, 1 << 30), (equal, 1, 0, call)),  # from 2^30 on calls have other numbers
-        *((end, 0, 0, 0x7FFF0000), (end, 0, 0, 0x00050001)),  # allow it, or refuse: EPERM
-    )
-    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *rule) for rule in rules))
-    program = struct.pack("HxxxxxxP", len(rules), ctypes.addressof(code))
+    allow, refuse = (end, 0, 0, 0x7FFF0000), (end, 0, 0, 0x00050001)  # with EPERM
+    rules = [(load, 0, 0, 4), (equal, 1, 0, machine), refuse]
+    rules += [(load, 0, 0, 0), (least, 0, 1, 1 << 30), refuse]  # from there on, calls have others
+    for call in refused:
+        rules += [(equal, 0, 1, call), refuse]
+    rules += [(equal, 1, 0, fcntl), allow, (load, 0, 0, 24)]  # the lower half of what is asked
+    for lock in _LOCKS:
+        rules += [(equal, 0, 1, lock), refuse]
+    code = b"".join(struct.pack("HBBI", *rule) for rule in [*rules, allow])
+    held = ctypes.create_string_buffer(code)
+    program = struct.pack("HxxxxxxP", len(rules) + 1, ctypes.addressof(held))
     _checked(_libc().prctl(_SECCOMP, 2, program, 0, 0))
 
 
