@@ -243,7 +243,11 @@ def _without_times(value: Any) -> Any:
 
 def differences(one: Path, two: Path) -> list[str]:
     """Names of files that are in one folder alone, or differ."""
-    first, second = contents(one), contents(two)
+    return different(contents(one), contents(two))
+
+
+def different(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+    """Names of files that are among the `contents` of one folder alone, or differ."""
     return sorted(n for n in {*first, *second} if n not in first or first[n] != second.get(n))
 
 

@@ -14,30 +14,32 @@ import pytest
 
 from swarm_envs import cli
 from tests.helpers.faults import FaultyDisk
-from tests.robustness.kills import COMMANDS, Run, differences
+from tests.robustness.kills import COMMANDS, Run, contents, different
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names open files by /proc")
 
 
 def every_fault(job: Run, folder: Path, error: type[Exception], most: int) -> int:
     """Let operations fail in turn: the first and the last that each line of the package does."""
-    whole, out = folder / "whole", folder / "out"
+    out = folder / "out"
     disk = FaultyDisk(out)
     with disk.mounted():
         assert job(out) == 0
-    out.rename(whole)  # both are flown in one folder: its name may stand in what is written
+    whole = contents(
+        out
+    )  # now: the folder's name, which it leaves out, may stand in what is written
     for n in disk.ends()[:: -(-len(disk.ends()) // most)]:
         shutil.rmtree(out, ignore_errors=True)
         with FaultyDisk(out, n, error).mounted() as faulty:
             code = job(out)
         where = f"operation {n} ({faulty.done[n - 1]}), exit code {code}"
         # A folder that is there need not be made: then nothing is amiss, or the command says so.
-        assert code in (1, 2) or not differences(whole, out), where
+        assert code in (1, 2) or not different(whole, contents(out)), where
         if code:
             half = [file.name for file in out.rglob("*partial*")] if out.exists() else []
             assert not half or faulty.done[n - 1] == "unlink", f"{where} left {half}"
             assert job(out) == 0, f"after {where} it does not go on"
-        assert not differences(whole, out), f"after {where}"
+        assert not different(whole, contents(out)), f"after {where}"
     return len(disk.done)
 
 
