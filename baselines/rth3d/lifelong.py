@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Count, Seed, typed
+from swarm_envs.arguments import Range, Seed, typed
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, check_vertices, points
 from swarm_envs.baselines.rth3d.grid_validation import check_paths
@@ -35,7 +36,7 @@ def plan_lifelong(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,
     shape: Sequence[int],
-    steps: Count,
+    steps: Annotated[int, Range(1, 1_000_000)],
     obstacles: npt.ArrayLike | None = None,
     seed: Seed = 0,
 ) -> LifelongPlan:
