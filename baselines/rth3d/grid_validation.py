@@ -62,7 +62,7 @@ def follow_paths(
         paths: (T + 1, n) vertices.
         ways: (V,) bit k says whether the edge k of a vertex leads to a vertex that is free.
         deltas: (7,) differences of the numbers of the vertices along each edge, and 0 of a wait.
-        arrived: (V,) of -1. When somebody came last to a vertex, times 8, plus by which edge.
+        arrived: (V,) of -1. When a robot last came to a vertex, times 8, plus by which edge.
         last: (n,) zeros; on return the last step in which each robot has moved.
         moves: (T, n) on return the edge of each move, 6 of a wait.
     """

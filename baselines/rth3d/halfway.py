@@ -1,7 +1,7 @@
 """Places halfway, over which crowds that stand close go to where they will stand close.
 
 PIBT leads robots well from a crowd to places that are spread out, and by reversing time also back
-into a crowd, but not from one crowd into another: who arrives first stands in the others' way.
+into a crowd, but not from one crowd into another: who arrives first blocks the others.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lifelong planning: whoever reaches a goal gets the next one, step by step with PIBT."""
+"""Lifelong planning: a robot that reaches its goal gets the next one, step by step with PIBT."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Negotiated congestion: paths of all robots at once, whose collisions are bid away.
+"""Negotiated congestion: paths of a fixed number of steps for all robots, without collisions.
 
-Every robot has a path of the same number of steps, at first through others. Again and again those
-that collide are led anew, each along the cheapest path in space and time, and where they have met
-becomes dearer, until nobody collides. So routers lay wires on chips: McMurchie and Ebeling,
-"PathFinder: A Negotiation-Based Performance-Driven Router for FPGAs" (FPGA 1995). It suits crowds
-that go opposite ways, which PIBT leads into each other step by step. There is no guarantee.
+At first the paths go through each other. Then robots that collide are replanned again and again,
+each along the cheapest path in space and time, and the places where they collide become more
+expensive, until no robots collide. Routers of circuits work so: McMurchie and Ebeling, "PathFinder:
+A Negotiation-Based Performance-Driven Router for FPGAs" (FPGA 1995). It suits crowds that go
+opposite ways, which PIBT leads into each other step by step. There is no guarantee.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def _lead_some(
     haste: int,
     most: int,
 ) -> tuple[int, int, int]:
-    """Lead those anew who meet others, or have no path yet, until `most` moves have been weighed.
+    """Replan those who meet others, or have no path yet, until `most` moves have been weighed.
 
     Returns the place in `order` to go on from, how many met others, and the moves.
     """
@@ -172,7 +172,7 @@ def _sum_of_costs(paths: _Ints) -> int:
 def _hasten_some(
     space: _Space, paths: Array, goals: Array, order: Array, begin: int, most: int
 ) -> tuple[int, int, int]:
-    """Lead those anew who arrive earlier then, until `most` moves have been weighed.
+    """Replan those who arrive earlier then, until `most` moves have been weighed.
 
     Returns the place in `order` to go on from, the steps that were saved, and the moves.
     """
@@ -230,20 +230,20 @@ class Negotiation:
     def hasten(self, paths: Paths) -> Paths:
         """A plan of at most as many steps with a smaller sum of costs, or the same.
 
-        One robot after the other is led anew among all others, until none arrives earlier so; and
-        then the same, after all have been negotiated anew, in haste.
+        One robot after the other is replanned among all others, until none arrives earlier so; and
+        the same for a plan that is negotiated from the start with `haste`.
         """
         if len(paths) * len(self._table) > _MOST_PLACES:
             return paths
         self._work *= _MORE_WORK
         found = self._lead_singly(paths)
-        anew = self.plan(len(paths) - 1, _PRICE // 2) if self._goes_on else None
-        if anew is not None:
-            found = min(found, self._lead_singly(anew), key=_sum_of_costs)
+        other = self.plan(len(paths) - 1, _PRICE // 2) if self._goes_on else None
+        if other is not None:
+            found = min(found, self._lead_singly(other), key=_sum_of_costs)
         return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)
 
     def _lead_singly(self, paths: Paths) -> _Ints:
-        """(n, T + 1) paths after each was led anew, until none arrives earlier so."""
+        """(n, T + 1) paths after each was replanned, until none arrives earlier so."""
         space, found = self._new_space(len(paths) - 1), np.ascontiguousarray(paths.T)
         for path in found:
             _use(space, path, 1)

@@ -45,7 +45,7 @@ Twins = dict[str, SwarmParallelEnv]
 
 
 def check_files(name: str) -> None:
-    """Refuse a work that is somebody else's file, or that it takes gigabytes to look at.
+    """Refuse a work that is a file of another user, or that it takes gigabytes to look at.
 
     Raises:
         WorkFailed: it is a link, a source of more than `MOST_SOURCE` bytes, or no plain file.
