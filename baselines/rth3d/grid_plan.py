@@ -17,7 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
-from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
+from swarm_envs.baselines.rth3d.grid_validation import (
+    MOVES,
+    ValidationReport,
+    as_vertices,
+    check_paths,
+    validate,
+)
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
@@ -27,10 +33,6 @@ VERSION = 1  # Of the file format; a file of another version is refused
 _KEPT = ("method", "winner", "seed", "bound", "before_compaction", "set_bound")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
-MOVES = np.array([*np.kron(np.eye(3), [[-1], [1]]), np.zeros(3)], dtype=np.int8)
-"""(7, 3) the step along x, y and z that each number of a plan's `moves` stands for."""
-_NUMBERS = np.array([4, 2, 0, 6, 1, 3, 5], dtype=np.int8)
-"""Of moves by -3 to 3, which are steps down and up the axes 1 to 3."""
 
 
 @dataclass(frozen=True)
@@ -228,11 +230,11 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
     paths[0] = instance.starts
     for t, step in enumerate(steps):
         np.add(paths[t], step, out=paths[t + 1])
-    report = validate(paths, *given)
+    report, moves = check_paths(as_vertices(paths, instance.shape), instance)
     if not report:
         raise ValueError(f"its paths are not feasible: {report.reason}")
     return GridPlan(
-        moves=_NUMBERS[steps @ np.array([1, 2, 3], dtype=np.int8) + 3],
+        moves=moves,
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
         **instance.fields(),

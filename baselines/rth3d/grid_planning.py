@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,6 @@ from swarm_envs.baselines.rth3d.grid import (
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_validation import check_paths, follow_paths
-from swarm_envs.baselines.rth3d.halfway import halfway
 from swarm_envs.baselines.rth3d.lacam import (
     Lacam,
     after_a_plan,
@@ -39,10 +38,14 @@ from swarm_envs.baselines.rth3d.lacam import (
     stride,
 )
 from swarm_envs.baselines.rth3d.matching import assign_levels
-from swarm_envs.baselines.rth3d.negotiation import Negotiation
+from swarm_envs.baselines.rth3d.negotiation import negotiate, reduce_costs
 from swarm_envs.baselines.rth3d.paper_lba import assign_levels_in_turn, balance_by_distance
 from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
-from swarm_envs.baselines.rth3d.pibt_search import GOOD_ENOUGH, PibtSearch
+from swarm_envs.baselines.rth3d.pibt_search import (
+    GOOD_ENOUGH,
+    PibtSearch,
+    search_halfway,
+)
 from swarm_envs.baselines.rth3d.rubik import (
     Highways,
     Matching,
@@ -123,23 +126,23 @@ _solve_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels
 def _search(search: PibtSearch, clock: PlanningClock, known: int | None = None) -> Paths | None:
     """What PIBT finds that is shorter than a plan that is known."""
     with clock.phase("pibt") as record:
-        search.run(clock, known)
-        record(search.reached if search.best is None else len(search.best) - 1)
-    return search.best
+        best = search.run(known)
+        record(search.reached if best is None else len(best) - 1)
+    return best
 
 
 def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
     """PIBT alone; PlanNotFound if not all robots arrive in any attempt."""
-    search = PibtSearch(instance, seed)
-    if _search(search, clock) is None:
+    search = PibtSearch(instance, seed, clock)
+    best = _search(search, clock)
+    if best is None:
         if clock.remaining <= 0:
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
             "try another seed, or method='auto', which continues where pibt gives up"
         )
-    assert search.best is not None
-    return _Solution(search.best, "pibt", None)
+    return _Solution(best, "pibt", None)
 
 
 def _finish_stalled(instance: GridInstance, search: PibtSearch, clock: PlanningClock) -> _Solution:
@@ -171,44 +174,15 @@ def _shorten(
     instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
 ) -> _Solution:
     """A shorter plan than one that is far from the lower bound; or that."""
-    for attempt in (_meet_halfway, _negotiate):
-        if known.makespan > GOOD_ENOUGH * instance.lower_bound:
-            known = attempt(instance, seed, clock, known)
+    for name, search in (("pibt halfway", search_halfway), ("negotiation", negotiate)):
+        if known.makespan <= GOOD_ENOUGH * instance.lower_bound:
+            break
+        with clock.phase(name) as record:
+            found = search(instance, seed, clock, known.makespan)
+            if found is not None and len(found) - 1 < known.makespan:
+                known = _Solution(found, name, known.bound)
+            record(known.makespan)
     return known
-
-
-def _meet_halfway(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
-) -> _Solution:
-    """By PIBT from the starts and from the goals to places halfway, if that is shorter."""
-    if instance.obstacles.any():
-        return known
-    middle = halfway(instance)
-    halves = [replace(instance, starts=p, goals=middle) for p in (instance.starts, instance.goals)]
-    if max(half.lower_bound for half in halves) >= known.makespan:
-        return known
-    with clock.phase("meeting halfway") as record:
-        searches = [PibtSearch(half, seed) for half in halves]
-        for search in searches:
-            search.run(clock)
-        there, back = (search.best for search in searches)
-        if there is None or back is None:
-            return known
-        whole = compact(np.concatenate([there, back[-2::-1]]), int(np.prod(instance.shape)))
-        record(len(whole) - 1)
-    return min(
-        known, _Solution(whole, "pibt halfway", known.bound), key=lambda found: found.makespan
-    )
-
-
-def _negotiate(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
-) -> _Solution:
-    """By negotiation, if that finds a plan that is shorter."""
-    with clock.phase("negotiation") as record:
-        best = Negotiation(instance, seed, clock).shorten(instance.lower_bound, known.makespan)
-        record(known.makespan if best is None else len(best) - 1)
-    return known if best is None else _Solution(best, "negotiation", known.bound)
 
 
 def _search_part(part: GridInstance, seed: int, clock: PlanningClock) -> Paths:
@@ -260,12 +234,12 @@ def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
     """
     try:
         choose_highways(instance)
-        search = PibtSearch(instance, seed)
+        search = PibtSearch(instance, seed, clock)
         with clock.phase("pibt, to the lower bound") as record:
-            shortest = search.attempt(clock.halved())
+            shortest = search.attempt()
             record(search.reached)
-        if shortest and search.best is not None:
-            return _Solution(search.best, "pibt", None)
+        if shortest is not None:
+            return _Solution(shortest, "pibt", None)
         found = sure = _solve_rth3d_lba(instance, seed, clock)
     except NoHighways:
         return _solve_off_highways(instance, seed, clock)
@@ -289,7 +263,7 @@ def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock)
     known = None if found is None else found.makespan
     if known is None or known > instance.lower_bound:
         with suppress(PlanTimeout):
-            best = _search(PibtSearch(instance, seed), clock, known)
+            best = _search(PibtSearch(instance, seed, clock), clock, known)
             if best is not None:
                 found = _Solution(best, "pibt", None)
     if found is None:
@@ -338,7 +312,6 @@ METHODS: Mapping[str, Solver] = {
     "auto": _solve_auto,
 }
 """Every method by its name."""
-OBJECTIVES = ("makespan", "sum_of_costs")
 
 
 @typed
@@ -353,7 +326,7 @@ def plan(
     watch: Callable[[str], None] | None = None,
     configurations: Count | None = None,
     labels: bool = True,
-    objective: str = "makespan",
+    objective: Literal["makespan", "sum_of_costs"] = "makespan",
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
@@ -396,7 +369,6 @@ def plan(
     """
     instance = check_instance(starts, goals, shape, obstacles)
     check_name("method", method, METHODS)
-    check_name("objective", objective, OBJECTIVES)
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
@@ -405,14 +377,16 @@ def plan(
     else:
         solution, bound = _without_labels(instance, method, seed, clock)
     if objective == "sum_of_costs" and clock.remaining > 0:
-        solution = _hasten(instance, seed, clock, solution)
+        solution = _reduce_costs(instance, seed, clock, solution)
     return _result(instance, solution, method, seed, clock, bound)
 
 
-def _hasten(instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution) -> _Solution:
+def _reduce_costs(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
+) -> _Solution:
     with clock.phase("sum of costs") as record:
         ends = replace(instance, goals=points(known.paths[-1], instance.shape))
-        paths = Negotiation(ends, seed, clock).hasten(known.paths)
+        paths = reduce_costs(ends, seed, clock, known.paths)
         record(len(paths) - 1)
     return replace(known, paths=paths)
 

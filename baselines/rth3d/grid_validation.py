@@ -23,7 +23,8 @@ from swarm_envs.baselines.rth3d.grid import (
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
-_EDGES = [(axis, step) for axis in range(3) for step in (-1, 1)]  # as a plan's moves number them
+MOVES = np.array([*np.kron(np.eye(3), [[-1], [1]]), np.zeros(3)], dtype=np.int8)
+"""(7, 3) the step along x, y and z that each number of a plan's `moves` stands for."""
 _REASONS = (
     "",
     "does not begin at its start",
@@ -96,8 +97,8 @@ def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
     """(V,) of `follow_paths`: which edges of each vertex lead to a free one."""
     free: BoolArray = np.pad(~obstacles, 1, constant_values=False)
     found = np.zeros(obstacles.shape, dtype=np.uint8)
-    for edge, (axis, step) in enumerate(_EDGES):
-        there = np.roll(free, -step, axis=axis)[1:-1, 1:-1, 1:-1]
+    for edge, step in enumerate(MOVES[:6].tolist()):
+        there = np.roll(free, [-k for k in step], axis=(0, 1, 2))[1:-1, 1:-1, 1:-1]
         found |= there.astype(np.uint8) << edge
     return found.ravel()
 
@@ -137,7 +138,7 @@ def check_paths(
         if wrong.any():
             return _broken(rule, int(wrong.argmax()), step), moves
     _, m2, m3 = instance.shape
-    deltas = np.array([-m2 * m3, m2 * m3, -m3, m3, -1, 1, 0], dtype=np.int32)
+    deltas = MOVES @ np.array([m2 * m3, m3, 1], dtype=np.int32)
     arrived = np.full(np.prod(instance.shape), -1, dtype=np.int32)
     step, moved = follow_paths(paths, _ways(instance.obstacles), deltas, arrived, last, moves)
     if step:
@@ -145,6 +146,15 @@ def check_paths(
         return _broken(*_fault(before, now, instance.obstacles), step), moves
     costs = {"makespan": int(last.max()), "sum_of_costs": int(last.sum(dtype=np.int64))}
     return ValidationReport(ok=True, reason="", moves=moved, **costs), moves
+
+
+def as_vertices(paths: npt.NDArray[np.integer], shape: Shape) -> Paths:
+    """The vertices (T + 1, n) of paths (T + 1, n, 3), with -1 for those outside the grid."""
+    found = np.empty(paths.shape[:2], dtype=np.int32)
+    for vertices, places in zip(found, paths, strict=True):
+        inside = ((places >= 0) & (places < shape)).all(axis=1)
+        vertices[:] = np.where(inside, numbers(places, shape), -1)
+    return found
 
 
 def _places(vertices: Vertices, shape: Shape) -> Coordinates:
@@ -193,9 +203,4 @@ def validate(
         raise ValueError(f"paths have shape {given.shape}, but must have {wanted}")
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"paths are of type {given.dtype}, but must be integers")
-    vertices = np.empty(given.shape[:2], dtype=np.int32)
-    sides = np.array(instance.shape)
-    for t, places in enumerate(given):
-        inside = ((places >= 0) & (places < sides)).all(axis=1)
-        vertices[t] = np.where(inside, numbers(places, instance.shape), -1)
-    return check_paths(vertices, instance, labels)[0]
+    return check_paths(as_vertices(given, instance.shape), instance, labels)[0]

@@ -9,6 +9,8 @@ opposite ways, which PIBT leads into each other step by step. There is no guaran
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +19,9 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.pibt import following
 from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import equation, kernel
 
 _Ints = npt.NDArray[np.int32]
 _MOST_PLACES = 40_000_000  # vertices times steps that are kept, 19 bytes each
@@ -40,9 +43,10 @@ class _Space(NamedTuple):
     moves: npt.NDArray[np.int16]  # (T, V, 6) robots that leave it along each edge
     dear: _Ints  # (T + 1, V) what a vertex costs more, because robots have met there
     back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path gets there
-    cost: _Ints  # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
+    # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
+    cost: npt.NDArray[np.int64]
     reached: _Ints  # (2, V) vertices that paths lead to, at even and odd steps
-    random: npt.NDArray[np.uint64]  # (1,) state of the generator
+    random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
 @kernel
@@ -63,14 +67,14 @@ def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
             v = reached[even, k]
             for edge in range(7):
                 u = table[v, edge]
-                if (
-                    u < 0
-                    or abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z) > steps - t - 1
-                ):
+                if u < 0:
                     continue
-                bits = bits * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
-                tie = np.int64(bits >> np.uint64(61))
-                value = cost[even, v] + price * used[t + 1, u] + dear[t + 1, u] + tie
+                way = abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z)
+                if t + 1 + way > steps:
+                    continue
+                bits = following(bits)
+                value = cost[even, v] + price * used[t + 1, u] + dear[t + 1, u]
+                value += (bits >> 33) & 7  # of equals, any
                 if u != goal:
                     value += haste
                 if edge < 6:
@@ -97,6 +101,15 @@ def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
     return weighed
 
 
+@equation
+def _edge(table: Array, before: int, now: int) -> int:
+    """The edge from a vertex to another, 6 to itself."""
+    edge = 0
+    while table[before, edge] != now:
+        edge += 1
+    return edge
+
+
 @kernel
 def _use(space: _Space, path: Array, change: int) -> None:
     """Add a path to what is used, or take it away."""
@@ -104,9 +117,9 @@ def _use(space: _Space, path: Array, change: int) -> None:
     used[0, path[0]] += change
     for t in range(1, path.shape[0]):
         used[t, path[t]] += change
-        for edge in range(6):
-            if table[path[t - 1], edge] == path[t]:
-                moves[t - 1, path[t - 1], edge] += change
+        edge = _edge(table, path[t - 1], path[t])
+        if edge < 6:
+            moves[t - 1, path[t - 1], edge] += change
 
 
 @kernel
@@ -115,11 +128,8 @@ def _meets(space: _Space, path: Array) -> bool:
     table, used, moves, dear = space.table, space.used, space.moves, space.dear
     found = False
     for t in range(1, path.shape[0]):
-        contested = used[t, path[t]] > 1
-        for edge in range(6):
-            if table[path[t - 1], edge] == path[t]:
-                contested = contested or moves[t - 1, path[t], edge ^ 1] > 0
-        if contested:
+        edge = _edge(table, path[t - 1], path[t])
+        if used[t, path[t]] > 1 or (edge < 6 and moves[t - 1, path[t], edge ^ 1] > 0):
             dear[t, path[t]] += _PRICE
             found = True
     return found
@@ -138,21 +148,20 @@ def _lead_some(
 ) -> tuple[int, int, int]:
     """Replan those who meet others, or have no path yet, until `most` moves have been weighed.
 
-    Returns the place in `order` to go on from, how many met others, and the moves.
+    Returns the place in `order` to go on from, how many were replanned, and the moves.
     """
-    met, weighed = 0, 0
+    count, weighed = 0, 0
     while begin < order.shape[0] and weighed < most:
         i = order[begin]
         begin += 1
-        is_new = paths[i, 1] < 0
-        if not is_new and not _meets(space, paths[i]):
-            continue
-        if not is_new:
+        if paths[i, 1] >= 0:
+            if not _meets(space, paths[i]):
+                continue
             _use(space, paths[i], -1)
-            met += 1
         weighed += _lead(space, paths[i], goals[i], price, haste)
         _use(space, paths[i], 1)
-    return begin, met, weighed
+        count += 1
+    return begin, count, weighed
 
 
 @kernel
@@ -170,20 +179,19 @@ def _sum_of_costs(paths: _Ints) -> int:
 
 @kernel
 def _hasten_some(
-    space: _Space, paths: Array, goals: Array, order: Array, begin: int, most: int
+    space: _Space, paths: Array, goals: Array, lengths: Array, order: Array, begin: int, most: int
 ) -> tuple[int, int, int]:
     """Replan those who arrive earlier then, until `most` moves have been weighed.
 
+    `lengths` are those of the shortest ways: no robot arrives earlier.
     Returns the place in `order` to go on from, the steps that were saved, and the moves.
     """
     saved, weighed, old = 0, 0, np.empty(paths.shape[1], dtype=np.int32)
     while begin < order.shape[0] and weighed < most:
         i = order[begin]
         begin += 1
-        arrival, way = _arrival(paths[i]), 0
-        for axis in range(3):
-            way += abs(space.at[paths[i, 0], axis] - space.at[goals[i], axis])
-        if arrival <= way:
+        arrival = _arrival(paths[i])
+        if arrival <= lengths[i]:
             continue
         old[:] = paths[i]
         _use(space, old, -1)
@@ -201,96 +209,61 @@ def _hasten_some(
 class Negotiation:
     """The search on one instance, for plans of any number of steps."""
 
-    def __init__(self, instance: GridInstance, seed: int, clock: PlanningClock) -> None:
-        count = len(instance.starts)
-        self._starts, self._goals = (
-            numbers(p, instance.shape) for p in (instance.starts, instance.goals)
-        )
+    def __init__(self, instance: GridInstance, seed: int, clock: PlanningClock, work: int) -> None:
+        self._instance = instance
+        self._goals = numbers(instance.goals, instance.shape)
         self._at = np.ascontiguousarray(np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T)
         self._table = neighbor_table(instance.shape, instance.obstacles)
         self._generator = np.random.default_rng(seed)
         self._clock = clock
-        self._work = min(_WORK * count * instance.lower_bound, _MOST_WORK)
-
-    def shorten(self, bound: int, known: int) -> Paths | None:
-        """The shortest plan that bisection finds from a bound to below a known makespan, or None.
-
-        The bound is at least the longest of the robots' shortest ways.
-        """
-        best, steps = None, min(known - 1, bound + bound // 4)
-        while bound <= steps < known and self._goes_on:
-            found = self.plan(steps)
-            if found is None:
-                bound = steps + 1
-            else:
-                best, known = found, steps
-            steps = (bound + known) // 2
-        return best
-
-    def hasten(self, paths: Paths) -> Paths:
-        """A plan of at most as many steps with a smaller sum of costs, or the same.
-
-        One robot after the other is replanned among all others, until none arrives earlier so; and
-        the same for a plan that is negotiated from the start with `haste`.
-        """
-        if len(paths) * len(self._table) > _MOST_PLACES:
-            return paths
-        self._work *= _MORE_WORK
-        found = self._lead_singly(paths)
-        other = self.plan(len(paths) - 1, _PRICE // 2) if self._goes_on else None
-        if other is not None:
-            found = min(found, self._lead_singly(other), key=_sum_of_costs)
-        return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)
-
-    def _lead_singly(self, paths: Paths) -> _Ints:
-        """(n, T + 1) paths after each was replanned, until none arrives earlier so."""
-        space, found = self._new_space(len(paths) - 1), np.ascontiguousarray(paths.T)
-        for path in found:
-            _use(space, path, 1)
-        order, saved = self._generator.permutation(len(found)), 1
-        while saved > 0 and self._goes_on:
-            begin, saved = 0, 0
-            while begin < len(order) and self._goes_on:
-                begin, some, work = _hasten_some(space, found, self._goals, order, begin, _GLANCE)
-                saved += some
-                self._work -= work
-        return found
+        self._work = work
 
     @property
-    def _goes_on(self) -> bool:
+    def goes_on(self) -> bool:
+        """Whether there is work and time left."""
         return self._work > 0 and self._clock.remaining > 0
+
+    def fits(self, steps: int) -> bool:
+        """Whether the grid at each of so many steps is not too much memory."""
+        return (steps + 1) * len(self._table) <= _MOST_PLACES
 
     def plan(self, steps: int, haste: int = 0) -> Paths | None:
         """A plan (T + 1, n) of so many steps, or None if none was found.
 
         With `haste` robots prefer to arrive early, so that the sum of costs is small.
         """
-        if (steps + 1) * len(self._table) > _MOST_PLACES:
-            return None
-        space, count = self._new_space(steps), len(self._starts)
+        space, count = self._new_space(steps), len(self._goals)
         paths = np.full((count, steps + 1), -1, dtype=np.int32)
-        paths[:, 0] = self._starts
-        order = self._generator.permutation(count)
-        price, met = _PRICE, -1
+        paths[:, 0] = numbers(self._instance.starts, self._instance.shape)
+        order, price = self._generator.permutation(count), _PRICE
         for _ in range(1 + _ROUNDS):
-            met = self._round(space, paths, order, price, haste)
-            if met == 0 or not self._goes_on:
-                break
+            replan = partial(_lead_some, space, paths, self._goals, order)
+            if self._round(replan, price, haste) == 0:
+                return np.ascontiguousarray(paths.T)
             price = min(price + price // 8, _DEAREST)
-        return np.ascontiguousarray(paths.T) if met == 0 else None
+        return None
 
-    def _round(
-        self, space: _Space, paths: _Ints, order: npt.NDArray[np.int64], price: int, haste: int
-    ) -> int:
-        """Lead all once who must be; how many met others, or -1 if some had no path before."""
-        begin, met, is_first = 0, 0, bool((paths[:, 1] < 0).any())
-        while begin < len(order) and self._goes_on:
-            begin, some, work = _lead_some(
-                space, paths, self._goals, order, begin, price, haste, _GLANCE
-            )
-            met += some
+    def hasten(self, paths: Paths) -> _Ints:
+        """(n, T + 1) paths after each was replanned, until none arrives earlier so."""
+        space, found = self._new_space(len(paths) - 1), np.ascontiguousarray(paths.T)
+        for path in found:
+            _use(space, path, 1)
+        order = self._generator.permutation(len(found))
+        replan = partial(_hasten_some, space, found, self._goals, self._instance.lengths, order)
+        while self.goes_on and self._round(replan) > 0:
+            pass
+        return found
+
+    def _round(self, replan: Callable[..., tuple[int, int, int]], *prices: int) -> int:
+        """Have all replanned who must be; what was counted, or at least 1 if work or time ended."""
+        begin, counted = 0, 0
+        while begin < len(self._goals):
+            if not self.goes_on:
+                return max(counted, 1)
+            begin, some, work = replan(begin, *prices, _GLANCE)
+            counted += some
             self._work -= work
-        return -1 if is_first or begin < len(order) else met
+        return counted
 
     def _new_space(self, steps: int) -> _Space:
         total = len(self._table)
@@ -301,7 +274,41 @@ class Negotiation:
             moves=np.zeros((steps, total, 6), dtype=np.int16),
             dear=np.zeros((steps + 1, total), dtype=np.int32),
             back=np.zeros((steps + 1, total), dtype=np.int8),
-            cost=np.full((2, total), -1, dtype=np.int32),
+            cost=np.full((2, total), -1, dtype=np.int64),
             reached=np.zeros((2, total), dtype=np.int32),
-            random=self._generator.integers(2**62, size=1, dtype=np.uint64),
+            random=self._generator.integers(2**62, size=1, dtype=np.int64),
         )
+
+
+def negotiate(instance: GridInstance, seed: int, clock: PlanningClock, known: int) -> Paths | None:
+    """The shortest plan that bisection finds, from the lower bound to below a known makespan."""
+    bound, best = instance.lower_bound, None
+    work = min(_WORK * len(instance.starts) * bound, _MOST_WORK)
+    search = Negotiation(instance, seed, clock, work)
+    steps = min(known - 1, bound + bound // 4)
+    while bound <= steps < known and search.goes_on and search.fits(steps):
+        found = search.plan(steps)
+        if found is None:
+            bound = steps + 1
+        else:
+            best, known = found, steps
+        steps = (bound + known) // 2
+    return best
+
+
+def reduce_costs(instance: GridInstance, seed: int, clock: PlanningClock, paths: Paths) -> Paths:
+    """A plan of at most as many steps with a smaller sum of costs, or the same.
+
+    One robot after the other is replanned among all others, until none arrives earlier so; and the
+    same for a plan that is negotiated from the start with `haste`.
+    """
+    steps = len(paths) - 1
+    work = _MORE_WORK * min(_WORK * len(instance.starts) * steps, _MOST_WORK)
+    search = Negotiation(instance, seed, clock, work)
+    if steps == 0 or not search.fits(steps):
+        return paths
+    found = search.hasten(paths)
+    other = search.plan(steps, _PRICE // 2) if search.goes_on else None
+    if other is not None:
+        found = min(found, search.hasten(other), key=_sum_of_costs)
+    return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)

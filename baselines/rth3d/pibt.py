@@ -8,6 +8,7 @@ been at its goal. There is no guarantee that all ever arrive.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, Coordinates, GridInstance, numbers
-from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, free_ways, neighbor, survey
+from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, among_free, neighbor, survey
+from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import equation, kernel
 
 _Ints = npt.NDArray[np.int32]
@@ -46,14 +48,16 @@ class Robots(NamedTuple):
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
-_MULTIPLIER = 6364136223846793005
-_INCREMENT = 1442695040888963407
+@equation
+def following(state: int) -> int:
+    """The state after another of a linear congruential generator; its upper bits are random."""
+    return state * 6364136223846793005 + 1442695040888963407
 
 
 @equation
 def draw(random: Array) -> int:
     """30 random bits."""
-    random[0] = random[0] * _MULTIPLIER + _INCREMENT
+    random[0] = following(random[0])
     return (random[0] >> 33) & 0x3FFFFFFF
 
 
@@ -383,7 +387,6 @@ class Pibt:
         self.paths: Paths = np.empty((most_steps + 1, len(instance.starts)), dtype=np.int32)
         self.paths[0] = numbers(instance.starts, instance.shape)
         self.robots = new_robots(instance, most_steps)
-        self.reached = 0
 
     def shuffle(self, generator: np.random.Generator) -> None:
         """Draw another order and other random choices from here on."""
@@ -401,8 +404,13 @@ class Pibt:
         for name, values in zip("xyz", goals.T, strict=True):
             crew[name][robots] = values
         crew["away"][robots] = 0
-        if len(self.terrain.ways):
-            self.terrain.ways[robots] = free_ways(self.instance, goals)
+        if self.terrain.grid.obstacles == ANY:
+            columns = self.terrain.cells["column"][numbers(goals, self.instance.shape)]
+            self.terrain.ways[robots] = ways_to(self._free, columns)
+
+    @cached_property
+    def _free(self) -> Neighbors:
+        return among_free(neighbor_table(self.instance.shape, self.instance.obstacles))
 
     def rewind(self, begin: int) -> None:
         """Forget all after step `begin`."""

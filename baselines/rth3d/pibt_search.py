@@ -1,11 +1,13 @@
-"""PIBT with restarts: attempts from the start, and from where an earlier one was still well."""
+"""PIBT with restarts, and PIBT from the starts and from the goals to places halfway."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import GridInstance
+from swarm_envs.baselines.rth3d.compaction import Paths, compact
+from swarm_envs.baselines.rth3d.grid import Coordinates, GridInstance
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.pibt import Pibt
 
@@ -36,7 +38,7 @@ _STRIDE = 16  # steps between them, at most
 class PibtSearch:
     """PIBT and its restarts; keeps the best plan that is shorter than a known makespan."""
 
-    def __init__(self, instance: GridInstance, seed: int) -> None:
+    def __init__(self, instance: GridInstance, seed: int, clock: PlanningClock) -> None:
         self.bound = instance.lower_bound
         self.cap = int(_PATIENCE * self.bound) + _MARGIN
         self.pibt = Pibt(instance, self.cap)
@@ -44,26 +46,35 @@ class PibtSearch:
         self.reached, self.left = 0, self.bound
         """The last step of the last attempt, and the longest way left to a robot then."""
         self._generator = np.random.default_rng(seed)
+        self._clock = clock
         self._robots = len(instance.starts)
         self._chunk = min(_STRIDE, max(1, _GLANCE // self._robots))
         self._begin(0)
 
-    def attempt(self, clock: PlanningClock) -> bool:
-        """Whether the first attempt is as short as the lower bound; it ends when it cannot be."""
-        self._clock, self._limit = clock, min(self.bound, self.cap)
-        self._advance(self._limit, self.bound)
-        self._keep()
-        return self.best is not None
+    def attempt(self) -> Paths | None:
+        """The first attempt's plan if it is as short as the lower bound; half of the time for it.
 
-    def run(self, clock: PlanningClock, known: int | None = None) -> None:
-        """The rest of the first attempt, and restarts while there is something to gain."""
-        self._clock = clock
+        It ends when it cannot be, and `run` goes on from there.
+        """
+        self._limit = min(self.bound, self.cap)
+        self._advance(self._limit, self.bound, self._clock.halved())
+        self._keep()
+        return self.best
+
+    def run(self, known: int | None = None) -> Paths | None:
+        """The best plan of the first attempt, and of restarts while there is something to gain.
+
+        `known` is the makespan of another plan; only shorter ones count.
+        """
         self._limit = self.cap if known is None else min(self.cap, known - 1)
         self._advance(int(_VERDICT * self.bound), self.cap)
         hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
         self._finish(last=hopeless)
-        if hopeless:
-            return
+        if not hopeless:
+            self._restart()
+        return self.best
+
+    def _restart(self) -> None:
         work = min(_MOST_WORK, _WORK / self._robots) * self.bound
         for part in _RESTARTS:
             done = self.best is not None and len(self.best) - 1 <= GOOD_ENOUGH * self.bound
@@ -94,10 +105,10 @@ class PibtSearch:
             self.best = self.pibt.paths[: self.reached + 1]
             self._limit = self.reached - 1
 
-    def _advance(self, end: int, limit: int) -> None:
+    def _advance(self, end: int, limit: int, clock: PlanningClock | None = None) -> None:
         """Go on until a step, all have arrived, none can in time, it has stalled, time is up."""
-        least, since = self.bound + 1, self.reached
-        while self.reached < end and self.left != 0 and self._clock.remaining > 0:
+        clock, least, since = clock or self._clock, self.bound + 1, self.reached
+        while self.reached < end and self.left != 0 and clock.remaining > 0:
             to = min(self.reached + self._chunk, end)
             lost = self.reached >= since + _LOST
             self.reached, self.left = self.pibt.run(self.reached, to, limit, self.left, lost)
@@ -105,3 +116,40 @@ class PibtSearch:
                 least, since = self.left, self.reached
             if self.reached < to or self.reached > max(self.bound, since + _STALL):
                 return
+
+
+def halfway(instance: GridInstance) -> Coordinates:
+    """(n, 3) vertices, all different and spread over a grid without obstacles.
+
+    As robots stand halfway between starts and goals, in order of x, then in each plane of y, then
+    in each row of z, so they are put into planes, rows and vertices.
+    """
+    twice, (m1, m2, m3) = instance.starts + instance.goals, instance.shape
+    found = np.empty_like(instance.starts)
+    for x, plane in enumerate(np.array_split(np.argsort(twice[:, 0], kind="stable"), m1)):
+        by_y = plane[np.argsort(twice[plane, 1], kind="stable")]
+        for y, row in enumerate(np.array_split(by_y, m2)):
+            by_z = row[np.argsort(twice[row, 2], kind="stable")]
+            z = (2 * np.arange(len(row)) + 1) * m3 // (2 * max(len(row), 1))
+            found[by_z] = np.stack([np.full_like(z, x), np.full_like(z, y), z], axis=1)
+    return found
+
+
+def search_halfway(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: int
+) -> Paths | None:
+    """A plan over places halfway, or None if there are obstacles, or no plan is found.
+
+    PIBT leads robots well from a crowd to places that are spread out, and by reversing time also
+    back into a crowd, but not from one crowd into another: who arrives first blocks the others.
+    """
+    if instance.obstacles.any():
+        return None
+    middle = halfway(instance)
+    halves = [replace(instance, starts=p, goals=middle) for p in (instance.starts, instance.goals)]
+    if max(half.lower_bound for half in halves) >= known:
+        return None
+    there, back = (PibtSearch(half, seed, clock).run() for half in halves)
+    if there is None or back is None:
+        return None
+    return compact(np.concatenate([there, back[-2::-1]]), int(np.prod(instance.shape)))

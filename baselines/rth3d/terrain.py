@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import (
     Array,
-    Coordinates,
     GridInstance,
     breaks_pattern,
     numbers,
 )
 from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import equation
+from swarm_envs.state import BoolArray
 
 _Ints = npt.NDArray[np.int32]
 _MOST_WAYS = 250_000_000  # lengths that are kept at most, four bytes each
@@ -27,7 +27,7 @@ _CELL = np.dtype(
         *((name, np.int32) for name in ("x", "y", "z")),
         ("now", np.int32),  # who is there, or -1
         ("taken", np.int32),  # who has taken it for the next step, -1, or `WALL`
-        ("column", np.int32),  # its column of `ways`
+        ("column", np.int32),  # its column of `ways`, or -1
         ("along_x", np.int32),  # obstacles at smaller or equal x in the same row
         ("along_y", np.int32),  # obstacles at smaller or equal y in the same column
     ]
@@ -71,41 +71,38 @@ def survey(instance: GridInstance) -> Terrain:
     cells = np.empty(shape, dtype=_CELL)
     cells["x"], cells["y"], cells["z"] = np.indices(shape, dtype=np.int32, sparse=True)
     cells["now"], cells["taken"] = -1, np.where(walls, WALL, -1)
-    ways, column = _ways_to_goals(instance, table)
-    cells["column"] = column.reshape(shape) if len(ways) else -1
+    cells["column"] = -1
+    cells["column"][~walls] = np.arange(np.count_nonzero(~walls))
     for axis, name in enumerate(("along_x", "along_y")):
         cells[name] = np.cumsum(columns, axis=axis, dtype=np.int32)
-    obstacles = ANY if len(ways) else PATTERN if walls.any() else OPEN
-    grid = Grid(obstacles, *shape)
+    grid = Grid(_kind(walls), *shape)
+    ways = np.zeros((0, 0), dtype=np.int32)
+    if grid.obstacles == ANY:
+        _check_ways(instance)
+        ways = ways_to(among_free(table), cells["column"].ravel()[numbers(instance.goals, shape)])
     return Terrain(cells.ravel(), ways, table if narrow else table[:0], grid)
 
 
-def _ways_to_goals(instance: GridInstance, table: Neighbors) -> tuple[_Ints, _Ints]:
-    """(n, F) length of the shortest way from each free vertex to each goal, and (V,) its column.
+def _kind(obstacles: BoolArray) -> int:
+    if breaks_pattern(obstacles):
+        return ANY
+    return PATTERN if obstacles.any() else OPEN
 
-    None, (0, 0) and (0,), where obstacles follow the pattern.
-    """
-    if not breaks_pattern(instance.obstacles):
-        return np.zeros((0, 0), dtype=np.int32), np.zeros(0, dtype=np.int32)
-    free = np.flatnonzero(table[:, STAY] >= 0)
-    count = len(instance.goals)
-    if count * len(free) > _MOST_WAYS:
+
+def _check_ways(instance: GridInstance) -> None:
+    count, free = len(instance.goals), np.count_nonzero(~instance.obstacles)
+    if count * free > _MOST_WAYS:
         raise ValueError(
-            f"obstacles off the pattern need the ways of {count} robots on {len(free)} vertices, "
-            f"but at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
+            f"obstacles off the pattern need the ways of {count} robots on {free} vertices, but "
+            f"at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
         )
-    column = np.full(len(table), -1, dtype=np.int32)
-    column[free] = np.arange(len(free))
-    return free_ways(instance, instance.goals), column
 
 
-def free_ways(instance: GridInstance, goals: Coordinates) -> _Ints:
-    """(n, F) length of the shortest way from each free vertex to each of goals (n, 3)."""
-    table = neighbor_table(instance.shape, instance.obstacles)
-    free = np.flatnonzero(table[:, STAY] >= 0)
-    column = np.full(len(table) + 1, -1, dtype=np.int32)  # -1 stands for no neighbour
-    column[free] = np.arange(len(free))
-    return ways_to(column[table[free]], column[numbers(goals, instance.shape)])
+def among_free(table: Neighbors) -> Neighbors:
+    """(F, 7) the neighbours of each free vertex, numbered among the free ones."""
+    free = table[:, STAY] >= 0
+    place = np.append(np.cumsum(free, dtype=np.int32) - 1, np.int32(-1))  # -1 is no neighbour
+    return place[table[free]]
 
 
 @equation

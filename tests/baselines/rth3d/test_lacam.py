@@ -192,7 +192,8 @@ def test_a_plan_is_kept_when_the_time_ends_after_it(monkeypatch):
 
     monkeypatch.setattr(grid_planning, "_search", late)
     instance = make_instance("uniform", (6, 6, 2), 60, seed=0)
-    assert solve(instance, "auto").winner in ("lacam", "negotiation")
+    monkeypatch.setattr(grid_planning, "_shorten", late)
+    assert solve(instance, "auto").winner == "lacam"
 
 
 def test_with_a_time_limit_the_search_goes_on_after_the_first_plans():
@@ -207,7 +208,8 @@ def test_auto_falls_back_where_balancing_is_too_large(monkeypatch):
     instance = make_instance("mirror", (12, 6, 3), seed=0)
     with pytest.raises(ValueError, match="too unevenly spread"):
         solve(instance, "rth3d-lba")
-    assert solve(instance, "auto").winner in ("pibt", "lacam", "negotiation")
+    monkeypatch.setattr(grid_planning, "_shorten", lambda *given: given[-1])
+    assert solve(instance, "auto").winner in ("pibt", "lacam")
 
 
 @pytest.mark.parametrize("family", ["buildings", "uniform", "clutter"])

@@ -63,4 +63,4 @@ def test_the_sum_of_costs_falls_within_the_same_makespan(family):
 
 def test_an_unknown_objective_is_refused():
     with pytest.raises(ValueError, match="objective"):
-        plan([[0, 0]], [[1, 0]], (2, 2), objective="makspan")
+        plan([[0, 0]], [[1, 0]], (2, 2), objective="makspan")  # type: ignore[arg-type]

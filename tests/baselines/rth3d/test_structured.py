@@ -8,8 +8,8 @@ import pytest
 from swarm_envs.baselines.rth3d import make_instance, plan, validate
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
-from swarm_envs.baselines.rth3d.halfway import halfway
 from swarm_envs.baselines.rth3d.negotiation import Negotiation
+from swarm_envs.baselines.rth3d.pibt_search import halfway
 from tests.baselines.rth3d.test_lacam import shortest_makespan
 
 SHAPE = (24, 12, 6)
@@ -43,13 +43,13 @@ def test_negotiation_finds_what_is_asked_or_nothing():
     instance = make_instance("uniform", (12, 6, 3))
     starts, goals = instance.starts, instance.goals
     for steps in range(instance.lower_bound, instance.lower_bound + 4):
-        paths = Negotiation(instance, 0, PlanningClock()).plan(steps)
+        paths = Negotiation(instance, 0, PlanningClock(), 10**9).plan(steps)
         if paths is not None:
             assert len(paths) == steps + 1
             places = np.stack(np.unravel_index(paths, (12, 6, 3)), axis=-1)
             assert validate(places, starts, goals, (12, 6, 3))
     assert paths is not None
-    again = Negotiation(instance, 0, PlanningClock()).plan(steps)
+    again = Negotiation(instance, 0, PlanningClock(), 10**9).plan(steps)
     assert again is not None and np.array_equal(paths, again)
 
 
@@ -61,7 +61,7 @@ def test_no_path_is_kept_of_what_has_no_plan_of_so_many_steps():
         np.array([[3, 0, 0], [0, 0, 0]]),
         np.zeros((4, 1, 1), dtype=bool),
     )
-    assert Negotiation(instance, 0, PlanningClock()).plan(9) is None
+    assert Negotiation(instance, 0, PlanningClock(), 10**9).plan(9) is None
 
 
 @pytest.mark.parametrize("seed", range(8))
