@@ -352,7 +352,7 @@ def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
 
 
 def slalom(drones: int) -> tuple[SwarmParallelEnv, Agent]:
-    """The slalom of the benchmark with so many drones, and who flies it."""
+    """The benchmark's gates for a number of drones, and the agent `gates-dagger`."""
     agent = load("gates-dagger")
     options = {"num_drones": drones, "world": "hall", "horizon_s": 12.0, "physics": "batch"}
     return make("gates_v0", **options, **agent.requires), agent

@@ -54,7 +54,7 @@ class PibtSearch:
     def attempt(self) -> Paths | None:
         """The first attempt's plan if it is as short as the lower bound; half of the time for it.
 
-        It ends when it cannot be, and `run` goes on from there.
+        It ends when it cannot be, and `run` continues from there.
         """
         self._limit = min(self.bound, self.cap)
         self._advance(self._limit, self.bound, self._clock.halved())

@@ -63,7 +63,12 @@ CASES = (
     *(Case("mirror", "mirror", _small(m)) for m in (12, 24, 36)),
     *(Case("buildings", "buildings", LARGE, method) for method in ("rth3d-lba", "auto")),
     *(Case("few", "uniform", (120, 60, 6), robots=n) for n in (144, 720, 4800)),
-    *(Case(f, f, _small(m)) for f in ("shift", "reflection", "layers", "ends") for m in (6, 12)),
+    *(
+        Case(family, family, shape)
+        for family in ("shift", "reflection", "layers", "ends")
+        for m in (6, 12)
+        for shape in (_small(m), (2 * m, m, 4 * m), (m, 4 * m, 2 * m))
+    ),
     Case("larger", "uniform", (192, 96, 48)),
     *(Case("huge", "uniform", (300, 150, 75), method) for method in ("rth3d-lba", "auto")),
 )

@@ -5,6 +5,7 @@ Some are privileged: they label by the true state, which the student does not ob
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -49,7 +50,7 @@ def tracking_20() -> TrackingAgent:
     return TrackingAgent(decision_rate=20)
 
 
-class CoreAgent:
+class CoreAgent(ABC):
     """An agent that labels by `teach`; it also flies alone, in `evaluate`."""
 
     requires: Mapping[str, Any] = MappingProxyType({})
@@ -64,9 +65,9 @@ class CoreAgent:
         actions = np.clip(self.teach(self._env.core)[0], -1.0, 1.0)
         return dict(zip(observations, actions, strict=True))
 
+    @abstractmethod
     def teach(self, core: SwarmCore) -> FloatArray:
         """Actions (E, N, width) in the present state."""
-        raise NotImplementedError
 
 
 class AirLine(CoreAgent):

@@ -90,7 +90,7 @@ class Channel:
             TooLate: it did not come in time.
             EOFError: there is no other side.
         """
-        if time.monotonic() > until:  # whoever sends without a pause is never waited for
+        if time.monotonic() > until:  # a work that sends without a pause never makes `_wait` look
             raise TooLate("no message in time")
         magic, length, size = _PREFIX.unpack(self._read(_PREFIX.size, until))
         if magic != _MAGIC or length > MOST_HEADER or size > most:
