@@ -30,6 +30,7 @@ _WORK, _MOST_WORK = 6000, 1_000_000_000
 _MORE_WORK = 4  # times as much for the sum of costs
 _GLANCE = 50_000_000  # the same between two looks at the clock
 _ROUNDS = 60
+_TRIES = 4  # each from other random choices; one that fails takes little of the work
 _PRICE = 64  # of a collision in the first round; ties are broken by up to 7
 _DEAREST = 8 * _PRICE
 
@@ -287,7 +288,8 @@ def negotiate(instance: GridInstance, seed: int, clock: PlanningClock, known: in
     search = Negotiation(instance, seed, clock, work)
     steps = min(known - 1, bound + bound // 4)
     while bound <= steps < known and search.goes_on and search.fits(steps):
-        found = search.plan(steps)
+        tries = (search.plan(steps) for _ in range(_TRIES) if search.goes_on)
+        found = next((paths for paths in tries if paths is not None), None)
         if found is None:
             bound = steps + 1
         else:
