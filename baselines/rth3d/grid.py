@@ -208,6 +208,27 @@ def check_vertices(
     Raises:
         ValueError: naming the first robot for which it is not so, and why.
     """
+    found = check_places(name, given, shape, obstacles)
+    vertices = numbers(found, shape)
+    order = np.argsort(vertices, kind="stable")
+    twins = np.flatnonzero(np.diff(vertices[order]) == 0)
+    if twins.size:
+        first, second = (int(k) for k in order[twins[0] : twins[0] + 2])
+        raise ValueError(
+            f"{name}[{first}] and {name}[{second}] are both {_text(found[first])}, but all {name} "
+            "must differ"
+        )
+    return found
+
+
+def check_places(
+    name: str, given: npt.ArrayLike, shape: Shape, obstacles: BoolArray
+) -> Coordinates:
+    """Vertices as an (n, 3) array, in the grid and free.
+
+    Raises:
+        ValueError: naming the first for which it is not so, and why.
+    """
     found = np.asarray(given)
     if found.ndim != 2 or found.shape[1] not in (2, 3) or (found.shape[1] == 2 and shape[2] > 1):
         raise ValueError(f"{name} have shape {found.shape}, but must be (n, 3), one row a robot")
@@ -224,24 +245,11 @@ def check_vertices(
             f"{name}[{robot}] is {_text(found[robot])}, which is outside the grid of shape {shape}"
         )
     inside = found.astype(np.int32)
-    _check_free(name, inside, shape, obstacles)
-    return inside
-
-
-def _check_free(name: str, found: Coordinates, shape: Shape, obstacles: BoolArray) -> None:
-    vertices = numbers(found, shape)
-    blocked = obstacles.reshape(-1)[vertices]
+    blocked = obstacles.reshape(-1)[numbers(inside, shape)]
     if blocked.any():
         robot = int(np.argmax(blocked))
-        raise ValueError(f"{name}[{robot}] is {_text(found[robot])}, where an obstacle stands")
-    order = np.argsort(vertices, kind="stable")
-    twins = np.flatnonzero(np.diff(vertices[order]) == 0)
-    if twins.size:
-        first, second = (int(k) for k in order[twins[0] : twins[0] + 2])
-        raise ValueError(
-            f"{name}[{first}] and {name}[{second}] are both {_text(found[first])}, but all {name} "
-            "must differ"
-        )
+        raise ValueError(f"{name}[{robot}] is {_text(inside[robot])}, where an obstacle stands")
+    return inside
 
 
 def _text(point: npt.NDArray[np.integer]) -> str:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -345,30 +345,33 @@ def plan(
             places halfway, and negotiated congestion (PathFinder).
         seed: of the choices of PIBT and LaCAM*; the others make none. The same seed gives the same
             plan, unless a time limit cuts it short.
-        time_limit: seconds after which no further phase begins.
+        time_limit: wall-clock limit, s, without compilation; a phase that has begun may exceed it.
+            The best plan so far is returned; if there is none, PlanTimeout is raised.
         watch: called with the name of each phase when it begins.
-        configurations: how many LaCAM* makes at most in each connected part of the grid, with a
-            plan or without. None: up to 1,000,000, or what fits into 0.8 GB; without a time limit,
-            after a plan as many again, and 1,000 at least (fewer for more than 1,000 robots).
+        configurations: the maximum number that LaCAM* makes in each connected part of the grid.
+            None: 1,000,000, or what fits into 0.8 GB. Without a time limit it makes as many again
+            after its first plan to improve it, at least 1,000 (fewer for over 1,000 robots).
         labels: False if any robot may take any goal. `"auto"` then finds the fewest steps by a flow
             over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
             beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal
             that robot i takes.
         objective: `"makespan"`, or `"sum_of_costs"`, the sum over the robots of the step in which
-            each arrives for good (`check().sum_of_costs`): within the makespan that was found, a
-            smaller sum is negotiated, if the grid is not too large for that.
+            last moves (`GridPlan.sum_of_costs`). It is reduced by negotiation within the makespan
+            that was found, unless vertices times steps are more than 40 million.
 
     Returns:
         A plan that `validate` has found feasible.
 
     Raises:
-        ValueError: the instance is none, or not one for the method; the message says why.
+        ValueError: starts, goals, shape or obstacles are invalid, or the method cannot take them.
         NoPlanExists: the instance has no plan, which is proven; a ValueError and a PlanNotFound.
         PlanTimeout: the time ended before there was a valid plan.
         PlanNotFound: none was found, though there may be one.
     """
     instance = check_instance(starts, goals, shape, obstacles)
     check_name("method", method, METHODS)
+    if time_limit is not None:
+        _compile(method)
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
@@ -379,6 +382,26 @@ def plan(
     if objective == "sum_of_costs" and clock.remaining > 0:
         solution = _reduce_costs(instance, seed, clock, solution)
     return _result(instance, solution, method, seed, clock, bound)
+
+
+@cache
+def _compile(method: str) -> None:
+    """Plan small instances, so that compilation does not count against a time limit."""
+    announce_compilation(follow_paths)
+    clock, names = (
+        PlanningClock(),
+        ("rth3d-lba", "pibt", "lacam") if method == "auto" else (method,),
+    )
+    for blocked in (False, True):
+        walls = np.zeros((6, 6, 3), dtype=np.bool_)
+        walls[2, 1, 0] = blocked
+        free = np.argwhere(~walls)[:12].astype(np.int32)
+        small = GridInstance((6, 6, 3), free, free[::-1].copy(), walls)
+        for name in names:
+            with suppress(NoHighways, PlanNotFound):
+                found = METHODS[name](small, 0, clock)
+                negotiate(small, 0, clock, reduce_costs(small, 0, clock, found.paths).shape[0])
+                check_paths(found.paths, small)
 
 
 def _reduce_costs(

@@ -11,14 +11,20 @@ import numpy.typing as npt
 
 from swarm_envs.arguments import Range, Seed, typed
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, check_vertices, points
+from swarm_envs.baselines.rth3d.grid import (
+    Coordinates,
+    GridInstance,
+    check_instance,
+    check_places,
+    points,
+)
 from swarm_envs.baselines.rth3d.grid_validation import check_paths
 from swarm_envs.baselines.rth3d.pibt import Pibt
 
 
 @dataclass(frozen=True, eq=False)
 class LifelongPlan:
-    """Paths of robots to goals after goals."""
+    """Paths of robots to sequences of goals."""
 
     paths: npt.NDArray[np.int16]
     """(T + 1, n, 3) vertex (x, y, z) of each robot after each step."""
@@ -27,7 +33,7 @@ class LifelongPlan:
 
     @property
     def throughput(self) -> float:
-        """Goals that are reached in a step, by all robots together."""
+        """The mean number of goals that all robots together reach per step, of those planned."""
         return float(self.reached.sum()) / max(len(self.paths) - 1, 1)
 
 
@@ -40,7 +46,7 @@ def plan_lifelong(
     obstacles: npt.ArrayLike | None = None,
     seed: Seed = 0,
 ) -> LifelongPlan:
-    """Plan paths of robots that each have goals one after the other.
+    """Plan paths of robots that each have a sequence of goals.
 
     PIBT plans each step with the present goals alone (Okumura et al., AIJ 2022), so that those to
     come need not be known. A robot at its last goal stays there, and makes room for others.
@@ -48,40 +54,55 @@ def plan_lifelong(
     Args:
         starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.
         goals: (n, K, 3) integers: the goals of each robot, in their order. Robots may share them.
-        shape: (m1, m2, m3) of the grid.
-        steps: to plan at most; fewer if all have reached their last goals before.
+            Give a robot with fewer goals its last one again; each of them counts.
+        shape: (m1, m2, m3) of the grid, or (m1, m2) with (n, 2) starts and (n, K, 2) goals.
+        steps: the maximum number of steps; fewer if all robots reach their last goals before.
         obstacles: booleans of that shape, True anywhere, or None.
         seed: of PIBT's choices.
+
+    Returns:
+        The paths, and how many of its goals each robot has reached.
 
     Raises:
         ValueError: starts, goals or obstacles are not as they must be; the message says why.
         NoPlanExists: obstacles cut a robot off from a goal.
     """
     instance = check_instance(starts, starts, shape, obstacles)
-    targets, count = np.asarray(goals), len(instance.starts)
-    if targets.ndim != 3 or targets.shape[0] != count or targets.shape[1] == 0:
-        raise ValueError(f"goals have shape {targets.shape}, but must be ({count}, K, 3), K > 0")
-    check_vertices(
-        "goals", np.unique(targets.reshape(-1, 3), axis=0), instance.shape, instance.obstacles
-    )
-    turns = [replace(instance, goals=found) for found in targets.swapaxes(0, 1).astype(np.int32)]
-    for turn in turns:
-        _ = turn.lengths  # raises NoPlanExists
-    pibt, reached = Pibt(turns[0], steps), np.zeros(count, dtype=np.int32)
+    targets = _checked_goals(goals, instance)
+    pibt = Pibt(replace(instance, goals=targets[:, 0]), steps)
     pibt.shuffle(np.random.default_rng(seed))
-    last, limit = 0, 2 * steps + sum(instance.shape)
+    reached, last = np.zeros(len(targets), dtype=np.int32), 0
     while True:
-        at = points(pibt.paths[last], instance.shape)
-        left = np.flatnonzero(reached < len(turns))
-        arrived = left[(at[left] == targets[left, reached[left]]).all(axis=1)]
-        reached[arrived] += 1
-        onward = arrived[reached[arrived] < len(turns)]
-        if len(onward):
-            pibt.aim(onward, targets[onward, reached[onward]])
-        if last == steps or (reached == len(turns)).all():
-            break
-        last, _ = pibt.run(last, last + 1, limit, -1, False)
-    return _checked(instance, pibt.paths[: last + 1], reached)
+        _give_next(pibt, targets, reached, points(pibt.paths[last], instance.shape))
+        if last == steps or (reached == targets.shape[1]).all():
+            return _checked(instance, pibt.paths[: last + 1], reached)
+        last, _ = pibt.run(last, last + 1, 2 * steps + sum(instance.shape), -1, False)
+
+
+def _checked_goals(goals: npt.ArrayLike, instance: GridInstance) -> npt.NDArray[np.int32]:
+    given, count = np.asarray(goals), len(instance.starts)
+    if given.ndim != 3 or given.shape[0] != count or given.shape[1] == 0:
+        raise ValueError(f"goals have shape {given.shape}, but must be ({count}, K, 3), K > 0")
+    facts = (instance.shape, instance.obstacles)
+    found = np.stack([check_places(f"goals[{i}]", own, *facts) for i, own in enumerate(given)])
+    for turn in found.swapaxes(0, 1):
+        _ = replace(instance, goals=turn).lengths  # raises NoPlanExists
+    return found
+
+
+def _give_next(
+    pibt: Pibt,
+    goals: npt.NDArray[np.int32],
+    reached: npt.NDArray[np.int32],
+    at: Coordinates,
+) -> None:
+    """Count the goals that robots are at, in `reached`, and give them the next ones."""
+    waiting = np.flatnonzero(reached < goals.shape[1])
+    arrived = waiting[(at[waiting] == goals[waiting, reached[waiting]]).all(axis=1)]
+    reached[arrived] += 1
+    onward = arrived[reached[arrived] < goals.shape[1]]
+    if len(onward):
+        pibt.aim(onward, goals[onward, reached[onward]])
 
 
 def _checked(instance: GridInstance, paths: Paths, reached: npt.NDArray[np.int32]) -> LifelongPlan:

@@ -38,7 +38,7 @@ class PlanOptions:
     """number of robots, instead of a density"""
     family: str = "uniform"
     """distribution of starts and goals: uniform, quasi-random, mirror, rings, blocks, small-blocks,
-    buildings, quasi-buildings"""
+    buildings, quasi-buildings, shift, reflection, layers, ends"""
     map: Path | None = None
     """.map file of the MAPF benchmarks, instead of a grid and a family"""
     scen: Path | None = None
@@ -47,14 +47,14 @@ class PlanOptions:
     """rth3d, rth3d-lba, rth3d-lba-paper, pibt, lacam, or auto, the best of the applicable
     methods"""
     objective: Literal["makespan", "sum_of_costs"] = "makespan"
-    """what is to be small"""
+    """objective to minimize: the makespan, or within it the sum of costs"""
     labels: bool = True
     """labeled planning: each robot has its own goal; otherwise any robot may take any goal, in the
     fewest steps"""
     seed: Seed = 0
     """random seed of the instance, of pibt and of lacam"""
     time_limit_s: Annotated[float, POSITIVE_S] | None = None
-    """time after which no further planning phase starts, s"""
+    """time limit of planning, s; a phase that has begun may exceed it"""
     out: Path | None = None
     """output folder for plan.npz, plan.json and plan.png"""
     save: Path | None = None
@@ -165,7 +165,8 @@ def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
 
 def facts(found: GridPlan) -> dict[str, Any]:
     """What was measured, as JSON has it."""
-    names = "method winner seed makespan lower_bound ratio bound before_compaction valid seconds"
+    names = "method winner seed makespan lower_bound ratio sum_of_costs bound before_compaction "
+    names += "valid seconds"
     return {
         "shape": list(found.shape),
         "robots": len(found.starts),
@@ -181,7 +182,8 @@ def summary_lines(found: GridPlan) -> list[str]:
     sides = " x ".join(map(str, found.shape))
     lines = [
         f"{len(found.starts):,} robots on {sides}: makespan {found.makespan}, lower bound "
-        f"{found.lower_bound}, ratio {found.ratio:.3f}, by {found.winner}, valid"
+        f"{found.lower_bound}, ratio {found.ratio:.3f}, by {found.winner}, valid, "
+        f"sum of costs {found.sum_of_costs:,}"
     ]
     if found.before_compaction is not None:
         lines.append(f"before compaction {found.before_compaction}")
