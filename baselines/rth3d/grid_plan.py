@@ -6,6 +6,7 @@ import dataclasses
 import json
 import time
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -217,16 +218,15 @@ class GridPlan(GridInstance):
             OSError: it cannot be read.
         """
         path = _checked_path(path)
-        try:
-            # numpy leaves a file open that it opens itself and cannot read.
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-                arrays = {name: content[name] for name in content.files}
-            return _from_arrays(json.loads(str(arrays.pop("about"))), arrays)
-        except OSError:
-            raise
-        except (ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
+        damaged = (ValueError, TypeError, KeyError, EOFError, OSError, RuntimeError)
+        with path.open("rb") as file:  # numpy leaves a file open that it cannot read
+            try:
+                with np.load(file, allow_pickle=False) as content:
+                    arrays = {name: content[name] for name in content.files}
+                return _from_arrays(json.loads(str(arrays.pop("about"))), arrays)
+            except (*damaged, zipfile.BadZipFile, zlib.error) as error:
+                what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+                raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
 
 
 def _checked_path(path: str | Path) -> Path:
@@ -251,6 +251,8 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
     report, moves = check_paths(as_vertices(paths, instance.shape), instance)
     if not report:
         raise ValueError(f"its paths are not feasible: {report.reason}")
+    for name in ("bound", "before_compaction", "set_bound"):
+        _check_steps(name, about.get(name), report.makespan)
     return GridPlan(
         moves=moves,
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
@@ -258,6 +260,17 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
         **instance.fields(),
         **{name: about[name] for name in _KEPT if name in about},
     )
+
+
+def _check_steps(name: str, steps: Any, makespan: int) -> None:
+    """Refuse what is no number of steps, or one that the plan contradicts."""
+    if steps is None:
+        return
+    fits = isinstance(steps, int) and (
+        0 <= steps <= makespan if name == "set_bound" else makespan <= steps
+    )
+    if not fits:
+        raise ValueError(f"its {name} is {steps!r}, which is none of a plan of {makespan} steps")
 
 
 def plot_grid_plan(path: Path, plan: GridPlan) -> None:

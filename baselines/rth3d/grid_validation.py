@@ -42,7 +42,9 @@ class ValidationReport:
     """What `validate` found."""
 
     ok: bool  # Whether the plan is feasible (Sec. II-A).
-    reason: str  # Which rule is broken first, by whom and when; empty if none is
+    # A rule that is broken, by which robot and when: the ends are checked first, then every step;
+    # empty if the plan is feasible
+    reason: str
     time: int | None = None  # Step after which it is broken
     robot: int | None = None  # Who breaks it
     makespan: int = 0  # Last step in which anyone moves

@@ -19,7 +19,7 @@ from swarm_envs.baselines.rth3d.grid import (
     points,
 )
 from swarm_envs.baselines.rth3d.grid_validation import check_paths
-from swarm_envs.baselines.rth3d.pibt import Pibt
+from swarm_envs.baselines.rth3d.pibt import NO_LIMIT, Pibt
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def plan_lifelong(
         _give_next(pibt, targets, reached, points(pibt.paths[last], instance.shape))
         if last == steps or (reached == targets.shape[1]).all():
             return _checked(instance, pibt.paths[: last + 1], reached)
-        last, _ = pibt.run(last, last + 1, 2 * steps + sum(instance.shape), -1, False)
+        last, _ = pibt.run(last, last + 1, NO_LIMIT, -1, False)
 
 
 def _checked_goals(goals: npt.ArrayLike, instance: GridInstance) -> npt.NDArray[np.int32]:

@@ -37,6 +37,11 @@ _ROBOT = np.dtype(
 )
 
 
+NO_LIMIT = np.iinfo(np.int32).max
+"""Of steps within which all have to arrive."""
+_MOST_AWAY = 10_000  # steps away from the goal that count for the urgency, or every step gets slow
+
+
 class Robots(NamedTuple):
     """The robots, and memory for their decisions."""
 
@@ -429,6 +434,6 @@ def new_robots(instance: GridInstance, most_steps: int) -> Robots:
     return Robots(
         crew=crew,
         asked=np.empty((count, 18), dtype=np.int32),
-        counts=np.zeros(most_steps + sum(instance.shape) + 3, dtype=np.int32),
+        counts=np.zeros(min(most_steps, _MOST_AWAY) + sum(instance.shape) + 3, dtype=np.int32),
         random=np.zeros(1, dtype=np.int64),
     )

@@ -14,7 +14,7 @@ Neighbors = npt.NDArray[np.int32]
 where there is none."""
 
 STAY = 6  # The direction of a wait, after those of the six edges
-FAR = 1 << 20  # Stands for the length of a way where there is none
+FAR = 1 << 29  # Stands for the length of a way where there is none; no grid has so many vertices
 
 
 def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbors:

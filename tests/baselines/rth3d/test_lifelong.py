@@ -70,3 +70,26 @@ def test_the_sum_of_costs_falls_within_the_same_makespan(family):
 def test_an_unknown_objective_is_refused():
     with pytest.raises(ValueError, match="objective"):
         plan([[0, 0]], [[1, 0]], (2, 2), objective="makspan")  # type: ignore[arg-type]
+
+
+def test_a_detour_longer_than_the_grid_is_walked():
+    """Walls that leave one way, to and fro; three steps of it are planned."""
+    walls = np.zeros((9, 9, 1), dtype=bool)
+    for k, x in enumerate(range(1, 9, 2)):
+        walls[x] = True
+        walls[x, 8 if k % 2 == 0 else 0] = False
+    found = plan_lifelong([[0, 0, 0]], [[[8, 8, 0]]], (9, 9, 1), 3, walls)
+    assert found.paths[:, 0, 1].tolist() == [0, 1, 2, 3] and found.reached.tolist() == [0]
+
+
+@pytest.mark.slow
+def test_a_robot_that_collides_a_thousand_times_on_its_way_has_a_cost():
+    """Robots join a corridor one by one; costs in 32 bits overflowed."""
+    length, count = 1300, 12
+    walls = np.ones((length, count + 2, 1), dtype=bool)
+    walls[:, 0] = False
+    walls[1, : count + 1] = False
+    starts = [*([1, k + 1, 0] for k in range(count)), [0, 0, 0]]
+    goals = [[length - 1 - k, 0, 0] for k in range(count + 1)]
+    found = plan(starts, goals, walls.shape, walls, objective="sum_of_costs")
+    assert validate(found.paths, starts, goals, walls.shape, walls)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -126,3 +129,18 @@ def test_a_plan_is_read_as_it_was_written(tmp_path):
         GridPlan.load(tmp_path / "cut.npz")
     with pytest.raises(ValueError, match="suffix"):
         found.save(tmp_path / "plan.pkl")
+
+
+def test_a_byte_that_has_changed_is_refused_or_changes_no_move(tmp_path):
+    found = plan([[0, 0, 0], [2, 0, 0]], [[2, 0, 0], [0, 0, 0]], (3, 2, 1))
+    found.save(tmp_path / "plan.npz")
+    whole = (tmp_path / "plan.npz").read_bytes()
+    for place in range(len(whole)):
+        content = bytearray(whole)
+        content[place] ^= 1 + place % 255
+        (tmp_path / "changed.npz").write_bytes(content)
+        with suppress(ValueError):
+            assert np.array_equal(GridPlan.load(tmp_path / "changed.npz").moves, found.moves)
+    replace(found, set_bound=10**9).save(tmp_path / "changed.npz")
+    with pytest.raises(ValueError, match="its set_bound is 1000000000"):
+        GridPlan.load(tmp_path / "changed.npz")
