@@ -127,8 +127,8 @@ class GridPlan(GridInstance):
     method: str
     """What was asked for."""
     winner: str
-    """What the paths are by: of `auto`, "pibt", "rth3d-lba", "pibt, then rth3d-lba", "lacam",
-    "pibt halfway" or "negotiation"."""
+    """What the paths are by: of `auto`, "pibt", "rth3d-lba", "lacam", "pibt halfway" or
+    "negotiation"."""
     seed: int
     """Of the planner."""
     bound: int | None

@@ -62,7 +62,7 @@ from swarm_envs.errors import check_name
 @dataclass(frozen=True, eq=False)
 class _Solution:
     paths: Paths  # (T + 1, n) vertices of the given grid
-    method: str  # What found them: a method, or "pibt, then rth3d-lba"
+    method: str  # What found them, as `GridPlan.winner`
     # What the makespan could not exceed, whatever the labels; None without such a bound
     bound: int | None
     before_compaction: int | None = None  # Makespan of RTH3D's phases one after another
@@ -140,34 +140,9 @@ def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
-            "try another seed, or method='auto', which continues where pibt gives up"
+            "try another seed, or method='auto', which has other methods as well"
         )
     return _Solution(best, "pibt", None)
-
-
-def _finish_stalled(instance: GridInstance, search: PibtSearch, clock: PlanningClock) -> _Solution:
-    """Where PIBT has stalled, go on by RTH3D-LBA, and compact all of it."""
-    begin = search.reached
-    stalled = replace(instance, starts=points(search.pibt.paths[begin], instance.shape))
-    rest = _solve_rth3d_lba(stalled, 0, clock)
-    assert rest.bound is not None
-    whole = np.concatenate([search.pibt.paths[:begin], rest.paths])
-    with clock.phase("compaction of both") as record:
-        whole = compact(whole, int(np.prod(instance.shape)))
-        record(len(whole) - 1)
-    return _Solution(whole, "pibt, then rth3d-lba", begin + rest.bound)
-
-
-def _improve(
-    instance: GridInstance, search: PibtSearch, clock: PlanningClock, known: _Solution
-) -> _Solution:
-    """A shorter plan than the one that is known, by PIBT or from where it has stalled; or that."""
-    best = _search(search, clock, known.makespan)
-    if best is not None:
-        return _Solution(best, "pibt", None)
-    if search.reached + search.left >= known.makespan:
-        return known
-    return min(known, _finish_stalled(instance, search, clock), key=lambda found: found.makespan)
 
 
 def _shorten(
@@ -228,7 +203,7 @@ def _solve_lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _So
 
 
 def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """PIBT's first plan if none is shorter; else the best of RTH3D-LBA, PIBT, and one after other.
+    """PIBT's first plan if none is shorter; else the best of RTH3D-LBA and PIBT.
 
     Where the highways do not fit, the best of LaCAM* and PIBT. Then what `_shorten` finds.
     """
@@ -245,10 +220,11 @@ def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
         return _solve_off_highways(instance, seed, clock)
     if sure.makespan > instance.lower_bound:
         with suppress(PlanTimeout):
-            found = _improve(instance, search, clock, sure)
+            best = _search(search, clock, sure.makespan)
+            if best is not None:
+                found = _Solution(best, "pibt", None)
             found = _shorten(instance, seed, clock, found)
-    bounds = [b for b in (found.bound, sure.bound) if b is not None]
-    return replace(found, bound=min(bounds))
+    return replace(found, bound=sure.bound)
 
 
 def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
@@ -388,20 +364,17 @@ def plan(
 def _compile(method: str) -> None:
     """Plan small instances, so that compilation does not count against a time limit."""
     announce_compilation(follow_paths)
-    clock, names = (
-        PlanningClock(),
-        ("rth3d-lba", "pibt", "lacam") if method == "auto" else (method,),
-    )
+    clock = PlanningClock()
     for blocked in (False, True):
         walls = np.zeros((6, 6, 3), dtype=np.bool_)
         walls[2, 1, 0] = blocked
         free = np.argwhere(~walls)[:12].astype(np.int32)
         small = GridInstance((6, 6, 3), free, free[::-1].copy(), walls)
-        for name in names:
+        for name in ("rth3d-lba", "pibt", "lacam") if method == "auto" else (method,):
             with suppress(NoHighways, PlanNotFound):
-                found = METHODS[name](small, 0, clock)
-                negotiate(small, 0, clock, reduce_costs(small, 0, clock, found.paths).shape[0])
-                check_paths(found.paths, small)
+                paths = reduce_costs(small, 0, clock, METHODS[name](small, 0, clock).paths)
+                negotiate(small, 0, clock, len(paths) + 1)
+                check_paths(paths, small)
 
 
 def _reduce_costs(

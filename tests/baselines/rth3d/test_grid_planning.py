@@ -14,7 +14,6 @@ from swarm_envs.baselines.rth3d import (
     PlanNotFound,
     PlanTimeout,
     building_columns,
-    grid_planning,
     make_instance,
     max_density,
     pibt_search,
@@ -22,9 +21,7 @@ from swarm_envs.baselines.rth3d import (
     validate,
 )
 from swarm_envs.baselines.rth3d.compaction import compact
-from swarm_envs.baselines.rth3d.grid import GridInstance, points
-from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
-from swarm_envs.baselines.rth3d.pibt_search import PibtSearch
+from swarm_envs.baselines.rth3d.grid import GridInstance
 from swarm_envs.cli import main
 from tests.baselines.rth3d.cases import load_checker, random_instance
 
@@ -113,21 +110,6 @@ def test_the_ratio_falls_with_size(family, most, shapes):
             assert small.before_compaction < other.before_compaction
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] <= most
-
-
-def test_where_pibt_has_stalled_rth3d_goes_on():
-    instance = make_instance("mirror", (12, 6, 3), seed=0)
-    stalled = PibtSearch(instance, 0, PlanningClock())
-    stalled._advance(10, stalled.cap)
-    assert stalled.reached == 10
-    assert stalled.left > 0
-    whole = grid_planning._finish_stalled(instance, stalled, PlanningClock())
-    judged = validate(
-        points(whole.paths, instance.shape), instance.starts, instance.goals, instance.shape
-    )
-    assert judged.ok, judged
-    assert whole.bound is not None
-    assert instance.lower_bound <= whole.makespan <= whole.bound
 
 
 def test_pibt_alone_may_find_no_plan(monkeypatch):
