@@ -342,7 +342,7 @@ def entry_point(compiled: F, *arguments: object) -> F:
     if numba.config.DISABLE_JIT:
         return compiled
     dispatcher: Any = compiled
-    signature = tuple(numba.typeof(argument) for argument in arguments)
+    signature = tuple(map(_type_of, arguments))
     if signature in dispatcher.signatures:
         entry: F = dispatcher.compile(signature)  # which only looks it up
     else:
@@ -357,6 +357,21 @@ def entry_point(compiled: F, *arguments: object) -> F:
     if _bar is not None:
         _bar.update()
     return entry
+
+
+def _type_of(argument: object) -> Any:
+    """`numba.typeof`; that of arrays of records takes a millisecond, and is kept."""
+    if not isinstance(argument, np.ndarray):
+        return numba.typeof(argument)
+    flags = argument.flags
+    layout = flags.c_contiguous, flags.f_contiguous, flags.writeable, flags.aligned
+    kind = type(argument), argument.dtype, argument.ndim, layout
+    if kind not in _array_types:
+        _array_types[kind] = numba.typeof(argument)
+    return _array_types[kind]
+
+
+_array_types: dict[object, Any] = {}
 
 
 @contextmanager

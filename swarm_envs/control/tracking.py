@@ -52,6 +52,7 @@ class TrackingController:
             self._loop.settings[name] = value
         drones = self._loop.world.drones
         drones["nominal_motor_decay"] = np.exp(-drones["nominal_motor_rate"] * dt)
+        self.reset()
 
     def reset(self, mask: BoolArray | None = None) -> None:
         """Forget all that was, in the environments of the (E,) mask or in every one."""

@@ -161,7 +161,8 @@ class Physics:
         self.state: SwarmState = state_of(self.world.drones)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
         self._make_memory(threads)
-        self._place(hover_state(self.team, self._default_positions()), self._everywhere)
+        self._set_state(hover_state(self.team, self._default_positions()), self._everywhere)
+        self._ready = False  # the first reset or step makes it so: it loads a kernel
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():
@@ -296,16 +297,17 @@ class Physics:
             new.rotor_thrust[:] = self.world.drones["hover_thrust"][..., None]
         check_state(new, self.state)
         where = self._everywhere if mask is None else self._everywhere & mask
-        self._place(new, where)
+        self._set_state(new, where)
+        self.begin(np.flatnonzero(where), at_rest=False)
         return self.state
 
-    def _place(self, state: SwarmState, where: BoolArray) -> None:
+    def _set_state(self, state: SwarmState, where: BoolArray) -> None:
         for name, array in zip(state._fields, state, strict=True):
             self.world.drones[name][where] = array[where]
-        self.begin(np.flatnonzero(where), at_rest=False)
 
     def begin(self, where: IntArray, at_rest: bool = True) -> None:
         """Let environments (M,) restart: at rest at their starts, or as their state was set."""
+        self._ready = True
         self._begin(where, at_rest, *self._begun)
         clear_environments(self.world.environments, where)
         self.place_bodies(where)
@@ -358,6 +360,8 @@ class Physics:
             external_force = check_array(
                 "external_force", external_force, shape, "(E, N, 3), newton"
             )
+        if not self._ready:
+            self.reset()
         drones["commands"] = u
         if external_force is not None:
             drones["external"] = external_force

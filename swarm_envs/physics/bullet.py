@@ -175,6 +175,7 @@ class BulletPhysics(Physics):
         self.bodies: list[list[int]] = []
         self._finalizer = weakref.finalize(self, _disconnect, self._bullet, self.clients)
         super().__init__(*arguments, **options)
+        self.reset()
 
     def __enter__(self) -> BulletPhysics:
         """Use as a context that closes itself."""

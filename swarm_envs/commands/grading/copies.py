@@ -5,24 +5,24 @@ from __future__ import annotations
 import ast
 import hashlib
 import tokenize
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 import swarm_envs
-from swarm_envs.agents import Safety, SafetyFilter, load
+from swarm_envs.agents import Actions, Observations, Safety, SafetyFilter, load
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.agents.safety import ACTED
 from swarm_envs.commands.grading.messages import Array
 from swarm_envs.commands.grading.remote import WorkFailed, path_of
 from swarm_envs.envs.observation import Float32Array, ObservationField, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions import load as load_forces
 from swarm_envs.training.interaction_rows import InteractionRows
@@ -40,8 +40,6 @@ MOST_SOURCE = 1 << 20  # Bytes of a source; its syntax tree may take six hundred
 MOST_CONSTANTS = 2000  # Characters of all constants in a source that holds code, and no weights
 MOST_NAMES = 4000  # Characters of all different names in it
 _PACKAGE = Path(swarm_envs.__file__).parent
-Twins = dict[str, SwarmParallelEnv]
-"""Environments that shipped agents are made for, by their options: many share one."""
 
 
 def check_files(name: str) -> None:
@@ -116,41 +114,77 @@ def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]
     if not kept:
         return ""
     rows, acts = (np.stack(part) for part in zip(*kept, strict=True))
+    filtered = _filter_of(env)
     # Those of `swarm_envs.baselines` plan from the true state, and take half of a second to import.
     acting = (name for name, place in SHIPPED.items() if place.startswith("swarm_envs.agents."))
-    names = [name for name in acting if name not in _NOBODYS]
-    names += [name + FILTER for name in names]
-    twins: Twins = {}
-    for name in names:
+    for name in acting:
         try:
-            own = _shipped_acts(name, env, rows, twins)
+            own = [] if name in _NOBODYS else _shipped_acts(name, env, rows)
         except (ValueError, AttributeError):  # it flies no such episodes, or not by rows
             continue
         if any(_alike(one, acts) for one in own):
             return name
-    return f"an agent behind {_FILTER}" if _filtered(env, rows, acts) else ""
+        if filtered is not None and any(_alike(filtered(rows, one), acts) for one in own):
+            return name + FILTER
+    return f"an agent behind {_FILTER}" if _ends_at_filter(env, rows, acts) else ""
 
 
-def _filtered(env: SwarmParallelEnv, rows: Float32Array, acts: Array) -> bool:
-    """Whether actions lie exactly where a safety filter that ships ends to change them."""
+def _filter_of(
+    env: SwarmParallelEnv, room_m: float = 0.0
+) -> Callable[[Float32Array, Array], Array] | None:
+    """What a safety filter that ships makes of rows and actions; None where it filters none.
+
+    Args:
+        env: in which they were observed and asked for.
+        room_m: by how much further it keeps drones apart than usual, m.
+    """
     if env.core.mode.name != "acceleration":
-        return False
-    k, changed = env.core.config.num_neighbors, []
-    twin = SwarmParallelEnv(env.core.task, replace(env.core.config, observation="flat"))
+        return None
+    k = env.core.config.num_neighbors
+    given = _Given({"num_neighbors": k})
+    safety: Any = SafetyFilter(given, Safety(num_neighbors=k, margin_m=Safety.margin_m + room_m))
+    safety.reset(SwarmParallelEnv(env.core.task, replace(env.core.config, observation="flat")), 0)
+
+    def act(rows: Float32Array, asked: Array) -> Array:
+        given.asked = asked.astype(np.float32)
+        return np.asarray(safety.act_batch(rows), np.float64)
+
+    return act
+
+
+class _Given:
+    """An agent that asks for actions it was given."""
+
+    privileged = False
+    asked: Float32Array
+
+    def __init__(self, requires: Mapping[str, Any]) -> None:
+        self.requires = requires
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Nothing to prepare."""
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """The actions it was given."""
+        return dict(zip(observations, self.asked, strict=True))
+
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """The actions it was given."""
+        return self.asked
+
+
+def _ends_at_filter(env: SwarmParallelEnv, rows: Float32Array, acts: Array) -> bool:
+    """Whether actions lie exactly where a safety filter that ships ends to change them."""
+    changed = []
     for room_m in (0.0, 0.003):
-        given: Any = SimpleNamespace(requires={"num_neighbors": k}, privileged=False)
-        given.reset, given.act = (lambda env, seed: None), (lambda observations, view: {})
-        given.act_batch = lambda rows: acts.astype(np.float32)
-        safety = Safety(num_neighbors=k, margin_m=Safety.margin_m + room_m)
-        behind: Any = SafetyFilter(given, safety)
-        behind.reset(twin, 0)
-        changed.append(np.mean(np.abs(behind.act_batch(rows) - acts).max(axis=-1) > ACTED))
+        filtered = _filter_of(env, room_m)
+        if filtered is None:
+            return False
+        changed.append(np.mean(np.abs(filtered(rows, acts) - acts).max(axis=-1) > ACTED))
     return bool(20.0 * changed[0] < changed[1])
 
 
-def _shipped_acts(
-    name: str, env: SwarmParallelEnv, rows: Float32Array, twins: Twins
-) -> list[Array]:
+def _shipped_acts(name: str, env: SwarmParallelEnv, rows: Float32Array) -> list[Array]:
     """Actions of a shipped agent's policies; none if it is privileged, or acts otherwise."""
     agent: Any = _shipped(name)
     if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
@@ -159,9 +193,7 @@ def _shipped_acts(
     layouts = [observation_layout(*one.policy.note.form) for one in acting]
     if not acting:
         config = replace(env.core.config, **{**agent.requires, "num_obstacles": 0})
-        twin = twins.get(repr(config))
-        if twin is None:
-            twin = twins[repr(config)] = SwarmParallelEnv(env.core.task, config)
+        twin = SwarmParallelEnv(env.core.task, config)
         acting, layouts = [agent], [twin.observation_layout]
         agent.reset(twin, 0)
     return [
