@@ -405,7 +405,7 @@ class PolicyAgent:
         if task_family(task.name) not in note.families:
             raise ValueError(
                 f"this policy flies {' and '.join(sorted(note.families))}, but the environment's "
-                f"task is {task_family(task.name)}; train one for it by `swarm-envs train`"
+                f"task is {task_family(task.name)}; set the task (--task), or train another policy"
             )
         if not note.fewest <= env.core.num_drones <= note.drones:
             raise ValueError(

@@ -259,7 +259,7 @@ _COLUMNS = {
     "time_to_goal_s": "time to goal, s",
     "worst_height_error_m": "worst height error, m",
     "throughput_per_min": "goals per minute",
-    "share_on_goal": "time on goal",
+    "share_on_goal": "share on goal",
     "gates_per_min": "gates per minute",
     "energy_j": "energy, J",
 }

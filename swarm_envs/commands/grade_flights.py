@@ -54,7 +54,7 @@ def grade_agent(
     check_options_agree(agent, given)
     env = make(task, **{**given, **agent.requires})
     try:
-        episodes = [*evaluate_agent(env, agent, seeds, timed=0)]
+        episodes = [*evaluate_agent(env, agent, seeds, timed=1)]  # no mark is for speed
         scores = score_episodes(episodes)
         failed = [e["seed"] for e in episodes if not e["metrics"]["success"]]
         if shown is not None and failed:
