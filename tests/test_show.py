@@ -19,8 +19,14 @@ from swarm_envs.shows.flying import fly_show
 from swarm_envs.shows.formations import Formation, Room, formation_of, formations_of
 from swarm_envs.shows.night import film_lights
 from swarm_envs.shows.outlines import NAMES, spelled
-from swarm_envs.shows.planning import Show, plan_show
-from swarm_envs.shows.skybrush import TAKEOFF_S, light_program, trajectory_points, write_skyc
+from swarm_envs.shows.planning import (
+    TAKEOFF_S,
+    Show,
+    light_program,
+    plan_show,
+    trajectory_points,
+    write_skyc,
+)
 from swarm_envs.shows.transitions import Pace, assigned, labelled
 
 ROOM, PACE = Room(), Pace()

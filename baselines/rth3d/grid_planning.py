@@ -356,7 +356,11 @@ def plan(
     else:
         solution, bound = _without_labels(instance, method, seed, clock)
     if objective == "sum_of_costs" and clock.remaining > 0:
-        solution = _reduce_costs(instance, seed, clock, solution)
+        with clock.phase("sum of costs") as record:
+            ends = replace(instance, goals=points(solution.paths[-1], instance.shape))
+            paths = reduce_costs(ends, seed, clock, solution.paths)
+            record(len(paths) - 1)
+        solution = replace(solution, paths=paths)
     return _result(instance, solution, method, seed, clock, bound)
 
 
@@ -375,16 +379,6 @@ def _compile(method: str) -> None:
                 paths = reduce_costs(small, 0, clock, METHODS[name](small, 0, clock).paths)
                 negotiate(small, 0, clock, len(paths) + 1)
                 check_paths(paths, small)
-
-
-def _reduce_costs(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
-) -> _Solution:
-    with clock.phase("sum of costs") as record:
-        ends = replace(instance, goals=points(known.paths[-1], instance.shape))
-        paths = reduce_costs(ends, seed, clock, known.paths)
-        record(len(paths) - 1)
-    return replace(known, paths=paths)
 
 
 def _result(

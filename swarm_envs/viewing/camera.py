@@ -127,7 +127,8 @@ class _Backdrop:
         self._floor = np.full((*slope.shape, 2), np.inf)
         """Point (x, y) of the floor behind each pixel, m; infinite where there is sky."""
         self._floor[seen] = lens.eye[:2] + rays[seen][:, :2] * reach[seen][:, None]
-        picture = _sky(slope)
+        height = np.clip(slope / _STEEPEST_SKY, 0.0, 1.0)[..., None]
+        picture = _HORIZON + height * (_ZENITH - _HORIZON)
         picture[seen] = _floor(self._floor[seen], _footprint(lens, rays, reach)[seen], reach[seen])
         self._picture = np.rint(picture).astype(np.uint8)
 
@@ -153,11 +154,6 @@ class _Backdrop:
             away = np.hypot(*np.moveaxis(self._floor[rows, columns] - foot[:2], -1, 0)) / radius
             shade = _SHADOW * np.square(np.maximum(1.0 - np.square(away), 0.0))
             patch[:] = patch * (1.0 - shade[..., None])
-
-
-def _sky(slope: FloatArray) -> FloatArray:
-    height = np.clip(slope / _STEEPEST_SKY, 0.0, 1.0)[..., None]
-    return _HORIZON + height * (_ZENITH - _HORIZON)
 
 
 def _footprint(lens: Lens, rays: FloatArray, reach: FloatArray) -> FloatArray:

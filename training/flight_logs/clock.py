@@ -126,21 +126,17 @@ def interaction_force_g(flight: ClockedFlight, smoothing_s: float) -> FloatArray
     settling = int(np.ceil(SETTLED / slowest * flight.rate_hz))
     for piece in pieces(flight.known & flight.running):
         if piece.stop - piece.start > settling + 5:
-            force[piece] = _piece(flight, piece, smoothing_s)
+            force[piece] = force_from_motion(
+                flight.velocity[piece],
+                None if flight.acceleration is None else flight.acceleration[piece],
+                flight.quaternion[piece],
+                commanded_thrust(flight.pwm[piece], flight.voltage[piece], flight.team),
+                flight.team,
+                flight.rate_hz,
+                smoothing_s,
+            )
             force[piece.start : piece.start + settling] = np.nan
     return force
-
-
-def _piece(flight: ClockedFlight, piece: slice, smoothing_s: float) -> FloatArray:
-    return force_from_motion(
-        flight.velocity[piece],
-        None if flight.acceleration is None else flight.acceleration[piece],
-        flight.quaternion[piece],
-        commanded_thrust(flight.pwm[piece], flight.voltage[piece], flight.team),
-        flight.team,
-        flight.rate_hz,
-        smoothing_s,
-    )
 
 
 LOWEST_M = {"S": 0.07, "L": 0.085}

@@ -23,7 +23,6 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.ring import RingTask
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection.flight import vehicle_names
-from swarm_envs.training.reproduce.paired_flight_claims import ring_claims, swap_claims
 from swarm_envs.training.reproduce.paired_flight_plots import plot_rings, plot_swaps
 from swarm_envs.training.reproduce.paired_flights import (
     SIDES,
@@ -35,7 +34,9 @@ from swarm_envs.training.reproduce.paired_flights import (
     fly_or_read,
     judged_cm,
     ring_case,
+    ring_claims,
     swap_case,
+    swap_claims,
 )
 from swarm_envs.training.reproduce.study import Cells, Report, Study, draw_seeds
 

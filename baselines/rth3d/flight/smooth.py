@@ -113,7 +113,8 @@ def planes_to_boxes(
     Where a robot is closer now, it keeps what it has. `travel` as for `planes_between`.
     """
     points = bezier_points(flight)
-    parts = [_no_planes()]
+    nothing = np.empty(0, dtype=np.int64)
+    parts = [_Planes(nothing, nothing, np.empty((0, 3)), np.empty((0, 4)))]
     for low, high in boxes:
         gaps = np.concatenate([low - points.max(axis=2), points.min(axis=2) - high], axis=-1)
         face = gaps.argmax(axis=-1)
@@ -125,11 +126,6 @@ def planes_to_boxes(
         keep = surface + np.minimum(distance, best[step, robot])
         parts.append(_Planes(robot, step, normal, np.repeat(keep[:, None], 4, axis=1)))
     return _join(parts)
-
-
-def _no_planes() -> _Planes:
-    nothing = np.empty(0, dtype=np.int64)
-    return _Planes(nothing, nothing, np.empty((0, 3)), np.empty((0, 4)))
 
 
 def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:

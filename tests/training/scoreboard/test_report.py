@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs.training.scoreboard import charts, report
+from swarm_envs.training.scoreboard import report
 from swarm_envs.training.scoreboard.board import Metric, read
-from swarm_envs.training.scoreboard.charts import palette
 from swarm_envs.training.scoreboard.markup import format_interval, format_value, html, tag
+from swarm_envs.training.scoreboard.report import palette
 from swarm_envs.training.scoreboard.tables import goodness
 from tests.helpers.browsers import PageReader
 from tests.helpers.scoreboards import AGENTS, EVIL, scores, write_scores
@@ -59,7 +59,7 @@ def test_what_is_no_scoreboard_is_refused(tmp_path):
             read(tmp_path)
 
 
-WIDTH, HEIGHT = charts.WIDTH, charts.HEIGHT
+WIDTH, HEIGHT = report.WIDTH, report.HEIGHT
 
 
 @pytest.fixture(scope="module")
@@ -177,8 +177,8 @@ def test_leaderboards_have_the_best_first_and_its_colours_are_the_best_s(folder)
 def test_lines_of_a_profile_are_its_numbers(folder):
     """Read back from the drawing: the frame's ends are the scales' ends."""
     board = read(folder)
-    drawn = charts.profile_chart(board, palette(board), "ring")
-    left, bottom, width, height = np.array(charts.FRAME) * (WIDTH, HEIGHT, WIDTH, HEIGHT)
+    drawn = report.profile_chart(board, palette(board), "ring")
+    left, bottom, width, height = np.array(report.FRAME) * (WIDTH, HEIGHT, WIDTH, HEIGHT)
     lines = [group for group in drawn.iter("g") if group.get("class", "").startswith("line ")]
     assert {group.get("data-agent") for group in lines} == set(board.profiles["ring"]["agents"])
     for group in lines:
