@@ -16,9 +16,8 @@ from swarm_envs.cli import main
 from swarm_envs.shows.choreography import Choreography, least_distance
 from swarm_envs.shows.drawing import path_lines, read_drawing
 from swarm_envs.shows.flying import fly_show
-from swarm_envs.shows.formations import Formation, Room, formation_of, formations_of
+from swarm_envs.shows.formations import NAMES, Formation, Room, formation_of, formations_of, spelled
 from swarm_envs.shows.night import film_lights
-from swarm_envs.shows.outlines import NAMES, spelled
 from swarm_envs.shows.planning import (
     TAKEOFF_S,
     Show,

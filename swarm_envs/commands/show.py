@@ -121,8 +121,7 @@ def run_show(options: ShowOptions) -> None:
 
 
 def _plan(options: ShowOptions) -> tuple[Show, dict[str, Any]]:
-    from swarm_envs.shows.formations import Room, formations_of
-    from swarm_envs.shows.outlines import spelled
+    from swarm_envs.shows.formations import Room, formations_of, spelled
     from swarm_envs.shows.planning import plan_show
     from swarm_envs.shows.transitions import Pace
 
