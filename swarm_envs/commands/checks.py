@@ -93,11 +93,11 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
     return files
 
 
-def check_outputs(out: Path, json: Path | None) -> None:
+def check_outputs(out: Path, json: Path | None, suffixes: tuple[str, ...] = ()) -> None:
     """Refuse an `--out` that is no folder to write into, or a `--json` that is no such file."""
     check_folder("--out", out)
     if json is not None:
-        check_file("--json", json)
+        check_file("--json", json, suffixes)
 
 
 def need_file(option: str, file: Path, what: str) -> None:

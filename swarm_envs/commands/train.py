@@ -29,9 +29,8 @@ from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import (
     Misuse,
     as_misuse,
-    check_file,
-    check_folder,
     check_inputs,
+    check_outputs,
     command_options,
     need_torch,
 )
@@ -45,9 +44,7 @@ from swarm_envs.training.scale_out.options import ScaleOptions
 
 def check_training(config: RlConfig) -> str:
     """The versioned name of the task, if the options make a run."""
-    check_folder("--out", config.out)
-    if config.json is not None:
-        check_file("--json", config.json, (".json",))
+    check_outputs(config.out, config.json, (".json",))
     from swarm_envs.training.rl.recipes import with_recipe
 
     with as_misuse():
@@ -234,9 +231,7 @@ def check_marker(path: Path, digest: str) -> None:
 def run_sweep(options: SweepOptions) -> int:
     """Train all, print and write; return how many runs failed."""
     need_torch()
-    check_folder("--out", options.out)
-    if options.json is not None:
-        check_file("--json", options.json, (".json",))
+    check_outputs(options.out, options.json, (".json",))
     runs = {name: _arguments(options, *name) for name in _names(options)}
     for arguments in runs.values():
         check_training(parse(arguments))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import theorem
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import fly, format_columns, swap_test
@@ -28,7 +29,7 @@ from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.lag_study import TEAM, TRUTH
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
 from swarm_envs.viewing.style import GREY, INK, picture
 
@@ -171,7 +172,7 @@ def _measure_belief(seed: int, flights: int) -> Cell:
     """What the bounds say of the belief that ships, and what is flown: L2S, default gains."""
     controller = ControllerConfig(feedforward=load_belief())
     test = replace(swap_test(TEAM, truth=TRUTH), decision_rate=PHYSICS_RATE)
-    flown = fly(test, controller, draw_seeds(seed, flights))
+    flown = fly(test, controller, frozen_seeds(seed, flights))
     error = (flown.force - flown.believed)[:, 1:, -1]
     size = float(np.linalg.norm(error, axis=-1).max())
     rate = float(np.linalg.norm(np.diff(error, axis=1), axis=-1).max() / TIME_STEP)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.evaluation import bootstrap_interval
+from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     FlightTest,
@@ -31,7 +31,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, error_cell
 from swarm_envs.viewing.style import picture
 
 TEAM, RING = "L2S", "ring of 5"
@@ -115,7 +115,7 @@ def _rows(options: Any) -> Iterator[tuple[str, str, str, _Side]]:
 
 def _grid(options: Any) -> Cells:
     """The same flights in every world by every controller."""
-    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    seeds = frozen_seeds(options.seed, options.episodes or _EPISODES)
     engine, worlds = options.engine or default_engine(), hall_worlds()
     return {
         f"{motion}, {truth}, {world}, {side.name}": partial(

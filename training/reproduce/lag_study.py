@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm.flights import default_engine, fly, format_columns, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.interactions import load
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, error_cell
 from swarm_envs.viewing.style import picture
 
 TRUTH = "learned"  # The force model of the environment, and what the oracle feeds forward
@@ -48,7 +49,7 @@ def _settings(options: Any) -> dict[str, Any]:
 
 def _grid(options: Any) -> Cells:
     """The same swaps by every variant."""
-    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    seeds = frozen_seeds(options.seed, options.episodes or _EPISODES)
     engine = options.engine or default_engine()
     return {_name(*v): partial(_measure, *v, seeds, engine) for v in LAG_VARIANTS}
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     PAPER_SWAP,
@@ -30,7 +31,7 @@ from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
-from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds, error_cell
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, error_cell
 from swarm_envs.vehicles import GRAVITY, SMALL, parse_team
 from swarm_envs.viewing.style import GREY, picture
 
@@ -164,7 +165,7 @@ def _settings(options: Any) -> dict[str, Any]:
 
 def _grid(options: Any) -> Cells:
     """Every point of every sweep; points of the same name are the same flights."""
-    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    seeds = frozen_seeds(options.seed, options.episodes or _EPISODES)
     points = [p for sweep in all_sweeps() for p in sweep.points]
     return {p.cell: partial(_measure, p, seeds) for p in points}
 

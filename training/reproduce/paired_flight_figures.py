@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     default_engine,
@@ -38,7 +39,7 @@ from swarm_envs.training.reproduce.paired_flights import (
     swap_case,
     swap_claims,
 )
-from swarm_envs.training.reproduce.study import Cells, Report, Study, draw_seeds
+from swarm_envs.training.reproduce.study import Cells, Report, Study
 
 _TRUTHS = ("learned", "wake")
 """The forces that are flown in if none is named: those for which a belief ships."""
@@ -91,7 +92,7 @@ def _cases(options: Any) -> dict[Air, list[FlightCase]]:
 
 def _grid(options: Any) -> Cells:
     """Every case in every air, each kept in a file of its own."""
-    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    seeds = frozen_seeds(options.seed, options.episodes or _EPISODES)
     jobs = {}
     for air, cases in _cases(options).items():
         belief = _belief(options, air.truth)
@@ -116,7 +117,7 @@ def _report(options: Any, cells: Mapping[str, PairedFlights]) -> Report:
         "engine": first.engine,
         "seed": options.seed,
         "episodes": episodes,
-        "seeds": draw_seeds(options.seed, episodes),
+        "seeds": frozen_seeds(options.seed, episodes),
         "layout": repr(layout),
         "versions": versions(),
         "truths": airs,

@@ -241,11 +241,6 @@ def _read_cells(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
     return cells
 
 
-def draw_seeds(seed: int, count: int) -> list[int]:
-    """Seeds of so many flights, drawn from one."""
-    return [int(s) for s in np.random.SeedSequence(seed).generate_state(count)]
-
-
 def error_cell(worst_m: FloatArray, crashed: BoolArray) -> Cell:
     """The cell of flights by their worst height errors (E,), m, and which of them crashed (E,)."""
     return {"worst_cm": np.round(100.0 * worst_m, 4).tolist(), "crashed": int(crashed.sum())}
