@@ -62,9 +62,6 @@ def test_pairs_are_compared_as_by_hand():
 
 def test_what_is_no_difference_is_none():
     assert signed_rank_p(np.zeros(5)) == 1.0
-    for wrong in (np.ones(3), np.ones((2, 2)), np.ones(0)):
-        with pytest.raises(ValueError, match="are no pairs"):
-            compare_paired(wrong, np.ones(0) if wrong.ndim == 1 else wrong)
 
 
 def test_the_cases_are_those_of_the_paper():
