@@ -26,12 +26,10 @@ from swarm_envs.training.collection.collect import (
     make_motion,
     read_batch,
 )
-from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
+from swarm_envs.training.collection.flight import fly_motion
 from swarm_envs.training.collection.log import (
     LOG_RATE,
     FlightLog,
-    derivative,
-    hann_average,
     lagged_thrust,
     resampled,
     rotate,
@@ -82,31 +80,12 @@ def test_noisy_labels_are_unbiased_and_smoothing_calms_them():
     assert (calm < rough / 5).all()
 
 
-def test_derivative_and_smoothing_of_polynomials():
-    t = np.arange(60, dtype=np.float64) * 0.01
-    value = derivative(3.0 * t**4 - t, 0.01)
-    assert np.isnan(value[[0, 1, -2, -1]]).all()
-    np.testing.assert_allclose(value[2:-2], (12.0 * t**3 - 1.0)[2:-2], atol=1e-9)
-    calm = hann_average(t, 13)
-    np.testing.assert_allclose(calm[6:-6], t[6:-6])
-    assert np.isnan(calm[:6]).all() and np.isnan(calm[-6:]).all()
-
-
 def test_a_flight_shorter_than_the_window_has_no_known_label():
     for count in range(20):
         log = FlightLog(*(np.ones((count, 1, width)) for width in (3, 3, 4, 3, 3, 4)))
         force = interaction_force(log, (SMALL,))
         assert force.shape == (count, 1, 3)
         assert np.isfinite(force[:, 0, 2]).sum() == max(0, count - 4 - 12)
-
-
-def test_thrust_follows_a_step_of_the_command_with_the_motors_rate():
-    count = 120
-    commands = np.full((count, 1, 4), 0.15)
-    thrust = lagged_thrust(commands, (LARGE,), 1 / LOG_RATE)[:, 0]
-    hover = 4 * LARGE.hover_rotor_thrust
-    time = np.arange(count) / LOG_RATE
-    np.testing.assert_allclose(thrust, 0.6 + (hover - 0.6) * np.exp(-16.0 * time))
 
 
 def test_repulsion_is_the_slope_of_its_potential():
@@ -522,12 +501,6 @@ def test_drift_of_thrust_differs_between_flights():
     thrust = errors.draw(parse_team("SS"), 0, rngs).thrust_factor
     assert np.std(thrust) == pytest.approx(0.02, rel=0.1)
     assert (errors.draw(parse_team("SS"), 0, rngs).mass_factor == 1.0).all()
-
-
-def test_teams_are_put_together_from_one_fleet():
-    assert vehicle_names(parse_team("SSLS*")) == ("S1", "S2", "L1", "S*1")
-    assert vehicle_ids(parse_team("SSL")) == (1, 2, 101)
-    assert len(set(vehicle_ids(parse_team("SSSLLLS*S*")))) == 8
 
 
 def test_a_pilot_that_knows_the_force_flies_closer_to_its_set_point():

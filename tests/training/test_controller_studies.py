@@ -102,14 +102,6 @@ def test_a_growing_error_comes_as_close_as_one_waits(name):
     assert (found[1000:] > 0.98 * bound[1000:]).all()
 
 
-def test_half_the_gain_leaves_the_ball_of_the_whole():
-    """The bound holds for its own gains alone: with a weaker integral the same error leaves it."""
-    planted = growing_error(round(20.0 / DT), RATE)
-    weaker = PositionGains(MID.position, MID.velocity, 0.5 * MID.integral)
-    found = norms(fly_point_mass(SMALL, without_clamp(ControllerConfig(weaker)), planted, DT))
-    assert found[-1] > 1.8 * error_ball(MID, SMALL.mass, RATE).radius
-
-
 def test_the_envelope_solves_the_equations_of_the_proof():
     mass, push = 0.034, 0.02
 

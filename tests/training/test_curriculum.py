@@ -1,4 +1,4 @@
-"""The curriculum: how close the next round may plan, what is measured, resumption, its numbers."""
+"""The curriculum: next rounds, what is measured, resumption; explained variance of its beliefs."""
 
 import dataclasses
 import json
@@ -9,7 +9,7 @@ import pytest
 
 from swarm_envs.cli import main
 from swarm_envs.files import write_json
-from swarm_envs.interactions import load
+from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.collect import FlightBatch
 from swarm_envs.training.collection.log import FlightLog
 from swarm_envs.training.collection.table import CollectedFlight as Flight
@@ -33,8 +33,13 @@ from swarm_envs.training.curriculum.run import (
     next_clearance,
     run_curriculum,
 )
+from swarm_envs.training.force_model.explained import (
+    explained_variance,
+    generalisation,
+    random_states,
+)
 from swarm_envs.training.provenance import json_ready
-from swarm_envs.vehicles import SMALL
+from swarm_envs.vehicles import SMALL, parse_team
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
 TINY = CurriculumConfig(
@@ -261,3 +266,54 @@ def test_the_curriculum_explains_the_true_force(tmp_path):
     first, second, *_, last = report["rounds"]
     assert second["closeness"].gap_error_m < 0.8 * first["closeness"].gap_error_m
     assert last["clearance_m"] < 0.6 * first["clearance_m"]
+
+
+def scaled(factor: float) -> InteractionModel:
+    """The shipped wake with every force times `factor`: jets, ground effect and drag."""
+    wake = load("wake")
+    pair, ground = wake.field.wake_pair.copy(), wake.field.wake_ground.copy()
+    pair[..., 0] *= factor
+    ground[:, 0] *= factor
+    field = wake.field._replace(wake_pair=pair, wake_ground=ground, drag=factor * wake.field.drag)
+    return InteractionModel("scaled", wake.types, field)
+
+
+def test_the_truth_explains_itself_and_nothing_explains_less_than_nothing():
+    position, velocity = random_states("SSL", 50, np.random.default_rng(0))
+    wake = load("wake")
+    assert explained_variance(wake, wake, position, velocity, "SSL") == 1.0
+    force = wake.forces(position, velocity, "SSL")[..., 2]
+    expected = 1.0 - np.mean(force**2) / force.var()
+    got = explained_variance(load("none"), wake, position, velocity, "SSL")
+    assert got == pytest.approx(expected) and got < 0.0
+
+
+def test_generalisation_says_each_team():
+    teams = ("SS", "SSSSS", "S" * 16)
+    found = generalisation(scaled(0.9), load("wake"), teams, seed=3, states=30)
+    assert [e["drones"] for e in found] == [2, 5, 16]
+    near = [e["mean_neighbours"] for e in found]
+    assert near[0] < near[1] < near[2]
+    for e in found:
+        assert e["rms_error_g"] == pytest.approx(0.1 * e["rms_force_g"])
+        assert 0.9 < e["explained"] < 1.0
+    assert found[1:] == generalisation(scaled(0.9), load("wake"), teams[1:], seed=3, states=30)
+
+
+def test_random_states_are_close_but_do_not_touch():
+    team = "SSLS*"
+    position, velocity = random_states(team, 200, np.random.default_rng(2))
+    radius = np.array([vehicle.radius for vehicle in parse_team(team)])
+    apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
+    apart[:, range(4), range(4)] = np.inf
+    assert (apart > radius[:, None] + radius).all()
+    assert (apart.min(axis=(1, 2)) < 0.7).all()
+    lowest = position[..., 2].min(axis=1)
+    assert lowest.min() >= 0.3 and lowest.max() <= 0.8
+    assert np.quantile(np.linalg.norm(velocity, axis=-1), 0.99) < 1.0
+
+
+def test_a_truth_that_never_blows_is_refused():
+    position, velocity = random_states("SS", 5, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="must vary; give states"):
+        explained_variance(load("wake"), load("none"), position, velocity, "SS")

@@ -22,7 +22,7 @@ from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.training.rl import teachers
 from swarm_envs.training.rl.dagger import DaggerLearner
-from swarm_envs.training.rl.labels import Teacher, neighbor_columns, teacher_of
+from swarm_envs.training.rl.labels import Teacher, teacher_of
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
 from swarm_envs.training.rl.run import policy_note
@@ -173,11 +173,6 @@ def test_an_agent_may_label_all_environments_at_once():
     core, blueprint = core_of("swap_v1", num_drones=3, action="velocity")
     labels, _ = Teacher(f"{__file__}:Core", blueprint).labels(core, 1.0)
     assert np.array_equal(labels, np.tile([0.0, 0.0, 1.0], (3, 3, 1)))
-
-
-def test_neighbours_stand_together():
-    where = neighbor_columns(2, 1, True, False)
-    assert where.stop - where.start == 2 * 16
 
 
 def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered():

@@ -17,7 +17,6 @@ from torch.distributions import Normal, kl_divergence
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
-from swarm_envs.agents.features import FEATURE_SETS, TYPED
 from swarm_envs.agents.networks import ANY, Network, to_tensors
 from swarm_envs.agents.policy import Policy, PolicyAgent, read_policy, write_policy
 from swarm_envs.training.rl.learner import make_learner
@@ -208,14 +207,6 @@ def test_two_types_learn_apart():
     policy.get_distribution(values[large]).mode().square().sum().backward()
     optimiser.step()
     assert torch.equal(policy.get_distribution(values[~large]).mode(), small_before)
-
-
-def test_types_are_one_hot_in_order():
-    learner = make(team=("SL",), num_neighbors=1)
-    sizes, rows = FEATURE_SETS[TYPED].sizes(1), rows_of(learner)
-    own, around = sizes.split(learner.env.observe(rows))
-    assert own[:2, sizes.own_type :].tolist() == [[1, 0, 0], [0, 1, 0]]
-    assert around[:2, 0, sizes.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
 
 
 def test_types_that_are_not_there_are_refused():

@@ -126,14 +126,6 @@ def test_planted_wake_is_recovered():
     assert np.mean(residual**2) > 0.01  # the wrong velocity does not explain the rows
 
 
-def test_two_equal_wakes_push_less_than_their_sum():
-    above, kind = np.tile([0.0, 0.0, 0.3, 0.0, 0.0, 0.0], (2, 2, 1)), np.array([[0, 0], [0, -1]])
-    rows = make_rows(2, position=np.tile([0, 0, 20.0], (2, 1)), neighbor=above, neighbor_type=kind)
-    two, one = wake_force_g(TRUTH, wake_rows(rows, "neighbor"))
-    assert one < -1.0
-    assert two / (2 * one) == pytest.approx(2 ** (1 / 1.4 - 1), rel=1e-6)
-
-
 def test_network_learns_the_planted_wake_and_keeps_its_clip():
     rows = planted_rows(12_000)
     config = TrainConfig(steps=700, batch_size=512, slope_limit=None, position_jitter_m=0.0)

@@ -74,16 +74,6 @@ def test_quadrotors_fly_a_plan_in_still_air(plans):
     assert np.linalg.norm(reached, axis=1).max() < 0.02
 
 
-def test_in_the_planners_own_air_the_plant_and_the_plan_agree(plans):
-    """The unaware plan in still air, and the aware one in the air that it knows."""
-    team = plans["aware"].team
-    still = track_plan(plans["unaware"].trajectories, team, load("none"))
-    assert still.error.max() < 1e-6
-    known = track_plan(plans["aware"].trajectories, team, SETTINGS.model)
-    lost = track_plan(plans["aware"].trajectories, team, load("none"))
-    assert known.error.max() < 0.3 * lost.error.max()
-
-
 def test_plans_are_kept_and_those_of_others_refused(plans, tmp_path):
     path, swap = tmp_path / "plan.npz", draw_swap("SL", 1)
     plans["aware"].save(path)

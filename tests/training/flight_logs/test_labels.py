@@ -1,4 +1,4 @@
-"""Rows of logs against the truth: forces that acted, planted errors of mass and thrust."""
+"""Rows of logs: against the truth, which entries become rows, and which rows are held out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from swarm_envs.training.collection.table import DroneRows
 from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
+from swarm_envs.training.flight_logs.clock import filtered
+from swarm_envs.training.flight_logs.log_options import held_out_blocks, is_guarded, is_held_out
 from swarm_envs.training.flight_table import from_columns
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
@@ -31,19 +34,6 @@ def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_ta
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.05
     assert np.abs(error).max() < 0.5
     assert np.abs(error.mean(axis=0)).max() < 0.01
-
-
-def test_every_entry_is_a_row_or_has_a_reason(flown, as_table, tmp_path):
-    write_table(tmp_path / "flight.csv", as_table(flown("SL"), "SL"))
-    rows, report = read_logs(
-        tmp_path / "flight.csv", LogOptions(min_scenario_rows=1, min_quiet_rows=0)
-    )
-    (file,) = report.files
-    assert file.rows == len(rows) == report.rows
-    assert file.rows + sum(file.dropped.values()) == file.entries
-    assert file.rate_hz == 100.0
-    assert file.dropped["guard gap"] > 0
-    assert set(rows.scenario_names) == {"S2L", "L2S"}
 
 
 def test_planted_mass_is_recovered_from_lone_flight(flown, as_table, tmp_path):
@@ -94,6 +84,7 @@ def test_gaps_and_standing_motors_give_no_rows(flown, as_table, tmp_path):
     write_table(tmp_path / "a.csv", from_columns(columns))
     rows, report = read_logs(tmp_path / "a.csv", EXACT)
     flown_at = rows.step / 100.0
+    assert report.files[0].rate_hz == 100.0
     assert report.files[0].gap_seconds == pytest.approx(0.5, abs=0.02)
     assert not ((flown_at > 3.01) & (flown_at < 3.5 + 0.3)).any()
     assert flown_at.min() >= 0.3 and flown_at.max() <= 6.01
@@ -132,3 +123,69 @@ def test_a_vehicle_that_never_flew_quietly_is_left_out_and_named(flown, as_table
     assert any("fast: calibration offset unknown" in line for line in report.lines())
     every, _ = read_logs(tmp_path, LogOptions(min_quiet_rows=0))
     assert len(set(every.vehicle)) == 2
+
+
+def rows_of(height, force_z_g, shift):
+    count = len(height)
+    zeros = np.zeros((count, 3))
+    up = np.array([0.0, 0.0, 1.0])
+    neighbor = np.zeros((count, 1, 6))
+    neighbor[:, 0, :3] = shift
+    return DroneRows(
+        name="cf0",
+        ego_type=0,
+        scenario="S2S",
+        step=np.arange(count),
+        position=np.outer(height, up),
+        velocity=zeros,
+        neighbor=neighbor,
+        neighbor_type=np.zeros((count, 1), dtype=np.int64),
+        force_g=np.outer(force_z_g, up),
+        dropped={},
+    )
+
+
+def test_the_authors_filter():
+    near, nan = (0.0, 0.0, 0.3), np.nan
+    cases = [  # height, force, shift, reason
+        (1.0, -5.0, near, None),
+        (1.0, -5.0, (0.35, -0.35, 1.1), None),
+        (1.0, -5.0, (0.36, 0.0, 0.3), "no neighbour in the volume"),
+        (1.0, -5.0, (0.0, 0.0, -1.2), "no neighbour in the volume"),
+        (0.07, -5.0, near, "too low"),
+        (0.071, -5.0, near, None),
+        (1.0, -50.1, near, "force over 50 g"),
+        (0.2, 50.1, near, "force over 50 g"),
+        (1.0, 35.1, near, "upward force over 35 g aloft"),
+        (0.25, 35.1, near, None),
+        (1.0, -49.9, near, None),
+        (1.0, nan, near, "force unknown"),
+    ]
+    heights, forces, shifts, reasons = zip(*cases, strict=True)
+    kept = filtered(rows_of(heights, forces, shifts), 0.07)
+    assert kept.step.tolist() == [k for k, reason in enumerate(reasons) if reason is None]
+    for reason in set(reasons) - {None}:
+        assert kept.dropped[reason] == reasons.count(reason)
+
+
+@pytest.mark.parametrize("lengths", [[1], [2, 1], [5, 5, 5, 5], [3] * 40])
+def test_one_in_five_blocks_is_held_out(lengths):
+    chosen = held_out_blocks(lengths, 0.2, seed=0)
+    assert [len(blocks) for blocks in chosen] == lengths
+    count = int(np.concatenate(chosen).sum())
+    assert (count >= 1) == (sum(lengths) > 1)
+    assert abs(count - sum(lengths) / 5) < 1
+    again = held_out_blocks(lengths, 0.2, seed=0)
+    assert all((a == b).all() for a, b in zip(chosen, again, strict=True))
+
+
+def test_the_guard_keeps_training_away_from_held_out_blocks():
+    options = LogOptions(block_s=5.0, guard_s=0.5)
+    blocks = np.array([False, True, False])
+    time = np.arange(0.0, 15.0, 0.01)
+    held_out, guarded = is_held_out(time, blocks, options), is_guarded(time, blocks, options)
+    assert (time[held_out] >= 5.0).all() and (time[held_out] < 10.0).all()
+    assert not (held_out & guarded).any()
+    training = time[~held_out & ~guarded]
+    assert np.abs(training[:, None] - time[held_out][None]).min() >= 0.5
+    assert len(training) == pytest.approx(900, abs=3)
