@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,28 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no measured data beside the checkout (../shared)")
     return folder
+
+
+@pytest.fixture
+def refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., str]:
+    """Calls the command line, which must end with one of these codes; what it said, in one line."""
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def say(*words: object, codes: tuple[int, ...] = (2,)) -> str:
+        from swarm_envs.cli import main
+
+        ended: object
+        try:
+            ended = main([*map(str, words)])
+        except SystemExit as end:  # as tyro refuses
+            ended = end.code
+        assert ended in codes
+        said = capsys.readouterr()
+        return " ".join((said.err + said.out).replace("│", " ").split())
+
+    return say
 
 
 @pytest.fixture(params=["batch", "bullet"])

@@ -1,11 +1,13 @@
-"""The rules of the house beside ruff's: who may import whom, and what every file has."""
+"""The rules of the house beside ruff's: who may import whom and what, and what every file has."""
 
 from __future__ import annotations
 
 import ast
+import json
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from graphlib import TopologicalSorter
 from itertools import zip_longest
@@ -200,3 +202,111 @@ def test_the_order_of_the_house():
     order += ["baselines.neural_swarm", "training.force_model", "cli"]
     levels = [level(f"swarm_envs.{name}") for name in order]
     assert levels == sorted(set(levels))
+
+
+MOST_NAMES = 500
+SIMULATOR = {"tables", "state", "noise", "neighbors", "motors", "compiled", "hall", "trajectories"}
+SIMULATOR |= {"physics", "control", "interactions", "tasks", "envs"}
+SIMULATOR |= {"swap", "ring", "formation", "columns", "crowd", "delivery", "gates", "pursuit"}
+"""What computes a step and what it is made of: one package, though in several folders."""
+
+
+def listed(module: str) -> set[str]:
+    """What the `__all__` of a module lists."""
+    for node in parsed(module).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return set(ast.literal_eval(node.value))
+    return set()
+
+
+def package_of(module: str) -> str:
+    """The package to which a module belongs; of baselines and training, the one inside.
+
+    The command line and its commands are one, and so is the simulator with its tasks.
+    """
+    parts = re.sub(r"_v\d+$", "", module.replace(".cli", ".commands")).split(".")
+    deep = len(parts) > 2 and parts[1] in ("baselines", "training")
+    name = ".".join(parts[1:3] if deep else parts[1:2])
+    return "simulator" if name in SIMULATOR else name
+
+
+def names_used(tree: ast.AST, reader: str) -> Iterator[tuple[str, str]]:
+    """Modules of ours, and a name that a source takes of each."""
+    for _, full in imports(tree, reader):
+        module, _, name = full.rpartition(".")
+        if module in SOURCES and full not in SOURCES:
+            yield module, name
+
+
+def examples() -> Iterator[tuple[str, str]]:
+    """Name and text of every piece of Python that readers of the documentation see."""
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
+        for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S):
+            yield page.name, block
+    for file in (*(ROOT / "examples").glob("*.py"), *(ROOT / "docs" / "assignments").glob("*.py")):
+        yield file.name, file.read_text()
+    for file in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        for cell in json.loads(file.read_text())["cells"]:
+            if cell["cell_type"] == "code":
+                yield (
+                    file.name,
+                    re.sub(r"^(\s*)[%!].*", r"\1pass", "".join(cell["source"]), flags=re.M),
+                )
+
+
+def unlisted_between_packages() -> dict[str, set[str]]:
+    """What packages take of each other without its being listed, by module."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for reader in SOURCES:
+        for module, name in names_used(parsed(reader), reader):
+            if package_of(module) != package_of(reader) and name not in listed(module):
+                found[module].add(name)
+    return found
+
+
+def unlisted_in_examples() -> dict[str, set[str]]:
+    """What examples take without its being listed, by module."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for _, text in examples():
+        for module, name in names_used(ast.parse(text), ""):
+            if name not in listed(module):
+                found[module].add(name)
+    return found
+
+
+def test_packages_take_of_each_other_only_what_is_listed():
+    assert not unlisted_between_packages()
+
+
+def test_examples_use_only_what_is_listed():
+    assert not unlisted_in_examples()
+
+
+def test_the_list_is_short():
+    names = set().union(*map(listed, SOURCES))
+    assert len(names) <= MOST_NAMES
+
+
+def test_what_is_listed_exists():
+    for module in SOURCES:
+        bound = {local for local, _ in imports(parsed(module), module)}
+        for node in ast.walk(parsed(module)):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                bound.add(node.name)
+            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                bound.add(node.id)
+        lazy = {"__getattr__"} <= bound
+        assert lazy or listed(module) <= bound, f"{module}: {listed(module) - bound}"
+
+
+def test_no_public_function_or_class_is_defined_twice():
+    places: dict[str, list[str]] = defaultdict(list)
+    for module in SOURCES:
+        names = {
+            node.name
+            for node in parsed(module).body
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+        }
+        for name in names:
+            places[name].append(module)
+    assert not {name: modules for name, modules in places.items() if len(modules) > 1}

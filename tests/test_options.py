@@ -1,23 +1,28 @@
-"""Options are declared once: what an annotation excludes is refused by name; all are explained."""
+"""Options and arguments: refused by name, explained; commands say alike what is flown."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import math
+import pickle
 import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from docs.extensions.option_tables import expand
-from swarm_envs import crowd_v0, formation_v1, gates_v0, pursuit_v0, ring_v1, swap_v1
+from swarm_envs import crowd_v0, formation_v1, gates_v0, make, pursuit_v0, ring_v1, swap_v1
 from swarm_envs.agents.safety import Safety
-from swarm_envs.arguments import Option, options_of
+from swarm_envs.arguments import Option, Range, WrongKind, kind_of, options_of, typed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import GilbertElliott, Jam, LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import UnitOutage
@@ -25,6 +30,7 @@ from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig
+from swarm_envs.cli import main
 from swarm_envs.commands.evaluate import EvaluateOptions
 from swarm_envs.commands.export import ForceOptions, PolicyOptions
 from swarm_envs.commands.fly import FlyOptions
@@ -41,11 +47,12 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.hall import Hall
 from swarm_envs.motors import BatteryModel
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ByScore, Success, TrackingSuccess
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.tasks.formation import FormationTask
 from swarm_envs.tasks.gates import GatesTask
-from swarm_envs.tasks.obstacles import Column
+from swarm_envs.tasks.obstacles import Box, Column, buildings, parse_obstacles
 from swarm_envs.tasks.pursuit import PursuitTask
 from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
@@ -58,6 +65,9 @@ from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.reproduce.imperfect_flights import Imperfection
+from swarm_envs.training.rl.learner import training_blueprint
+from swarm_envs.training.rl.recipes import with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}
@@ -228,3 +238,220 @@ def test_the_page_of_the_tasks_shows_every_option():
     text = expand("<!-- option table: EnvConfig -->\n\n<!-- option table: SwapOptions -->")
     assert "| `horizon_s` | positive and finite, in s, or None | `None` | Time limit: " in text
     assert "| `num_drones` | an integer of at least 1 and at most 100,000 | `4` |" in text
+
+
+WORDS = [
+    *("--world", "hall", "--randomization", "mass=0.95:1.05", "--on-contact", "end_pair"),
+    *("--obstacles", "column=1.8:1.8:0.1"),
+]
+"""On every command."""
+CREW = ["--neighbors", "2", "--team", "SSL"]
+
+
+def test_text_says_what_objects_say():
+    text = "mass=0.9:1.1, gust_acceleration=1"
+    ranges = Randomization(mass=(0.9, 1.1), gust_acceleration=1.0)
+    assert Randomization.of(text) == ranges
+    assert make("swap_v1", randomization=text, physics="batch").core.ranges == ranges
+    standing = parse_obstacles("buildings=2:1,column=1:-1:0.15,box=0:0:0:1:1:2")
+    assert standing == (
+        *buildings(2, 1),
+        Column((1.0, -1.0), 0.15),
+        Box((0.0, 0.0, 0.0), (1.0, 1.0, 2.0)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "said"),
+    [
+        ("randomization", "mas=0.9:1.1", "did you mean 'mass'"),
+        ("randomization", "mass", "must be names with numbers"),
+        ("randomization", "mass=1.1:0.9", "mass"),
+        ("obstacles", "tree=1:2:3", "unknown obstacle 'tree'"),
+        ("obstacles", "column=1:2", "must have 3"),
+        ("obstacles", "buildings=1.5:2", "two integers"),
+    ],
+)
+def test_text_that_says_nothing_is_refused(option, text, said):
+    with pytest.raises(ValueError, match=said):
+        make("swap_v1", physics="batch", **{option: text})
+
+
+def test_fly_and_evaluate_take_them(tmp_path):
+    file = tmp_path / "report.json"
+    given = [*WORDS, *CREW, "--agent", "straight-line", "--horizon-s", "0.5"]
+    assert main(["fly", "--physics", "batch", *given]) == 0
+    assert main(["evaluate", "--episodes", "2", "--json", str(file), *given]) == 0
+    report = json.loads(file.read_text())
+    asked = {"world": "hall", "on_contact": "end_pair", "num_neighbors": 2, "team": "SSL"}
+    assert asked.items() <= report.items()
+    assert report["agents"][0]["success_rate"] == 0.0
+
+
+def test_train_flies_them(tmp_path):
+    config = RlConfig(
+        out=tmp_path,
+        world="hall",
+        randomization="mass=0.95:1.05",
+        on_contact="end_pair",
+        obstacles="column=1.8:1.8:0.1",
+    )
+    found = training_blueprint(with_recipe(config, "swap_v1"), "swap_v1", {"num_drones": 3})
+    assert found.config.hall is not None and found.config.on_contact == "end_pair"
+    assert found.config.ranges == Randomization(mass=(0.95, 1.05))
+    assert found.task.obstacles == (Column((1.8, 1.8), 0.1),)
+    assert found.task.reward_weights["at_goal"] == pytest.approx(2.0 / 3.5)
+
+
+def test_the_benchmark_flies_them_under_another_id(tmp_path):
+    given = ["--task", "swap-random-2-v1", "--agent", "straight-line", "--episodes", "2"]
+    more = [*WORDS, *CREW, "--no-replays", "--table", "csv"]
+    assert main(["benchmark", "--out", str(tmp_path), *given, *more]) == 0
+    (task,) = json.loads((tmp_path / "scores.json").read_text())["tasks"]
+    assert task["id"].startswith("swap-random-2-v1-") and "hall" in task["label"]
+    assert task["options"]["team"] == "SSL" and "num_drones" not in task["options"]
+
+
+@pytest.mark.parametrize("command", ["fly", "evaluate", "record", "train"])
+def test_a_team_and_another_number_of_drones_contradict_each_other(command, tmp_path, refused):
+    said = refused(command, "--team", "SSL", "--drones", "5", "--out", tmp_path / "out")
+    assert "--drones is 5, but --team SSL has 3; give one of them" in said
+    assert not [*tmp_path.iterdir()]
+    assert FlyOptions(team="SSL", drones=3).setting()["team"] == "SSL"
+
+
+@pytest.mark.parametrize("command", ["fit", "train", "fly", "evaluate", "benchmark"])
+def test_the_help_begins_with_what_matters_most(command, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    said = capsys.readouterr().out
+    first = {"fit": ["data", "out"], "fly": ["task"], "evaluate": ["task"]}.get(command, ["out"])
+    assert re.findall(r"--([a-z-]+)", said.split("--help")[-1])[: len(first)] == first
+
+
+if TYPE_CHECKING:
+    from nowhere import Unknown  # type: ignore[import-not-found]
+
+
+@typed
+def job(
+    count: int = 0,
+    share: float | None = None,
+    name: str = "",
+    mode: Literal["a", "b"] = "a",
+    yes: bool = True,
+    path: Path = Path(),
+    sizes: tuple[float, float] = (0.0, 1.0),
+    names: tuple[str, ...] = (),
+    shape: Sequence[int] = (),
+    points: npt.ArrayLike = 0.0,
+    array: FloatArray | None = None,
+    weights: Mapping[str, float] | None = None,
+    watch: Callable[[str], None] | None = None,
+    unknown: Unknown = None,
+    **others: Any,
+) -> dict[str, Any]:
+    return locals()
+
+
+GOOD: list[dict[str, Any]] = [
+    {"count": 3},
+    {"count": np.int64(3), "share": np.float32(0.5)},
+    {"share": 1, "names": ["a"], "sizes": [1, 2.5]},
+    {"share": float("nan")},
+    {"mode": "b", "yes": np.bool_(False), "shape": np.array([3, 4])},
+    {"points": [[0, 1], [2, 3]], "array": np.zeros(3), "weights": {"a": 1.0}},
+    {"watch": print, "unknown": object(), "whatever": None, "share": None},
+]
+BAD: list[tuple[str, Any, str]] = [
+    ("count", True, "an integer"),
+    ("count", 1.0, "an integer"),
+    ("count", "1", "an integer"),
+    ("share", "0.5", "a number or None"),
+    ("share", 1j, "a number or None"),
+    ("name", None, "text"),
+    ("mode", 1, "'a' or 'b'"),
+    ("yes", 1, "True or False"),
+    ("path", "here", "a pathlib.Path"),
+    ("sizes", (1.0,), "a tuple: a number, a number"),
+    ("names", "abc", "a sequence, each text"),
+    ("names", ("a", 1), "a sequence, each text"),
+    ("shape", 3, "a sequence, each an integer"),
+    ("points", "abc", "an array of numbers"),
+    ("points", [[1.0], [1.0, 2.0]], "an array of numbers"),
+    ("array", [None], "an array of numbers or None"),
+    ("weights", [("a", 1.0)], "a mapping or None"),
+    ("watch", "print", "a function or None"),
+]
+
+
+@pytest.mark.parametrize("given", GOOD)
+def test_what_fits_goes_through(given):
+    found = job(**given)
+    assert all(found[name] is value for name, value in given.items() if name in found)
+
+
+@pytest.mark.parametrize(("name", "value", "words"), BAD)
+def test_what_does_not_fit_is_named_with_its_value(name, value, words):
+    with pytest.raises(WrongKind) as error:
+        job(**{name: value})
+    assert str(error.value) == f"{name} is {value!r:.80}, but must be {words}"
+    assert isinstance(error.value, TypeError) and isinstance(error.value, ValueError)
+
+
+def test_text_that_is_none_of_those_that_may_be_is_told_the_nearest():
+    with pytest.raises(WrongKind, match=r"unknown mode 'c'; .*valid: 'a', 'b'"):
+        job(mode="c")  # type: ignore[arg-type]
+
+
+def test_arguments_by_place_are_looked_at_too():
+    with pytest.raises(WrongKind, match="share is 'x'"):
+        job(1, "x")  # type: ignore[arg-type]
+
+
+def test_what_goes_by_name_alone_is_not_taken_by_place():
+    @typed
+    def named(*, first: int = 0) -> int:
+        return first
+
+    with pytest.raises(TypeError, match="takes 0 positional arguments but 1 was given"):
+        named(1)  # type: ignore[call-arg]
+
+
+@typed
+@dataclass(frozen=True)
+class Settings:
+    size: float
+    name: str = "a"
+
+
+def test_a_class_stays_what_it_was():
+    one = Settings(2, name="b")
+    assert one == pickle.loads(pickle.dumps(one))  # noqa: S301  # our own
+    assert [f.name for f in fields(Settings)] == ["size", "name"]
+    assert list(inspect.signature(Settings).parameters) == ["size", "name"]
+    with pytest.raises(WrongKind, match="size is None, but must be a number"):
+        Settings(None)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'size'"):
+        Settings()  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"),
+    [
+        (Range(), "a finite number"),
+        (Range(0.0), "finite and not negative"),
+        (Range(1.0, unit="m"), "a finite number of at least 1, in m"),
+        (Range(-2.5, above=True), "a finite number above -2.5"),
+        (Range(-1.0, 2.0, below=True), "a number in [-1, 2)"),
+    ],
+)
+def test_a_range_names_its_ends(rule, words):
+    assert kind_of(Annotated[float, rule]).words == words
+
+
+def test_integers_beyond_every_float_are_refused_or_taken_without_overflow():
+    huge = 10**400
+    number, integer = kind_of(Annotated[float, Range(0.0)]), kind_of(Annotated[int, Range(0)])
+    assert not number.fits(huge) and number.fits(10**300)
+    assert integer.fits(huge)

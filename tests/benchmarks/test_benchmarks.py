@@ -1,8 +1,10 @@
-"""Benchmarks measure what they say; how fast is never tested."""
+"""Benchmarks measure what they say, peers where nothing of ours is; how fast is never tested."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import swarm_envs
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import GRAM_FORCE, SMALL
-from tests.benchmarks import against, batched, forces, mlr_arrivals, throughput
+from tests.benchmarks import against, batched, forces, mlr_arrivals, peers, throughput
 from tests.benchmarks.rows import run, spread, table
 
 
@@ -103,3 +105,36 @@ def test_a_drone_alone_needs_what_its_limits_allow(far, limits, least):
     config = MlrDmpcConfig(**limits)
     goal = np.array([[0.0, far, 0.1]])
     assert mlr_arrivals.alone_s(np.zeros((1, 3)), goal, config) == pytest.approx(least)
+
+
+BATCH = ("48/240 Hz", 1, 4, 1)
+
+
+def interpreter(path: Path, script: str) -> str:
+    """A program that takes an interpreter's place."""
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+def test_measuring_needs_no_package_but_the_peer():
+    """Without site-packages there is neither ours nor anything that we require."""
+    words = f"-I -S {peers.__file__} {peers.BATCH_PEER} 48 240 1 4 1"
+    bare = [sys.executable, *words.split()]
+    output = subprocess.check_output(bare, text=True, stderr=subprocess.DEVNULL)
+    assert json.loads(output.splitlines()[-1]) == {"note": "not installed"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the programs are shell scripts")
+@pytest.mark.parametrize(
+    ("script", "note"),
+    [
+        ("echo 'a warning'; echo '{\"note\": \"not installed\"}'", "not installed"),
+        ('echo \'{"note": "TypeError: no such option"}\'', "TypeError: no such option"),
+        ("echo 'Killed by something' >&2; exit 9", "Killed by something"),
+        ("exit 3", "the process ended with status 3"),
+    ],
+)
+def test_a_row_says_why_it_has_no_number(script, note, tmp_path):
+    row = peers.batch_peer_row(interpreter(tmp_path / "python", script), *BATCH)
+    assert (row["value"], row["note"]) == (None, note)

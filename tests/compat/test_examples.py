@@ -56,7 +56,7 @@ def test_skrl(tmp_path):
 
 def test_every_example_is_run():
     names = {file.stem for file in EXAMPLES.glob("*.py")}
-    elsewhere = {"fly_crazyflie"}  # tests/deploy/test_fly_script.py
+    elsewhere = {"fly_crazyflie"}  # tests/deploy/test_export.py
     elsewhere |= {"ppo", "dagger"}  # tests/training/test_dagger.py
     elsewhere |= {"rllib_ppo", "benchmarl_grid"}  # tests/compat/test_rllib.py, test_benchmarl.py
     elsewhere |= {"tune_agents"}  # tests/test_avoiding.py

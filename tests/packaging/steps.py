@@ -16,7 +16,7 @@ TESTS = (
     "physics/test_twins.py",
     "interactions/test_models.py",
     "control/test_closed_loop.py",
-    "envs/test_pettingzoo.py",
+    "envs/test_turns.py",
     "envs/test_gymnasium.py",
 )
 """Tests that are run against the installation: those nearest to the kernels and the interfaces."""

@@ -103,16 +103,9 @@ def test_what_is_no_setting_is_refused(setting, why):
     ],
 )
 def test_what_makes_no_sweep_is_refused_before_anything_is_trained(
-    arguments, why, tmp_path, capsys
+    arguments, why, tmp_path, refused
 ):
-    code: str | int | None
-    try:
-        code = main(["train-sweep", "--out", str(tmp_path / "out"), *arguments])
-    except SystemExit as end:  # as tyro refuses
-        code = end.code
-    assert code == 2
-    said = capsys.readouterr()
-    assert why in said.err + said.out
+    assert why in refused("train-sweep", "--out", tmp_path / "out", *arguments)
     assert not (tmp_path / "out").exists()
 
 

@@ -220,14 +220,9 @@ def test_a_report_is_written_anew_out_of_the_scores_alone(tmp_path, capsys):
     assert (folder / "report.html").read_bytes() != first
 
 
-def test_what_cannot_be_flown_or_reported_is_misuse(tmp_path, capsys):
+def test_what_cannot_be_flown_or_reported_is_misuse(tmp_path, refused):
     def misused(*arguments, said):
-        try:
-            code: object = main(["benchmark", "--no-replays", *map(str, arguments)])
-        except SystemExit as exited:
-            code = exited.code
-        assert code == 2
-        assert said in " ".join(capsys.readouterr().err.split())
+        assert said in refused("benchmark", "--no-replays", *arguments)
 
     misused("--report", tmp_path / "none", said="there is no scores.json in")
     (tmp_path / "scores.json").write_text("{}")

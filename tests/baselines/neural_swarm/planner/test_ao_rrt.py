@@ -112,16 +112,6 @@ def test_costs_never_rise_and_every_loop_is_told():
     assert result.iterations == told[-1][1] == 10_000
 
 
-def test_without_a_force_model_plans_lead_into_wakes():
-    """The worst force over its bound, with the planner's model and without (Fig. 7)."""
-    limits, worst = np.array([5.0, 10.0, 5.0]) * GRAM_FORCE, {}
-    for model in ("learned", "none"):
-        plans = [plan(swap(model=load(model)), QUICK, seed) for seed in range(4)]
-        felt = [load("learned").forces(t.position, t.velocity, "SLS")[..., 2] for t in plans]
-        worst[model] = np.median((np.abs(felt) / limits).max(axis=(1, 2)))
-    assert worst["learned"] <= 1.0 < worst["none"]
-
-
 @pytest.mark.parametrize("change_g", [0.2, 20.0])
 def test_the_trust_region_bounds_what_planning_does_to_a_neighbour(change_g):
     """A large robot flies over or under a small one that hovers midway, and moves for nobody."""

@@ -1,14 +1,15 @@
-"""One robot's convex program, against the same program written down again for cvxpy."""
+"""Problems, one robot's convex program beside cvxpy, and what many of them make of a guess."""
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     ConvexSubproblem,
     PenaltyWeights,
@@ -16,16 +17,24 @@ from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     SolverSettings,
     convexify,
 )
-from swarm_envs.baselines.neural_swarm.planner.problem import Plane
-from swarm_envs.baselines.neural_swarm.planner.scp import with_velocity
+from swarm_envs.baselines.neural_swarm.planner.problem import Plane, shortest_time
+from swarm_envs.baselines.neural_swarm.planner.scp import (
+    RefinementOptions,
+    merit_terms,
+    refine,
+    with_velocity,
+)
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
+    closest_approach,
     states_within,
     straight_lines,
     trajectories_through,
     vertical_forces,
 )
-from swarm_envs.interactions import load
+from swarm_envs.baselines.neural_swarm.planner.verify import check_plan
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.field import WAKE, empty_field
 from swarm_envs.vehicles import parse_team
 
 EXACT = SolverSettings(tolerance=1e-8, max_iterations=100_000)
@@ -174,3 +183,178 @@ def test_what_is_linearised_is_right_to_first_order(robot: int) -> None:
         effort -= (c.effort_by_state * d[:-1]).sum()
         missed.append([np.abs(own).sum(), np.abs(theirs).sum(), abs(effort)])
     assert (np.array(missed[1]) < 0.3 * np.array(missed[0]) + 1e-12).all()
+
+
+ROW = np.array([[0.0, -1.0, 1.2], [0.0, 1.0, 1.2], [0.0, 0.0, 1.2]])
+
+
+def swap(model: str = "learned", plane: Plane = "yz") -> PlanningProblem:
+    return PlanningProblem(ROW, ROW[[1, 2, 0]], parse_team("SSL"), load(model), plane=plane)
+
+
+def bent(problem: PlanningProblem) -> Trajectories:
+    return straight_lines(problem, bend=[[0.0, 0.0, 0.3], [0.0, 0.0, -0.2], [0.0, 0.0, -0.1]])
+
+
+def merit(problem: PlanningProblem, motions: Trajectories) -> float:
+    bounds = problem.bounds.force_bounds(problem.team)
+    return merit_terms(problem, motions, bounds).team(PenaltyWeights())
+
+
+@pytest.mark.parametrize("plane", ["yz", "xyz"])
+@pytest.mark.parametrize("model", ["learned", "none"])
+def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plane: Plane) -> None:
+    problem = swap(model, plane)
+    guess = straight_lines(problem)
+    assert check_plan(problem, guess).distance_ratio < 1.0
+    free = (
+        plane == "xyz" and model == "none"
+    )  # the force is symmetric: a straight guess is a saddle
+    refined = refine(problem, guess if free else bent(problem), np.random.default_rng(0))
+    assert refined.converged
+    check = check_plan(problem, refined.trajectories)
+    assert check.shortcomings() == ()
+    assert check.defect < 1e-9
+    aside = refined.trajectories.states[..., 0] - ROW[:, 0]
+    assert plane == "xyz" or np.abs(aside).max() == 0.0
+
+
+def test_the_merit_never_rises_and_is_the_measured_one() -> None:
+    problem, options = swap(), RefinementOptions(max_tightenings=0)
+    refined = refine(problem, bent(problem), np.random.default_rng(1), options)
+    merits = [record.merit for record in refined.history]
+    assert (np.diff(merits) <= 0.0).all()
+    assert merits[-1] == merit(problem, refined.trajectories)
+    for record in refined.history:
+        assert record.taken == (record.gained > 0.0)
+
+
+def test_one_robot_alone_finds_the_known_optimum() -> None:
+    """The least sum of ||u||^2 from rest to rest in time T over a way d is 12 d^2 / (T^3 dt)."""
+    problem = PlanningProblem(
+        ROW[:1], ROW[1:2], parse_team("S"), load("none"), dt=0.05, max_duration=4.0, plane="yz"
+    )
+    guess = straight_lines(problem, bend=[[0.0, 0.0, 0.3]])
+    refined = refine(problem, guess, np.random.default_rng(0))
+    assert refined.converged
+    assert refined.trajectories.energy == pytest.approx(12 * 2.0**2 / (4.0**3 * 0.05), rel=2e-3)
+
+
+def test_the_aware_plan_keeps_force_bounds_that_the_unaware_one_breaks() -> None:
+    aware, unaware = swap("learned"), swap("none")
+    guess = straight_lines(aware, bend=[[0.0, 0.0, -0.3], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    blind = refine(unaware, guess, np.random.default_rng(0)).trajectories
+    met = check_plan(aware, trajectories_through(aware, blind.states))
+    assert met.force_ratio > 1.5
+    refined = refine(aware, guess, np.random.default_rng(0))
+    assert check_plan(aware, refined.trajectories).force_ratio < 1.05
+
+
+def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so() -> None:
+    problem = swap()
+    late = refine(problem, bent(problem), np.random.default_rng(0), deadline=time.monotonic() - 1)
+    assert (late.converged, late.out_of_time, late.history) == (False, True, ())
+    assert late.trajectories.states.tobytes() == bent(problem).states.tobytes()
+    short = refine(
+        problem, bent(problem), np.random.default_rng(0), RefinementOptions(max_sweeps=1)
+    )
+    assert not short.converged
+    assert len(short.history) == 3
+    assert "1 sweeps" in short.reason
+    assert merit(problem, short.trajectories) < merit(problem, bent(problem))
+
+
+def test_closest_approach_between_knots() -> None:
+    """Two points pass at 3 cm in the middle of a step; a held acceleration bends the way."""
+    states = np.array([[-0.5, 0.03, 0.0, 10.0, 0.0, 0.0], [0.5, 0.03, 0.0, 10.0, 0.0, 0.0]])
+    near = closest_approach(states, 0.1)
+    assert near.distance == pytest.approx(0.03)
+    assert near.fraction == pytest.approx(0.5)
+    thrown = np.array([[0.0, 0.5, 0.0, 0.0, -3.0, 0.0], [0.0, 0.5, 0.0, 0.0, 3.0, 0.0]])
+    near = closest_approach(thrown, 0.5)  # up and back: the vertex is 3^2 / (2 * 12) m away
+    assert near.distance == pytest.approx(0.5 - 0.375, abs=1e-9)
+
+
+ROW_OF_THREE = [[0.0, -1.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 1.0]]
+CROSSED = [[0.0, 1.0, 1.0], [0.0, 0.0, 1.5], [0.0, -1.0, 1.0]]
+FREE = load("none")
+
+
+def problem(**changes: Any) -> PlanningProblem:
+    options: dict[str, Any] = {
+        "starts": ROW_OF_THREE,
+        "goals": CROSSED,
+        "team": "SSL",
+        "model": FREE,
+        "plane": "yz",
+    }
+    return PlanningProblem(**(options | changes))
+
+
+def moved(places, drone, place):
+    return [place if i == drone else p for i, p in enumerate(places)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"starts": moved(ROW_OF_THREE, 0, [0, -2.5, 1])}, r"start of drone 0 .* outside the box"),
+        ({"goals": moved(CROSSED, 1, [0, 1, 1.1])}, r"goals of drones 0 and 1 .* 0\.132 m apart"),
+        ({"goals": moved(CROSSED, 1, [0.1, 0, 1.5])}, r"plane='yz' keeps x"),
+        ({"max_duration": 1.0}, r"drone 0 cannot reach .* at least 1\.31 s"),
+        ({"dt": 0.7, "max_duration": 1.39}, r"1 steps of 0\.7 s"),
+        ({"team": "SX"}, "unknown vehicle token 'X'"),
+        ({"team": "SS"}, r"starts has shape \(3, 3\)"),
+        ({"starts": moved(ROW_OF_THREE, 0, [0, np.nan, 1])}, "nan at index"),
+        ({"bounds": PlanningBounds(force_g={"S": 5.0})}, "unknown vehicle token 'L'"),
+    ],
+)
+def test_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        problem(**changes)
+
+
+def test_a_model_without_a_type_of_the_team_is_refused():
+    model = InteractionModel("small only", ("S",), empty_field(1)._replace(kind=WAKE))
+    with pytest.raises(ValueError, match=r"unknown interaction type 'L'.*'small only'"):
+        problem(model=model)
+
+
+def test_bounds_below_what_hovering_alone_needs_are_refused():
+    """Near the ground the learned model lifts a lone drone."""
+    low = PlanningBounds(lower=(-2, -2, 0.05), force_g={"L": 0.05})
+    with pytest.raises(ValueError, match=r"drone 0 \(L\) hovering alone at its start .* raise"):
+        problem(
+            starts=[[0, 0, 0.1]], goals=[[0, 0, 1]], team="L", model=load("learned"), bounds=low
+        )
+
+
+def test_starts_and_goals_in_another_wake_are_refused():
+    below: dict[str, Any] = {
+        "starts": [[0, 0, 1.5], [0, 0, 1.0]],
+        "goals": [[0, -1, 1], [0, 1, 1]],
+        "team": "SS",
+    }
+    with pytest.raises(ValueError, match=r"drone 1 \(S\) hovering with the others at its start"):
+        problem(**below, model=load("learned"))
+    problem(**below, model=FREE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"force_g": {"S": 0.0}}, r"force_g\['S'\] is 0.0"),
+        ({"clearance_factor": 0.9}, "clearance_factor is 0.9, but must be at least 1"),
+        ({"lower": (0, 0, 3)}, "upper must be larger"),
+    ],
+)
+def test_bounds_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        PlanningBounds(**changes)
+
+
+def test_the_shortest_time_is_that_of_bang_bang():
+    """Accelerate at a over half the way d: t = 2 sqrt(d / a), until the speed is at its limit."""
+    assert shortest_time(0.5, 2.0, 5.0) == pytest.approx(2 * np.sqrt(0.1))
+    assert shortest_time(2.0, 2.0, 5.0) == pytest.approx(2.0 / 2.0 + 2.0 / 5.0)
+    assert shortest_time(0.8, 2.0, 5.0) == pytest.approx(0.8)  # where both agree
