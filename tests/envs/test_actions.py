@@ -1,4 +1,4 @@
-"""What actions do: hover, limits, extrapolation, rotors, and vehicles other than the nominal."""
+"""What actions do, and every field of an observation against numbers computed in another way."""
 
 from __future__ import annotations
 
@@ -7,22 +7,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from swarm_envs import swap_v0
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.observation import ObservationField, observation_layout, shaper
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.interactions import load
+from swarm_envs.motors import BatteryModel
 from swarm_envs.tasks.swap import SwapTask
-from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle, parse_team
+from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, VEHICLES, Vehicle, parse_team
 
-VEHICLES = {
+FLOWN = {
     "S": SMALL,
     "L": LARGE,
     "S*": SMALL_STRONG,
     "light": replace(SMALL, mass=0.7 * SMALL.mass),
     "heavy": replace(LARGE, mass=1.3 * LARGE.mass),
 }
-every_vehicle = pytest.mark.parametrize("vehicle", VEHICLES.values(), ids=VEHICLES)
+every_vehicle = pytest.mark.parametrize("vehicle", FLOWN.values(), ids=FLOWN)
 
 
 def lone(vehicle: Vehicle = SMALL, engine: str = "batch", **options: Any) -> SwarmParallelEnv:
@@ -55,15 +59,6 @@ def test_follows_a_setpoint_after_a_disturbance(vehicle):
     goal[:3] = 0.1, -0.1, 1.2
     repeat(env, goal, 48 * 20)
     np.testing.assert_allclose(env.view.state.position, [goal[:3]], atol=1e-3)
-
-
-def test_rotor_commands_are_a_share_of_the_largest_thrust():
-    env = lone(action="rotors")
-    repeat(env, [-1.0, 0.0, 0.5, 1.0], 1)
-    commands = env.core.world.drones["commands"][0, 0]
-    expected = np.array([0.0, 0.5, 0.75, 1.0]) * SMALL.max_rotor_thrust
-    np.testing.assert_allclose(commands, expected, rtol=1e-15)
-    assert env.view.state.rotor_thrust[0, 0] < SMALL.hover_rotor_thrust < commands[3]
 
 
 def test_acceleration_moves_the_setpoint():
@@ -128,3 +123,136 @@ def test_random_accelerations_are_followed(rate):
         core.running[:] = True
     offset = drones["position"] - drones["setpoint_position"]
     assert np.quantile(np.linalg.norm(offset, axis=-1), 0.95) < 0.25
+
+
+TEAM = "LSS*SL"
+TYPES = list(VEHICLES)
+
+
+def shaken(
+    seed: int = 2, steps: int = 20, **options: Any
+) -> tuple[SwarmParallelEnv, dict[str, Any]]:
+    """An environment after some random accelerations, and what was observed there."""
+    env = swap_v0.parallel_env(**{"team": TEAM, "physics": "batch", **options})
+    observations, _ = env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    mode = env.core.mode
+    for _ in range(steps):
+        shape = (len(env.agents), mode.width)
+        actions = rng.uniform(-1, 1, shape) if mode.name != "rotors" else rng.normal(0, 0.1, shape)
+        observations = env.step(dict(zip(env.agents, actions, strict=True)))[0]
+        assert env.agents
+    return env, observations
+
+
+def fields(env: SwarmParallelEnv, row: np.ndarray) -> dict[str, np.ndarray]:
+    """The named fields of a row in their units."""
+    return {f.name: row[f.where].astype(float) * f.scale for f in env.observation_layout}
+
+
+def near(actual: np.ndarray, expected: np.ndarray | float) -> None:
+    np.testing.assert_allclose(actual, expected, rtol=3e-7, atol=3e-7)
+
+
+@pytest.mark.parametrize("num_neighbors", [0, 1, 3, 7])
+def test_layout_covers_the_row_without_gaps(num_neighbors):
+    layout = observation_layout(num_neighbors)
+    env = swap_v0.parallel_env(team="LS", physics="batch", num_neighbors=num_neighbors)
+    assert env.observation_layout == layout
+    covered = [k for field in layout for k in range(field.where.start, field.where.stop)]
+    assert env.observation_space("drone_0").shape == (len(covered),)
+    assert covered == list(range(len(covered)))
+    assert len({field.name for field in layout}) == len(layout)
+    assert sum(field.name.startswith("neighbor_") for field in layout) == 5 * num_neighbors
+    assert all(isinstance(field, ObservationField) and field.scale > 0 for field in layout)
+
+
+def test_self(engine):
+    env, observations = shaken(physics=engine)
+    state = env.view.state
+    for i, agent in enumerate(env.agents):
+        seen, vehicle = fields(env, observations[agent]), env.view.team[i]
+        turn = Rotation.from_quat(state.quaternion[i].copy())
+        near(seen["self.position"], state.position[i])
+        near(seen["self.velocity"], state.velocity[i])
+        near(seen["self.attitude"], turn.as_matrix().ravel())
+        rate = turn.inv().apply(state.angular_velocity[i].copy())
+        np.testing.assert_allclose(seen["self.body_rate"], rate, rtol=1e-6, atol=3e-6)
+        near(seen["self.thrust"], state.rotor_thrust[i].sum() / vehicle.max_thrust)
+        near(seen["self.setpoint_offset"], env.view.setpoint.position[i] - state.position[i])
+        assert seen["self.type"].tolist() == [float(t == vehicle.token) for t in TYPES]
+    assert np.abs(state.angular_velocity).max() > 0.5  # the flight was shaken
+    env.close()
+
+
+@pytest.mark.parametrize("num_neighbors", [2, 3, 6])
+def test_neighbors(num_neighbors):
+    env, observations = shaken(num_neighbors=num_neighbors)
+    state, goals = env.view.state, env.view.goals
+    for i, agent in enumerate(env.agents):
+        seen = fields(env, observations[agent])
+        distance = np.linalg.norm(state.position - state.position[i], axis=1)
+        others = [j for j in np.argsort(distance) if j != i][:num_neighbors]
+        for k, j in enumerate(others):
+            near(seen[f"neighbor_{k}.position"], state.position[j] - state.position[i])
+            near(seen[f"neighbor_{k}.velocity"], state.velocity[j] - state.velocity[i])
+            near(seen[f"neighbor_{k}.goal"], goals[j] - state.position[j])
+            expected = [float(t == env.view.team[j].token) for t in TYPES]
+            assert seen[f"neighbor_{k}.type"].tolist() == expected
+            assert seen[f"neighbor_{k}.mask"] == [1.0]
+        for k in range(len(others), num_neighbors):
+            for name in ("position", "velocity", "goal", "type", "mask"):
+                assert not seen[f"neighbor_{k}.{name}"].any()
+
+
+def test_load_and_predicted_force():
+    """As estimated in the hall, beside the other fields, which stay what they were."""
+    heavy = replace(SMALL, mass=0.05)
+    given: dict[str, Any] = {"team": (heavy, *parse_team("LS*S")), "world": "hall"}
+    given |= {"battery": BatteryModel(), "num_neighbors": 3}
+    env, observations = shaken(**given, observe_load=True, observe_force="learned")
+    plain, rows = shaken(**given)
+    state, team = env.view.state, env.view.team
+    mass = np.array([vehicle.mass for vehicle in team])
+    drones = env.core.world.drones[0]
+    margin = 4 * drones["rotor_limit"] / (9.80665 * mass) - 1
+    battery = drones["battery"]
+    assert (battery < 1.0).all()
+    position = state.position + drones["position_error"]
+    velocity = state.velocity + drones["velocity_error"]
+    force = load("learned").forces(position[None], velocity[None], team)[0]
+    for i, agent in enumerate(env.agents):
+        seen, before = fields(env, observations[agent]), fields(plain, rows[agent])
+        assert all((seen[name] == value).all() for name, value in before.items())
+        near(seen["self.force"], force[i] / (9.80665 * mass[i]))
+        others = [j for j in np.argsort(np.linalg.norm(position - position[i], axis=1)) if j != i]
+        for name, j in zip(("self", *(f"neighbor_{k}" for k in range(3))), (i, *others)):
+            near(seen[f"{name}.thrust_margin"], margin[j])
+            near(seen[f"{name}.mass_ratio"], mass[j] / 0.034)
+            near(seen[f"{name}.battery"], battery[j])
+    shaped = shaper("dict", 3, 0, True, True)(observations["drone_0"])
+    assert shaped["neighbors"].shape == (3, 15)
+    assert shaped["mask"].tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("layout", ["random", "stacked"])
+def test_task(layout):
+    env, observations = shaken(team="LSS*", layout=layout, horizon_s=5.0)
+    view = env.view
+    reference = view.reference(view.time)
+    for i, agent in enumerate(env.agents):
+        seen, p = fields(env, observations[agent]), view.state.position[i]
+        near(seen["task.goal"], view.goals[i] - p)
+        near(seen["task.reference_position"], reference.position[i] - p)
+        near(seen["task.reference_velocity"], reference.velocity[i])
+        near(seen["task.reference_acceleration"], reference.acceleration[i])
+        near(seen["task.time_left"], 1.0 - view.time / 5.0)
+    assert view.time == pytest.approx(20 / 48)
+    moving = np.abs(reference.velocity).max() > 0.01
+    assert moving == (layout == "stacked")
+
+
+def test_rotors_have_no_setpoint():
+    env, observations = shaken(action="rotors", steps=3)
+    for agent in env.agents:
+        assert not fields(env, observations[agent])["self.setpoint_offset"].any()

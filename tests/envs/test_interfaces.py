@@ -1,4 +1,4 @@
-"""What holds through every interface: the same flight to the last bit, seeds, memory, copies."""
+"""What holds through every interface: the same flight to the last bit; bad input is refused."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ import hashlib
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import swarm_envs
 from swarm_envs import TASKS, swap_v0
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
-from tests.helpers.faces import FACES, core_of, everything
+from swarm_envs.tasks.obstacles import Column
+from tests.helpers.faces import FACES, Face, core_of, everything
 
 SHORT: dict[str, Any] = {"num_drones": 3, "horizon_s": 1.0}
 every_task = pytest.mark.parametrize("task", TASKS)
@@ -182,3 +185,221 @@ def test_same_bytes_in_another_process():
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split("\n")[:-1] == digests()
+
+
+def good(step: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(step)
+    return list(rng.uniform(-0.3, 0.3, (3, 3)).astype(np.float32))
+
+
+def check_refused(
+    face: Face,
+    call: Callable[[Any], object],
+    message: str,
+    error: type = ValueError,
+    **options: Any,
+) -> None:
+    """The call is refused; the flight and its generator go on as if it had never been made."""
+    env, other = (face.begin(**options) for _ in range(2))
+    with pytest.raises(error, match=message):
+        call(env)
+    rows = good(0)
+    if face.name == "turns":  # those before the bad one have decided well
+        rows = rows[env.agents.index(env.agent_selection) :]
+    face.step(env, rows)
+    face.step(other, good(0))
+    assert everything(env) == everything(other)
+    states = [core_of(each).generators[0].bit_generator.state for each in (env, other)]
+    assert states[0] == states[1]
+    for each in (env, other):
+        each.close()
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (np.array([0, np.nan, 0]), "{} has nan at index 1, but every number must be finite"),
+        (np.array([0, 0, -np.inf]), "{} has -inf at index 2, but every number must be finite"),
+        (np.array([1.5, 0, 0]), r"{} has 1.5 at index 0, but must lie in \[-1, 1\]; clip it"),
+    ],
+)
+def test_bad_actions(face, row, message):
+    """Refused, naming the drone, its environment and the rule."""
+    rows = good(0)
+    rows[1] = row
+    message = message.format("drone_1" + face.place)
+    check_refused(face, lambda env: face.step(env, rows), message)
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (np.zeros(2), r"shape \("),
+        (np.array(["a", "b", "c"]), "must be numbers"),
+        (np.array([None, 0, 0]), "must be numbers"),
+        (np.array([True, False, True]), "must be numbers"),
+        (np.zeros(3, complex), "must be numbers"),
+    ],
+)
+def test_actions_of_a_wrong_kind(face, row, message):
+    check_refused(face, lambda env: face.step(env, [row] * 3), message)
+
+
+ZERO = np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("actions", "error", "message"),
+    [
+        (
+            {"drone_0": ZERO, "drone_1": np.zeros((1, 3)), "drone_2": ZERO},
+            ValueError,
+            r"'drone_1' has shape \(1, 3\), but action 'acceleration' takes 3 numbers",
+        ),
+        ({"drone_0": ZERO}, ValueError, r"actions lack \['drone_1', 'drone_2'\]; give one for"),
+        ({"drone0": ZERO}, ValueError, "unknown agent 'drone0' in actions; did you mean 'drone_0'"),
+        (np.zeros((3, 3)), TypeError, "actions are ndarray, but must be a dict"),
+    ],
+)
+def test_actions_by_agent(engine, actions, error, message):
+    check_refused(FACES[0], lambda env: env.step(actions), message, error, physics=engine)
+
+
+def test_setpoints_that_cannot_be_observed():
+    env = swap_v0.parallel_env(num_drones=1, physics="batch", action="setpoint")
+    env.reset(seed=3)
+    message = r"drone_0 has -1.7014118e\+38 at index 0.* must lie in \[-1e\+30, 1e\+30\]; clip it"
+    with pytest.raises(ValueError, match=message):
+        env.step({"drone_0": np.full(14, -(2.0**127), np.float32)})
+    with pytest.raises(ValueError, match="drone_0 has nan at index 0"):
+        env.step({"drone_0": np.full(14, np.nan)})
+    while env.agents:  # absurd, but allowed: everything stays finite until it ends
+        observations, rewards, *_ = env.step({"drone_0": np.full(14, 1e30)})
+        assert np.isfinite(observations["drone_0"]).all() and np.isfinite(rewards["drone_0"])
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"num_drone": 2}, TypeError, "unknown option 'num_drone'; did you mean 'num_drones'"),
+        ({"layout": "cricle"}, ValueError, "unknown layout 'cricle'; did you mean 'circle'"),
+        ({"team": "SX"}, ValueError, "unknown vehicle token 'X'"),
+        ({"num_drones": 0}, ValueError, "num_drones is 0, but must be an integer of at least 1"),
+        ({"deterministic": "yes"}, TypeError, "deterministic is 'yes', but must be True or False"),
+        ({"render_mode": "rgb"}, ValueError, "rgb"),
+    ],
+)
+def test_bad_options(face, options, error, message):
+    with pytest.raises(error, match=message):
+        face.make("swap_v0", **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"interactions": "learnd"}, r"unknown interaction model 'learnd'; did you mean 'learned'"),
+        ({"reward_weights": {"sucess": 1}}, "unknown reward term 'sucess'; did you mean 'success'"),
+        ({"reward_weights": {"crash": float("nan")}}, r"'crash' is nan, but must be finite"),
+        ({"reward_weights": 3}, "reward_weights is 3, but must be a mapping"),
+        ({"team": "S" * 12, "layout": "stacked"}, r"12 drones stacked .* use fewer drones or"),
+        ({"force_bounds_g": {"S": 0.0}}, r"force_bounds_g\['S'\] is 0.0, but must be positive"),
+    ],
+)
+def test_options_that_no_annotation_excludes(options, message):
+    with pytest.raises(ValueError, match=message):
+        swap_v0.parallel_env(physics="batch", **options)
+
+
+def test_unknown_agents():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    for space in (env.action_space, env.observation_space):
+        with pytest.raises(ValueError, match="unknown agent 'drone_2'; did you mean 'drone_"):
+            space("drone_2")
+
+
+@pytest.mark.parametrize("make", [swarm_envs.make, make_joint, make_solo, make_vector])
+def test_unknown_tasks(make):
+    with pytest.raises(ValueError, match="unknown task 'swop_v0'; did you mean 'swap_v0'"):
+        make("swop_v0")
+
+
+SPAWNS: list[tuple[dict[str, Any], str]] = [
+    ({"strat": 1}, "unknown reset option 'strat'; did you mean 'start'"),
+    ({"start": [[0, 0, 1], [0.1, 0, 1], [1, 0, 1]]}, "drones 0 and 1 are 0.100 m apart"),
+    ({"goal": [[0, 0, 1], [1, 0, 1], [0, 0.1, 1]]}, "goals of drones 0 and 2 are 0.100 m"),
+    ({"start": [[0, 0, 1], [1, 0, 1], [9, 0, 1]]}, "start of drone 2 has x = 9.000 m, but must"),
+    ({"start": [[0, 0, 1]]}, r"start has shape \(1, 3\), but must have shape \(3, 3\)"),
+    ({"goal": [[0, 0, np.nan]] * 3}, r"goal is nan at index \(0, 2\)"),
+    ({"start": "above"}, r"start is 'above', but must be numbers"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), SPAWNS)
+def test_impossible_starts(face, options, message):
+    check_refused(face, lambda env: face.reset(env, options=options), message)
+
+
+@pytest.mark.parametrize("options", [{"strat": 1}, {"start": [[0, 0, 0.05]] * 3}])
+def test_a_refused_reset_leaves_the_generator_alone(engine, options):
+    call = lambda env: env.reset(seed=9, options=options)  # noqa: E731
+    check_refused(FACES[0], call, r"'strat'|z = 0.050 m", physics=engine)
+
+
+def test_no_room_to_start(face):
+    """Drawn a bounded number of times, and then refused with the reason."""
+    spots = [(x, y) for x in np.arange(-2.0, 2.1, 0.4) for y in np.arange(-2.0, 2.1, 0.4)]
+    forest = [Column(center=spot, radius=0.15) for spot in spots]
+    with pytest.raises((RuntimeError, ValueError), match=r"room|apart|spacing"):
+        face.begin(obstacles=forest, num_drones=12)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", True])
+def test_bad_seeds(face, seed):
+    check_refused(face, lambda env: face.reset(env, seed=seed), "seed")
+
+
+def test_mixed_seeds_of_a_vector():
+    """None goes on with that environment's generator, beside others that are seeded anew."""
+    env = make_vector("swap_v0", 3, num_drones=3)
+    with pytest.raises(RuntimeError, match="no episode has begun"):
+        env.step(np.zeros((3, 9)))
+    first, _ = env.reset(seed=[5, 6, 7])
+    second, _ = env.reset(seed=[5, None, 7])
+    assert np.array_equal(first[[0, 2]], second[[0, 2]]) and not np.array_equal(first[1], second[1])
+    single = make_joint("swap_v0", physics="batch", num_drones=3)
+    single.reset(seed=6)
+    assert np.array_equal(single.reset()[0], second[1])
+    assert np.array_equal(env.reset(seed=np.array([5, 6, 7]))[0], first)  # type: ignore[arg-type]
+    for seeds, message in (([1, 2], "has 2 entries, but must have 3"), ([1, "a", 2], "'a'")):
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=seeds)  # type: ignore[arg-type]
+
+
+def test_a_pilot_must_fly():
+    with pytest.raises(TypeError, match="others is 3, but must be a function from an observation"):
+        make_solo("swap_v0", others=3, physics="batch")  # type: ignore[arg-type]
+
+
+def test_closed(face):
+    env = face.begin()
+    env.close()
+    env.close()
+    rows = [np.zeros(3)] * 3
+    for call in (lambda: face.step(env, rows), env.reset):
+        with pytest.raises(RuntimeError, match="closed environment; make a new one"):
+            call()
+
+
+def test_step_without_an_episode(engine):
+    env = swap_v0.parallel_env(team="LS", physics=engine, horizon_s=0.1)
+    actions = {agent: np.zeros(3) for agent in env.possible_agents}
+    with pytest.raises(RuntimeError, match=r"no episode has begun; call reset\(\) first"):
+        env.step(actions)
+    env.reset(seed=1)
+    while env.agents:
+        env.step(actions)
+    before = everything(env)
+    with pytest.raises(RuntimeError, match=r"the episode has ended; call reset\(\) first"):
+        env.step(actions)
+    assert everything(env) == before
+    env.close()

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test
-from stable_baselines3 import PPO
 
 from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode, load
@@ -164,25 +163,6 @@ def test_teams_in_one_row_mask_who_has_ended():
     assert info["episode_metrics"]["collided_drones"] == 2
     envs.close()
     one.close()
-
-
-def test_stable_baselines3_learns_while_drones_fall_one_after_another():
-    given = OPTIONS | {"action": "rotors"}
-    env = SharedPolicyVecEnv("swap_v1", 2, horizon_s=1.0, **given)
-    waiting = []
-
-    def watch(seen: dict[str, Any], _: Any) -> bool:
-        waiting.append(sum(not info["active"] for info in seen["infos"]))
-        return True
-
-    model = PPO("MlpPolicy", env, n_steps=48, batch_size=144, n_epochs=1, seed=0, device="cpu")
-    before = [weights.detach().clone() for weights in model.policy.parameters()]
-    model.learn(288, callback=watch)
-    after = [*model.policy.parameters()]
-    assert 0 < max(waiting) < 6
-    assert all(weights.isfinite().all() for weights in after)
-    assert any(not old.equal(new) for old, new in zip(before, after, strict=True))
-    env.close()
 
 
 def test_the_shared_policy_waits_for_its_team():

@@ -1,4 +1,4 @@
-"""PettingZoo's AEC interface of every task: its own tests, the same flight, refusals in turn."""
+"""PettingZoo's contracts, all at once and in turns: its own tests, seeds, the same flight."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pettingzoo.test import (
 )
 from pettingzoo.utils.conversions import aec_to_parallel
 
-from swarm_envs import TASKS
+from swarm_envs import TASKS, swap_v0
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv
 
 DRONES = 3
@@ -58,6 +58,17 @@ def test_pettingzoos_own_tests(task):
         api_test(module.env(), num_cycles=60)
 
 
+@pytest.mark.parametrize("action", ["acceleration", "rotors", "setpoint"])
+def test_pettingzoos_test_of_every_action(engine, action):
+    env = swap_v0.parallel_env(team="LS", physics=engine, action=action)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(env, num_cycles=300)
+    assert env.render() is None  # without a render_mode
+    env.close()
+    env.close()
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_pettingzoos_render_test(task, monkeypatch):
     """In pictures alone: a window needs a display."""
@@ -68,6 +79,31 @@ def test_pettingzoos_render_test(task, monkeypatch):
 
     assert RENDER_MODES[0] == "rgb_array"
     render_test(make)
+
+
+def test_reset_without_a_seed_goes_on_with_the_generator():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    starts = []
+    for seed in (4, None, None, 4, None):
+        env.reset(seed=seed)
+        starts.append(env.view.state.position.copy())
+    np.testing.assert_array_equal(starts[0], starts[3])
+    np.testing.assert_array_equal(starts[1], starts[4])
+    assert not np.array_equal(starts[0], starts[1])
+    assert not np.array_equal(starts[1], starts[2])
+    other = swap_v0.parallel_env(num_drones=2, physics="batch")
+    other.reset()  # of no seed ever
+    assert not any(np.array_equal(other.view.state.position, start) for start in starts)
+
+
+def test_view_is_read_only():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    env.reset(seed=1)
+    view = env.view
+    arrays = [*view.state, *view.setpoint, *view.reference(0.5), view.goals, view.oracle_force]
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
 
 
 @pytest.mark.skipif(not hasattr(pettingzoo, "register"), reason="a PettingZoo without registry")

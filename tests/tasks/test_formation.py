@@ -1,4 +1,4 @@
-"""Formations: stages by the clock, who goes where, and that straight ways do not meet."""
+"""Formations and rings: stages by the clock, who goes where, and that nobody can collide."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import formation_v0
+from swarm_envs import formation_v0, ring_v0
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.tasks.base import Placement, world_of
-from swarm_envs.tasks.formation import CLOSEST, FormationTask, nearest_places
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import Placement, TrackingSuccess, world_of
+from swarm_envs.tasks.formation import CLOSEST, FormationTask
+from swarm_envs.tasks.ring import RingLayout, RingTask, num_upright, perimeter, ring_team
 from swarm_envs.tasks.shapes import SHAPES, block_of, shape_points
-from swarm_envs.vehicles import parse_team
+from swarm_envs.vehicles import parse_team, team_string
 
 
 def task_of(n: int = 9, **options: Any) -> FormationTask:
@@ -74,16 +76,6 @@ def test_straight_ways_to_the_nearest_places_do_not_meet(n, start):
             distance = np.linalg.norm(position[:, None] - position[None], axis=-1)
             distance[np.eye(n, dtype=bool)] = np.inf
             assert distance.min() > task.spacing / np.sqrt(2) - 1e-9
-
-
-def test_nearest_places_are_the_best_match():
-    rng = np.random.default_rng(0)
-    wanted, places = rng.normal(size=(2, 5, 3))
-    ours = nearest_places(wanted, places)
-    assert sorted(ours) == list(range(5))
-    least = np.square(wanted - places[ours]).sum()
-    for _ in range(200):
-        assert least <= np.square(wanted - places[rng.permutation(5)]).sum() + 1e-12
 
 
 def test_mirrored_places_are_the_point_reflections():
@@ -195,3 +187,180 @@ def test_a_goal_is_refused():
     env.reset(options={"start": [[0, 0, 1], [1, 0, 1]]})
     np.testing.assert_array_equal(env.view.state.position, [[0, 0, 1], [1, 0, 1]])
     assert pytest.approx(2.8284, abs=1e-4) == CLOSEST
+
+
+G = 9.80665
+
+
+def flown(task: RingTask, seed: int, times: FloatArray) -> list[FloatArray]:
+    """Position, velocity, acceleration and jerk (T, N, 3) of the reference."""
+    world = world_of(task.place(np.random.default_rng(seed)))
+    rows = [[a[0] for a in task.reference(world, np.array([t]))] for t in times]
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+@pytest.mark.parametrize("team", ["5", "16", "S", "SL", "LLLLLLLL", "S*LLSSLSS*SSL", "S" * 40])
+def test_references_never_come_close(team):
+    """Over a period of the slowest ring, for several start phases: the sum of radii and 5 cm."""
+    task = RingTask(ring_team(int(team)) if team.isdigit() else parse_team(team))
+    reach = task.radius[:, None] + task.radius[None]
+    for seed in range(3):
+        position = flown(task, seed, np.arange(0.0, 13.0, 0.1))[0]
+        distance = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
+        distance[:, np.eye(len(task.team), dtype=bool)] = np.inf
+        assert (distance >= reach + 0.05).all()
+        assert (position > task.arena[0] + task.radius[:, None]).all()
+        assert (position < task.arena[1] - task.radius[:, None]).all()
+
+
+@pytest.mark.parametrize("n", [*range(1, 50), 64, 128, 256])
+def test_any_number_of_drones_flies_around_the_ring(n):
+    task = RingTask(ring_team(n))
+    assert task.orbit.center.shape == (n, 3)
+    assert len(task.place(np.random.default_rng(0)).start) == n
+
+
+@pytest.mark.parametrize("n", [5, 16])
+def test_thrust_is_far_from_its_limit(n):
+    task = RingTask(ring_team(n))
+    _, velocity, acceleration, _ = flown(task, 0, np.arange(0.0, 13.0, 0.1))
+    needed = np.linalg.norm(acceleration + np.array([0.0, 0.0, G]), axis=-1) / G
+    assert (needed < 0.75 * np.array([v.thrust_to_weight for v in task.team])).all()
+    assert np.linalg.norm(velocity, axis=-1).max() < 1.0
+
+
+def test_the_five_of_the_paper():
+    """A small one is at its lowest when a large one is right above, at all times of the flight."""
+    task = RingTask(ring_team(5))
+    assert team_string(task.team) == "S*S*S*LL"
+    position, velocity, *_ = flown(task, 4, np.arange(2.0, 12.0, 0.01))
+    small, large = position[:, :3], position[:, 3:]
+    assert np.ptp(large[..., 2]) == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(small[..., 1]) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(velocity, axis=-1), 0.65)
+    lowest = np.argmin(small[..., 2], axis=0)
+    below = [
+        np.linalg.norm(large[t, :, :2] - small[t, i, :2], axis=-1) for i, t in enumerate(lowest)
+    ]
+    assert min(d.min() for d in below) < 0.01
+    assert small[..., 2].min() == pytest.approx(1.2 - 0.55, abs=1e-3)
+
+
+def test_the_sixteen_of_the_paper():
+    task = RingTask(ring_team(16))
+    assert sorted(team_string([v]) for v in task.team) == ["L"] * 2 + ["S"] * 4 + ["S*"] * 10
+    level = np.flatnonzero(task.orbit.first[:, 2] == 0.0)
+    assert [task.team[i].token for i in level] == ["L", "S", "S", "L", "S", "S"]
+    np.testing.assert_allclose(task.orbit.first[level], [[1.0, 0.0, 0.0]] * 6)
+    np.testing.assert_allclose(task.orbit.second[level], [[0.0, 0.6, 0.0]] * 6)
+    upright = np.setdiff1d(np.arange(16), level)
+    tips, counts = np.unique(task.orbit.center[upright, 0].round(9), return_counts=True)
+    assert tips.tolist() == [-1.0, 1.0]
+    assert counts.tolist() == [5, 5]
+    position = flown(task, 0, np.arange(2.0, 2.0 + perimeter(1.0, 0.6) / 0.5, 0.005))[0]
+    way = np.linalg.norm(np.diff(position, axis=0), axis=-1).sum(axis=0)
+    np.testing.assert_allclose(way[level], perimeter(1.0, 0.6), rtol=1e-3)  # once round, at 0.5 m/s
+
+
+@pytest.mark.parametrize(("n", "upright"), [(1, 1), (2, 1), (5, 3), (8, 5), (9, 5), (16, 10)])
+def test_share_of_upright_rings(n, upright):
+    assert num_upright(n) == upright
+    team = "S*" * upright + "S" * (n - upright)
+    task = RingTask(parse_team(team))
+    stands = task.orbit.first[:, 2] != 0.0
+    assert stands.tolist() == [v.token == "S*" for v in task.team]
+
+
+def test_starts_on_the_rings_at_rest_and_ramps_up():
+    task = RingTask(ring_team(5))
+    starts = []
+    for seed in range(20):
+        placement = task.place(np.random.default_rng(seed))
+        position, velocity, acceleration, jerk = flown(task, seed, np.array([0.0, 1.0, 2.0, 5.0]))
+        np.testing.assert_array_equal(position[0], placement.start)
+        for derivative in (velocity, acceleration, jerk):
+            assert not derivative[0].any()
+        speed = np.linalg.norm(velocity, axis=-1)
+        np.testing.assert_allclose(speed[1], 0.65 / 2)
+        np.testing.assert_allclose(speed[2:], 0.65)
+        starts.append(placement.start)
+    assert len({s.tobytes() for s in starts}) == 20
+
+
+def test_a_fixed_lead_fixes_the_start():
+    layout = RingLayout((0.6, 0.6), 0.6, 0.5, lead_s=(0.0, 0.0), phases_rad=(0.0, np.pi))
+    task = RingTask(parse_team("S*L"), rings=layout)
+    for seed in range(3):
+        start = task.place(np.random.default_rng(seed)).start
+        tip = task.orbit.center[0]
+        np.testing.assert_allclose(start[0] - tip, [0, 0, 0.6], atol=1e-9)  # half a turn on: on top
+        np.testing.assert_allclose(start[1], tip, atol=1e-9)
+
+
+def test_errors_of_the_start_up_do_not_count():
+    """Drones that start 0.2 m above their rings: errors count once they had time to catch up."""
+    agent = TrackingAgent()
+    env = ring_v0.parallel_env(interactions="none", physics="batch", **agent.requires)
+    env.reset(seed=3)
+    start = env.view.state.position + np.array([0.0, 0.0, 0.2])
+    errors = []
+
+    def watch(env: Any) -> None:
+        view = env.view
+        np.testing.assert_array_equal(view.goals, view.reference(view.time).position)
+        errors.append(np.linalg.norm(view.state.position - view.goals, axis=1))
+
+    metrics = fly_episode(env, agent, 3, watch, options={"start": start})
+    counted = np.array(errors)[96:]  # from 2 s on, at 48 decisions a second
+    assert np.max(errors[0]) > 0.15
+    assert metrics["worst_tracking_error_m"] == pytest.approx(counted.max())
+    assert metrics["rms_tracking_error_m"] == pytest.approx(np.sqrt(np.mean(counted**2)))
+    assert metrics["success"] == (counted.max() < 0.15)
+
+
+def test_success_comes_with_the_clock_and_needs_the_tracking():
+    for worst, expected in ((0.15, True), (1e-3, False)):
+        task = RingTask(ring_team(5), success=TrackingSuccess(worst, 0.5), scored_s=1.0)
+        agent = TrackingAgent()
+        env = SwarmParallelEnv(task, EnvConfig(physics="batch", **agent.requires))
+        observations, _ = env.reset(seed=1)
+        agent.reset(env, 1)
+        given = 0.0
+        while env.agents:
+            observations, _, terminated, truncated, infos = env.step(
+                agent.act(observations, env.view)
+            )
+            given += infos["drone_0"]["reward_terms"]["success"]
+        assert all(truncated.values())
+        assert not any(terminated.values())
+        assert infos["drone_0"]["episode_metrics"]["success"] == expected
+        assert infos["drone_0"]["episode_metrics"]["length_s"] == pytest.approx(1.5)
+        assert given == float(expected)
+
+
+@pytest.mark.parametrize(
+    ("team", "layout", "message"),
+    [
+        (
+            "SSSSSSSS",
+            RingLayout((0.05, 0.05), 0.5, 0.5),
+            r"drones \d and \d of a group come within",
+        ),
+        ("SSSSS", RingLayout((0.6, 0.6), 0.3, 0.5, height_m=0.3), r"reach out of the arena"),
+        ("SSSSS", RingLayout((0.6, 0.6), 0.6, 3.0), r"drone 0 would be accelerated at 15.00"),
+        ("S" * 200, RingLayout((1.5, 1.5), 0.5, 0.5), r"13 groups of up to 16 drones do not fit"),
+    ],
+)
+def test_impossible_rings(team, layout, message):
+    with pytest.raises(ValueError, match=message):
+        RingTask(parse_team(team), rings=layout)
+
+
+def test_a_goal_is_refused_and_changes_nothing():
+    env = ring_v0.parallel_env(physics="batch")
+    env.reset(seed=1)
+    state = env.core.generators[0].bit_generator.state
+    goal = env.view.state.position + 0.0
+    with pytest.raises(ValueError, match=r"in ring goals are where the reference is; leave it out"):
+        env.reset(options={"goal": goal})
+    assert env.core.generators[0].bit_generator.state == state
