@@ -26,8 +26,8 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_line
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
+from tests.benchmarks.rows import Row, sentence
 
-Row = dict[str, Any]
 STARTS = np.array([[0.0, -1.0, 1.2], [0.0, 1.0, 1.2], [0.0, 0.0, 1.2]])
 GOALS = STARTS[[1, 2, 0]]
 TEAM = "SSL"
@@ -100,10 +100,7 @@ def flight_rows(task: str, layout: str, drones: int, seeds: int) -> list[Row]:
 
 def table(rows: list[Row]) -> str:
     """The rows as text, one line each, and how many succeeded."""
-    lines = []
-    for row in rows:
-        parts = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items())
-        lines.append(", ".join(parts))
+    lines = [*map(sentence, rows)]
     done = [row["success"] for row in rows if "success" in row]
     spent = [row["s"] for row in rows if "s" in row]
     if done:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,6 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import fade_weight
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
-from tests.helpers.drawn_networks import drawn
 
 TYPES = ("A", "B")
 FULL, END, TOP, EDGE = 0.25, 0.35, 0.8, 1.1
@@ -26,6 +27,16 @@ RANGE = {
 }
 DRAG, ANCHOR = 0.02, 0.6
 Tensors = dict[str, FloatArray]
+
+
+def drawn(networks: Mapping[str, Sequence[int]], rng: np.random.Generator) -> dict[str, FloatArray]:
+    """Tensors `name.layer.weight` and `name.layer.bias` of networks, given by their widths."""
+    tensors = {}
+    for name, widths in networks.items():
+        for k, (inputs, outputs) in enumerate(pairwise(widths)):
+            tensors[f"{name}.{k}.weight"] = rng.normal(size=(outputs, inputs))
+            tensors[f"{name}.{k}.bias"] = rng.normal(size=outputs)
+    return tensors
 
 
 def written(path: Path, **changes: Any) -> Tensors:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.files import write_json
-from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions import load
 from swarm_envs.training.collection.collect import FlightBatch
 from swarm_envs.training.collection.log import FlightLog
 from swarm_envs.training.collection.table import CollectedFlight as Flight
@@ -39,6 +39,7 @@ from swarm_envs.training.force_model.explained import (
 )
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import SMALL, parse_team
+from tests.training.test_controller_studies import planted
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
 TINY = CurriculumConfig(
@@ -263,16 +264,6 @@ def test_the_curriculum_explains_the_true_force(tmp_path):
     assert last["clearance_m"] < 0.6 * first["clearance_m"]
 
 
-def scaled(factor: float) -> InteractionModel:
-    """The shipped wake with every force times `factor`: jets, ground effect and drag."""
-    wake = load("wake")
-    pair, ground = wake.field.wake_pair.copy(), wake.field.wake_ground.copy()
-    pair[..., 0] *= factor
-    ground[:, 0] *= factor
-    field = wake.field._replace(wake_pair=pair, wake_ground=ground, drag=factor * wake.field.drag)
-    return InteractionModel("scaled", wake.types, field)
-
-
 def test_the_truth_explains_itself_and_nothing_explains_less_than_nothing():
     position, velocity = random_states("SSL", 50, np.random.default_rng(0))
     wake = load("wake")
@@ -285,14 +276,14 @@ def test_the_truth_explains_itself_and_nothing_explains_less_than_nothing():
 
 def test_generalisation_says_each_team():
     teams = ("SS", "SSSSS", "S" * 16)
-    found = generalisation(scaled(0.9), load("wake"), teams, seed=3, states=30)
+    found = generalisation(planted(0.9), load("wake"), teams, seed=3, states=30)
     assert [e["drones"] for e in found] == [2, 5, 16]
     near = [e["mean_neighbours"] for e in found]
     assert near[0] < near[1] < near[2]
     for e in found:
         assert e["rms_error_g"] == pytest.approx(0.1 * e["rms_force_g"])
         assert 0.9 < e["explained"] < 1.0
-    assert found[1:] == generalisation(scaled(0.9), load("wake"), teams[1:], seed=3, states=30)
+    assert found[1:] == generalisation(planted(0.9), load("wake"), teams[1:], seed=3, states=30)
 
 
 def test_random_states_are_close_but_do_not_touch():
