@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -60,8 +60,24 @@ def troubles(draw, recovery: bool | str = True) -> Trouble:
     )
 
 
+LONE = Trouble(
+    seed=5,
+    drones=5,
+    units=3,
+    unit_loss=0.6,
+    drone_loss=0.3,
+    jams=((12, 16, "unit 0", "units"), (15, 28, "unit 0", "all")),
+    outages=((2, 14, 27), (2, 1, 9)),
+    joins=((4, 9),),
+    leaves=((0, 18),),
+    rounds=30,
+)
+"""A unit hears of a newer view, but for 15 rounds from nobody who belongs to it."""
+
+
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(trouble=troubles())
+@example(trouble=LONE)
 def test_no_loss_brings_drones_together(trouble):
     hold(trouble)
 
