@@ -59,5 +59,5 @@ def test_every_example_is_run():
     elsewhere = {"fly_crazyflie"}  # tests/deploy/test_export.py
     elsewhere |= {"ppo", "dagger"}  # tests/training/test_dagger.py
     elsewhere |= {"rllib_ppo", "benchmarl_grid"}  # tests/compat/test_rllib.py, test_benchmarl.py
-    elsewhere |= {"tune_agents"}  # tests/test_avoiding.py
+    elsewhere |= {"tune_agents"}  # tests/test_safety.py
     assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"} | elsewhere
