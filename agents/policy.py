@@ -452,6 +452,8 @@ gates_dagger = partial(_shipped_policy, "gates-dagger")
 """The policy that ships for the slalom of two to four small drones through gates."""
 pursuit_dagger = partial(_shipped_policy, "pursuit-dagger")
 """The policy that ships for two to eight small drones whose goals do not stay."""
+stack_dagger = partial(_shipped_policy, "stack-dagger")
+"""The policy that ships for columns of eight small drones, half of them with a payload."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

@@ -45,6 +45,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "swap-dagger": "swarm_envs.agents.policy:swap_dagger",
         "gates-dagger": "swarm_envs.agents.policy:gates_dagger",
         "pursuit-dagger": "swarm_envs.agents.policy:pursuit_dagger",
+        "stack-dagger": "swarm_envs.agents.policy:stack_dagger",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
         "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",

@@ -61,13 +61,14 @@ def test_who_compensates_believes_what_was_fitted_in_the_forces_of_the_version(n
 def test_agents_load_by_name_and_fly(name) -> None:
     agent = load(name)
     assert isinstance(agent, Agent)
-    task, fewest, pair = "swap_v0", 2, "LS"
+    task, fewest, types = "swap_v0", 2, ("L", "S")
     if isinstance(agent, PolicyAgent):
         note = agent.policy.note
-        task, fewest, pair = note.task, note.fewest, "SS" if note.types == ("S",) else "LS"
+        task, fewest, types = note.task, note.fewest, note.types or types
     layout = {"layout": "stacked"} if task == "swap_v0" else {}
     given = {"physics": "batch", "horizon_s": 0.2, **layout, **agent.requires}
-    env = make(task, team=pair * (fewest // 2), **given)
+    team = "".join(types[i % len(types)] for i in range(fewest))
+    env = make(task, team=team, **given)
     assert fly_episode(env, agent, seed=0)["length_s"] == pytest.approx(0.2, abs=0.03)
     env.close()
 

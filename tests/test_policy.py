@@ -389,6 +389,22 @@ def test_goals_that_do_not_stay_are_reached_by_imitation(layout, drones, episode
     env.close()
 
 
+STACK: dict[str, Any] = {
+    **{"layout": "stack", "num_drones": 8, "world": "hall", "physics": "batch"},
+    **{"gap_m": (0.28, 0.33), "payload_kg": (0.013, 0.016)},
+}
+"""Options of the benchmark's task."""
+
+
+@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
+def test_heavy_drones_go_on_top_by_imitation(episodes):
+    """The benchmark's episodes, which no drone with its payload in a low place survives."""
+    agent = load("stack-dagger")
+    env = make("columns_v0", **STACK, **agent.requires)
+    assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.97
+    env.close()
+
+
 def test_a_policy_flies_the_other_tasks_that_its_note_names():
     agent = load("swap-dagger")
     assert isinstance(agent, PolicyAgent)

@@ -120,7 +120,7 @@ def in_c(policy: Policy, folder: Path, rows: np.ndarray) -> np.ndarray:
 
 SHIPPED = (
     *("swap-ppo", "swap-ppo-8", "formation-ppo", "ring-ppo"),
-    *("swap-dagger", "gates-dagger", "pursuit-dagger"),
+    *("swap-dagger", "gates-dagger", "pursuit-dagger", "stack-dagger"),
 )
 
 

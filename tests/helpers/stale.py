@@ -109,6 +109,11 @@ PRODUCTS = {
         (LEARNED, BELIEF),
         "the command in agents/weights/MODEL_CARD.md",
     ),
+    "stack-dagger": Product(
+        ("agents/weights/stack-dagger.safetensors",),
+        (LEARNED, BELIEF),
+        "the command in agents/weights/MODEL_CARD.md",
+    ),
     "benchmark": Product(
         ("docs/benchmark.png", "docs/generated/benchmark.md", "agents/recommended.json"),
         (LEARNED, WAKE, BELIEF, *POLICIES),

@@ -276,9 +276,12 @@ class Recipe:
         return total / len(names)
 
 
-def _of_air(*layouts: str, **given: Any) -> Recipe:
-    """Of a task in which loads and forces count; the name of the only layout is no option."""
-    names: Mapping[str, Any] = {name: {"layout": name} for name in layouts}
+def _of_air(*layouts: str, more: Mapping[str, Any] = MappingProxyType({}), **given: Any) -> Recipe:
+    """Of a task in which loads and forces count; the name of the only layout is no option.
+
+    `more` are further options of layouts, by name.
+    """
+    names: Mapping[str, Any] = {name: {"layout": name, **more.get(name, {})} for name in layouts}
     return Recipe(
         layouts=names if len(layouts) > 1 else {layouts[0]: {}},
         defaults={**_REACH, "layout": layouts[0], "horizon_s": None, "observe_load": True},
@@ -306,6 +309,8 @@ _TIMED: Mapping[str, Any] = {
     "measures": {"success": success, "collision": collision, "late_s": late},
     "cost": {"late_s": 0.1},
 }
+_STACKS: Mapping[str, Any] = {"stack": {"gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)}}
+"""What the layout is learned in: the default's and the benchmark's gaps and payloads."""
 _GATES: Mapping[str, Any] = {
     "reward_weights": {},
     "measures": {
@@ -349,7 +354,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             },
             cost={"worst_height_error_m": 1.0 / LOST_M},
         ),
-        "columns": _of_air(*COLUMN_LAYOUTS, **_TIMED),
+        "columns": _of_air(*COLUMN_LAYOUTS, more=_STACKS, **_TIMED),
         "delivery": _of_air("docks", **_TIMED),
         "gates": _of_air("slalom", **_GATES),
         "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),

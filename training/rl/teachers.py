@@ -137,6 +137,31 @@ class Sprinter(AirLine):
     approach = 3.0
 
 
+class AirInTime(AirLine):
+    """Leads set-points to places by minimum-jerk ways that take a time, and holds them there.
+
+    The velocity is a multiple of the distance left, which depends on the time since the stage
+    began: a student learns it from those two.
+    """
+
+    controller, travel_s = "air-on-top", 1.6
+    latest = 0.7  # Share of that time from which on the multiple stays the same
+
+    def teach(self, core: SwarmCore) -> FloatArray:
+        """Velocities of the set-points."""
+        drones, task = core.world.drones, core.task
+        named = getattr(task.success, "named", True)
+        places = drones["goal"] if named else self._chosen(core)
+        since, stage_s = np.array(core.world.environments["time"]), task.motion.stage_s
+        since = np.mod(since + 1e-9, stage_s) if stage_s else since
+        x = np.clip(since / self.travel_s, 0.02, self.latest)[:, None, None]
+        left = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        velocity = 30.0 * (x * (1.0 - x)) ** 2 / self.travel_s
+        acceleration = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.travel_s**2
+        gain = (velocity + ACCELERATION_LAG * acceleration) / left
+        return np.asarray(gain * (places - drones["setpoint_position"]) / SPEED_LIMIT)
+
+
 class AirOracle(AirLine):
     """The same with a controller that knows no force model; it reads the true force instead."""
 

@@ -73,6 +73,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
             "pursuit DAgger", f"{_POLICY} It imitates tracking, and a roundabout."
         ),
         "pursuit-dagger+filter": Place("pursuit DAgger + filter", _FILTERED),
+        "stack-dagger": Place("stack DAgger", f"{_POLICY} It puts the heavy drones on top."),
         "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
         "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
         "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),

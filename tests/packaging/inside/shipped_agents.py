@@ -13,8 +13,9 @@ from swarm_envs.agents.registry import SHIPPED
 TASKS = {
     **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1"},
     **{"gates-dagger": "gates_v0", "pursuit-dagger": "pursuit_v0"},
+    **{"stack-dagger": "columns_v0"},
 }
-TEAMS = {"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5}
+TEAMS = {"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5, "stack-dagger": 8}
 """Numbers of drones, of agents that were made for so many; the others fly two."""
 DECISIONS = 3
 
