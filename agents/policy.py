@@ -454,6 +454,8 @@ pursuit_dagger = partial(_shipped_policy, "pursuit-dagger")
 """The policy that ships for two to eight small drones whose goals do not stay."""
 stack_dagger = partial(_shipped_policy, "stack-dagger")
 """The policy that ships for columns of eight small drones, half of them with a payload."""
+sprint_dagger = partial(_shipped_policy, "sprint-dagger")
+"""The policy that ships for sprints of eight drones into two columns."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

@@ -405,6 +405,16 @@ def test_heavy_drones_go_on_top_by_imitation(episodes):
     env.close()
 
 
+@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
+def test_eight_drones_sprint_by_imitation(episodes):
+    """The benchmark's episodes, in which scripts without the true state never succeed."""
+    agent = load("sprint-dagger")
+    given = {"layout": "sprint", "num_drones": 8, "world": "hall", "horizon_s": 1.8}
+    env = make("columns_v0", physics="batch", **given, **agent.requires)
+    assert successes(env, agent, frozen_seeds(2026, episodes)) >= (0.89 if episodes > 16 else 0.75)
+    env.close()
+
+
 def test_a_policy_flies_the_other_tasks_that_its_note_names():
     agent = load("swap-dagger")
     assert isinstance(agent, PolicyAgent)

@@ -73,7 +73,7 @@ class PolicyOptions(HeaderOptions):
     """
 
     agent: str
-    """swap-ppo, swap-ppo-8, swap-dagger, gates-dagger, pursuit-dagger, stack-dagger,
+    """swap-ppo, swap-ppo-8, swap-dagger, gates-dagger, pursuit-dagger, stack-dagger, sprint-dagger,
     formation-ppo, ring-ppo, a .safetensors file, or the folder of a training run"""
 
 

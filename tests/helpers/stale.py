@@ -114,6 +114,11 @@ PRODUCTS = {
         (LEARNED, BELIEF),
         "the command in agents/weights/MODEL_CARD.md",
     ),
+    "sprint-dagger": Product(
+        ("agents/weights/sprint-dagger.safetensors",),
+        (LEARNED, BELIEF),
+        "the command in agents/weights/MODEL_CARD.md",
+    ),
     "benchmark": Product(
         ("docs/benchmark.png", "docs/generated/benchmark.md", "agents/recommended.json"),
         (LEARNED, WAKE, BELIEF, *POLICIES),

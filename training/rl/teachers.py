@@ -162,6 +162,12 @@ class AirInTime(AirLine):
         return np.asarray(gain * (places - drones["setpoint_position"]) / SPEED_LIMIT)
 
 
+class SprintInTime(AirInTime):
+    """The same in the time that `sprint` leaves."""
+
+    controller, travel_s, latest = "air-aware", 0.85, 0.55
+
+
 class AirOracle(AirLine):
     """The same with a controller that knows no force model; it reads the true force instead."""
 

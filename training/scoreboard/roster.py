@@ -74,6 +74,9 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         ),
         "pursuit-dagger+filter": Place("pursuit DAgger + filter", _FILTERED),
         "stack-dagger": Place("stack DAgger", f"{_POLICY} It puts the heavy drones on top."),
+        "sprint-dagger": Place(
+            "sprint DAgger", f"{_POLICY} It imitates ways that take just the time."
+        ),
         "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
         "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
         "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),

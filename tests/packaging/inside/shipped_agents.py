@@ -13,15 +13,20 @@ from swarm_envs.agents.registry import SHIPPED
 TASKS = {
     **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1"},
     **{"gates-dagger": "gates_v0", "pursuit-dagger": "pursuit_v0"},
-    **{"stack-dagger": "columns_v0"},
+    **{"stack-dagger": "columns_v0", "sprint-dagger": "columns_v0"},
 }
-TEAMS = {"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5, "stack-dagger": 8}
+TEAMS = {
+    **{"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5},
+    **{"stack-dagger": 8, "sprint-dagger": 8},
+}
 """Numbers of drones, of agents that were made for so many; the others fly two."""
+LAYOUTS = {"sprint-dagger": {"layout": "sprint"}}  # Where it is not the default
 DECISIONS = 3
 
 for name in SHIPPED:
     agent = load(name)
     options: dict[str, Any] = {"num_drones": TEAMS.get(name, 2), **agent.requires}
+    options |= LAYOUTS.get(name, {})
     env = make(TASKS.get(name, "swap_v1"), physics="batch", **options)
     observations, _ = env.reset(seed=0)
     agent.reset(env, seed=0)
