@@ -456,6 +456,8 @@ stack_dagger = partial(_shipped_policy, "stack-dagger")
 """The policy that ships for columns of eight small drones, half of them with a payload."""
 sprint_dagger = partial(_shipped_policy, "sprint-dagger")
 """The policy that ships for sprints of eight drones into two columns."""
+delivery_dagger = partial(_shipped_policy, "delivery-dagger")
+"""The policy that ships for three couriers that dock below four large drones."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

@@ -47,6 +47,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "pursuit-dagger": "swarm_envs.agents.policy:pursuit_dagger",
         "stack-dagger": "swarm_envs.agents.policy:stack_dagger",
         "sprint-dagger": "swarm_envs.agents.policy:sprint_dagger",
+        "delivery-dagger": "swarm_envs.agents.policy:delivery_dagger",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
         "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",

@@ -415,6 +415,16 @@ def test_eight_drones_sprint_by_imitation(episodes):
     env.close()
 
 
+@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
+def test_couriers_dock_below_others_by_imitation(episodes):
+    """The benchmark's episodes, in which scripts without the true state never succeed."""
+    agent = load("delivery-dagger")
+    given = {"num_drones": 7, "world": "hall", "physics": "batch"}
+    env = make("delivery_v0", **given, **agent.requires)
+    assert successes(env, agent, frozen_seeds(2026, episodes)) >= (0.91 if episodes > 16 else 0.75)
+    env.close()
+
+
 def test_a_policy_flies_the_other_tasks_that_its_note_names():
     agent = load("swap-dagger")
     assert isinstance(agent, PolicyAgent)

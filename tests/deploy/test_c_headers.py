@@ -122,6 +122,7 @@ SHIPPED = (
     *("swap-ppo", "swap-ppo-8", "formation-ppo", "ring-ppo"),
     *("swap-dagger", "gates-dagger", "pursuit-dagger", "stack-dagger"),
     "sprint-dagger",
+    "delivery-dagger",
 )
 
 

@@ -119,6 +119,11 @@ PRODUCTS = {
         (LEARNED, BELIEF),
         "the command in agents/weights/MODEL_CARD.md",
     ),
+    "delivery-dagger": Product(
+        ("agents/weights/delivery-dagger.safetensors",),
+        (LEARNED,),
+        "the command in agents/weights/MODEL_CARD.md",
+    ),
     "benchmark": Product(
         ("docs/benchmark.png", "docs/generated/benchmark.md", "agents/recommended.json"),
         (LEARNED, WAKE, BELIEF, *POLICIES),

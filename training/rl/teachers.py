@@ -168,6 +168,12 @@ class SprintInTime(AirInTime):
     controller, travel_s, latest = "air-aware", 0.85, 0.55
 
 
+class DeliveryInTime(AirInTime):
+    """The same in the time that `delivery` leaves, with an estimate of the force."""
+
+    controller, travel_s, latest = "air-blind-adaptive", 1.5, 0.8
+
+
 class AirOracle(AirLine):
     """The same with a controller that knows no force model; it reads the true force instead."""
 

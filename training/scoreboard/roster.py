@@ -77,6 +77,9 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "sprint-dagger": Place(
             "sprint DAgger", f"{_POLICY} It imitates ways that take just the time."
         ),
+        "delivery-dagger": Place(
+            "delivery DAgger", f"{_POLICY} It imitates ways that take just the time."
+        ),
         "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
         "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
         "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),
