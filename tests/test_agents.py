@@ -61,7 +61,8 @@ def test_who_compensates_believes_what_was_fitted_in_the_forces_of_the_version(n
 def test_agents_load_by_name_and_fly(name) -> None:
     agent = load(name)
     assert isinstance(agent, Agent)
-    task, fewest, types = "swap_v0", 2, ("L", "S")
+    task, fewest = "swap_v0", 2
+    types: tuple[str, ...] = ("L", "S")
     if isinstance(agent, PolicyAgent):
         note = agent.policy.note
         task, fewest, types = note.task, note.fewest, note.types or types
