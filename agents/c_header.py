@@ -190,7 +190,7 @@ def _meaning(policy: Policy, name: str) -> list[str]:
     if mode in _STEERING:
         limits = f"{ACCELERATION_LIMIT:g} m/s^2 and {SPEED_LIMIT:g} m/s"
         return [
-            f"Actions are {mode}s of the set-point over its limit ({limits}); {name}_steer() and",
+            f"An action is the set-point's {mode} over its limit ({limits}); {name}_steer() and",
             f"{name}_advance() move it as the simulator does. Let the controller follow it.",
         ]
     return [f"What actions mean: action {mode!r} of swarm_envs.envs.actions."]

@@ -271,7 +271,10 @@ def read_policy(path: Path) -> Policy:
         ValueError: it is damaged, of no format that is known, or of another observation layout.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"there is no {str(path)!r}; train a policy by `swarm-envs train`")
+        raise FileNotFoundError(
+            f"there is no {str(path)!r}; train a policy by `swarm-envs train`, or name an agent's "
+            "class, path/to/file.py:Class"
+        )
     if path.suffix != ".safetensors":
         raise ValueError(
             f"policy {str(path)!r} is no .safetensors file: a pickle, such as .pt or .zip, can "
@@ -404,7 +407,7 @@ class PolicyAgent:
         note, task = self.policy.note, env.core.task
         if task_family(task.name) not in note.families:
             raise ValueError(
-                f"this policy flies {' and '.join(sorted(note.families))}, but the environment's "
+                f"this policy flies {', '.join(sorted(note.families))}, but the environment's "
                 f"task is {task_family(task.name)}; set the task (--task), or train another policy"
             )
         if not note.fewest <= env.core.num_drones <= note.drones:

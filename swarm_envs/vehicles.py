@@ -210,5 +210,7 @@ def _read_tokens(team: str) -> Team:
     tokens = [token for token in _TOKEN.findall(team) if token != "2"]
     for token in tokens:
         if token not in VEHICLES:
-            raise ValueError(unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}"))
+            said = unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}")
+            counts = "; write a letter for each drone, such as 'LLLSSS'" if token.isdigit() else ""
+            raise ValueError(said + counts)
     return tuple(VEHICLES[token] for token in tokens)

@@ -72,6 +72,11 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
         (["--agent", "tracing"], "did you mean 'tracking'?"),
         (["--agent", "none.py:Agent"], "there is no file 'none.py'"),
         (["--team", "SXL"], "unknown vehicle token"),
+        (["--team", "L3S"], "write a letter for each drone, such as 'LLLSSS'"),
+        (
+            ["--neighbors", "2", "--agent", "swap-dagger"],
+            "'swap-dagger' cannot fly: it requires",
+        ),
         (["--physics", "bulet"], "did you mean 'bullet'?"),
         (["--video", "a.avi"], "--video is 'a.avi', but must end in .mp4 or .gif"),
         (["--trajectory", "a.csv"], "must end in .parquet or .npz"),
@@ -103,6 +108,14 @@ def test_out_leaves_out_what_needs_an_extra_and_says_which(capsys, tmp_path, mon
     said = capsys.readouterr().out
     assert "skips flight.mp4" in said
     assert {"flight.json", "replay.html", "trajectory.npz"} == {file.name for file in out.iterdir()}
+
+
+def test_the_best_agent_among_obstacles_sees_them(capsys):
+    column = ["--obstacles", "column=1:1:0.15", "--physics", "batch"]
+    assert main(["fly", *column]) == 0
+    assert "agent roundabout" in capsys.readouterr().out
+    assert main(["fly", *column, "--agent", "swap-ppo"]) == 2
+    assert "try --agent roundabout" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -112,8 +112,9 @@ def need_file(option: str, file: Path, what: str) -> None:
 def need_recording(file: Path) -> None:
     """Refuse a recorded flight that is not there."""
     if not file.is_file():
-        kind = "there is a folder, not a" if file.is_dir() else "there is no"
-        fix = "`swarm-envs fly --trajectory FILE` records a flight"
+        kind, fix = "there is no", "`swarm-envs fly --trajectory FILE` records a flight"
+        if file.is_dir():
+            kind, fix = "there is a folder, not a", "name the recording in it, trajectory.parquet"
         raise Misuse(f"{kind} file {str(file)!r}; {fix}")
 
 

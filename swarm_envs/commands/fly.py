@@ -47,7 +47,8 @@ class EpisodeFields:
     """What is flown: these come first in the help."""
 
     task: str = "swap"
-    """task, such as `swap`, or with its version, `swap_v1`"""
+    """swap, ring, formation, columns, delivery, gates, pursuit or crowd, or one with its version,
+    `swap_v1`"""
     layout: str | None = None
     """layout of the task, such as `random` or `stacked`; default: the task's"""
     drones: Count | None = None
@@ -132,7 +133,10 @@ def run_fly(options: FlyOptions) -> None:
     with as_misuse(TypeError, FileNotFoundError):
         task = find_task(options.task)
         name = options.agent or best_agent(options, task)
-        agent, env = prepare(name, options, task)
+        try:
+            agent, env = prepare(name, options, task)
+        except ValueError as error:
+            raise ValueError(f"agent {name!r} cannot fly: {error}") from error
     with closing(env):
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
@@ -194,8 +198,11 @@ def best_agent(options: EpisodeOptions, task: str) -> str:
     """The best agent for a task, as it was asked for."""
     from swarm_envs.agents import recommended
 
-    with closing(make(task, **options.setting())) as env:
+    setting = options.setting()
+    with closing(make(task, **setting)) as env:
         drones = len(env.possible_agents)
+    if setting.get("obstacles") and task_family(task) in ("swap", "formation"):
+        return "roundabout"  # the benchmark flies these without obstacles, which others do not see
     try:
         return recommended(task, num_drones=drones, team=options.team, layout=options.layout)
     except ValueError as error:
@@ -231,11 +238,15 @@ def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -
     return f"{said}; try --agent {best}" if best != name else said
 
 
+_LETTERS = 32  # Drones up to which a team is written out
+
+
 def _print_summary(recording: Recording, agent: Agent) -> None:
     from swarm_envs.viewing.summary import metric_rows, outcome
 
-    about, team = recording.about, team_string(recording.team)
-    print(f"{about.task}, team {team}, agent {about.agent}, seed {about.seed}")
+    about, count = recording.about, len(recording.team)
+    team = f"team {team_string(recording.team)}" if count <= _LETTERS else f"{count} drones"
+    print(f"{about.task}, {team}, agent {about.agent}, seed {about.seed}")
     print(outcome(recording), end="\n\n")
     rows = metric_rows(about.metrics)
     width = max(len(label) for label, _ in rows)

@@ -36,7 +36,8 @@ class CrewOptions(AirOptions):
     """The same, and those of the team."""
 
     team: str | None = None
-    """the vehicles, such as `L2S` or `S*S*LL`, instead of a number of drones"""
+    """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `*` after
+    one adds a payload. The 2 of `L2S` only separates them: S passes below L"""
     neighbors: Count | None = None
     """K, the number of observed neighbors"""
 

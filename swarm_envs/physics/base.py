@@ -365,10 +365,13 @@ class Physics:
         drones["commands"] = u
         if external_force is not None:
             drones["external"] = external_force
-        self._fly(BEGIN | SPIN | MOVE | TOUCH, 1, self._everywhere)
+        self._advance()
         if external_force is not None or self.hall is not None:
             drones["external"] = 0.0  # it pushes in this step alone
         return self.state
+
+    def _advance(self) -> None:
+        self._fly(BEGIN | SPIN | MOVE | TOUCH, 1, self._everywhere)
 
     def __reduce__(self) -> str:
         """Refuse to be copied or pickled: views of the state would come apart from it.

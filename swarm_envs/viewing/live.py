@@ -65,7 +65,8 @@ class LiveViewer:
     def show(self) -> None:
         """Send the environments, wait for their time, and for as long as the page is paused."""
         server = self._server
-        if self._wait_s:
+        if self._wait_s and not server.joined.is_set():
+            sys.stderr.write(f"swarm_envs: waiting up to {self._wait_s:g} s for a browser\n")
             server.joined.wait(self._wait_s)
             self._wait_s = 0.0
         self.send()

@@ -211,7 +211,7 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         ("--start-kl 1", "--start-kl was given, but no --start"),
         ("--algo dagger --crash 2", "--crash was given (2.0), but --algo dagger has no such"),
         ("--algo sac --sac.batch-size 0", "--sac.batch-size"),
-        ("--task crowd", "--layout all is learned by --algo dagger; name one layout"),
+        ("--task crowd", "together are learned by --algo dagger alone; name one by --layout: "),
         ("--controller hover", "controller is 'hover', but must be a shipped agent with a con"),
         ("--features raw", "unknown features 'raw'; valid: 'full-1'"),
         ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),

@@ -383,7 +383,11 @@ def with_recipe(config: RlConfig, task: str) -> RlConfig:
     if config.controller is not None:
         controller_of(config.controller)
     if whole.layout == ALL and config.algo != "dagger":
-        raise ValueError(f"--layout {ALL} is learned by --algo dagger; name one layout")
+        single = ", ".join(sorted(set(recipe.layouts) - {ALL}))
+        raise ValueError(
+            f"all layouts of {task} together are learned by --algo dagger alone; name one by "
+            f"--layout: {single}"
+        )
     return whole
 
 

@@ -37,13 +37,13 @@ class SacConfig:
     learning_rate: Rate = 1e-3
     """of Adam at the start, for actor, critics and temperature; it falls linearly"""
     last_rate: Rate = 0.1
-    """what is left of it at the end, as a share"""
+    """final learning rate, as a share of the initial one"""
     lookahead: Count = 5
     """rewards that are counted before the critic estimates what follows (n-step returns)"""
     learning_starts: Annotated[int, Range(0)] = 8192
     """decisions of single drones, drawn at random, before the first gradient step"""
     buffer_size: Count = 300_000
-    """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
+    """size of the replay buffer in steps of single drones; checkpoints contain it, 0.6 kB each"""
     tau: Rate = 0.02
     """share by which target critics follow the critics at each gradient step"""
     ent_coef: Rate = 0.002
@@ -69,11 +69,12 @@ class DaggerConfig:
     learning_rate: Rate = 2e-3
     """of Adam at the start; it falls as a cosine"""
     last_rate: Rate = 0.02
-    """what is left of it at the end, as a share"""
+    """final learning rate, as a share of the initial one"""
     buffer_size: Count = 400_000
-    """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
+    """size of the replay buffer in steps of single drones; checkpoints contain it, 0.6 kB each"""
     guided: Share = 0.125
-    """of the run: over it, the share of decisions that the teacher flies falls from 1 to 0"""
+    """share of the run during which the teacher flies too; its share of the decisions falls from 1
+    to 0"""
     noise: Share = 0.1
     """standard deviation of noise on the actions of a third of the environments"""
     avoiding: Annotated[float, Range(0.0, 100.0)] = 3.0
@@ -114,7 +115,8 @@ class RunOptions:
     steps: Count = 3_000_000
     """decisions of single drones, rounded up to whole rollouts"""
     seed: Seed = 0
-    """of first weights, episodes and exploration; the same seed gives the same policy"""
+    """random seed of initial weights, episodes and exploration; the same seed gives the same
+    policy"""
     json: Path | None = None
     """write the report to this file too"""
 
@@ -137,13 +139,13 @@ class RlConfig(AirOptions, RunOptions):
     batch_size: Count = 2048
     """decisions per gradient step"""
     n_epochs: Count = 5
-    """over the decisions of a rollout"""
+    """epochs over each rollout"""
     learning_rate: Rate = 1e-3
-    """of Adam at the start; it falls linearly"""
+    """initial learning rate of Adam; it decays linearly"""
     last_rate: Share = 0.02
-    """what is left of it at the end, as a share"""
+    """final learning rate, as a share of the initial one"""
     gamma: Share | None = None
-    """what a reward is worth one decision later; the recipe's if not given"""
+    """discount factor; default: the task's"""
     gae_lambda: Share = 0.95
     """lambda of generalised advantage estimation"""
     clip_range: Annotated[float, Range(1e-3, 1.0)] = 0.2
@@ -166,7 +168,7 @@ class RlConfig(AirOptions, RunOptions):
     """a policy of its own for each type of vehicle in the team"""
     log_std_init: Annotated[float, Range(-7.0, 2.5)] | None = None
     """logarithm of the actions' standard deviation at the start; the same in every state, and
-    learned; the recipe's if not given"""
+    learned; default: the task's"""
     second_stage: Annotated[float, Range(0.0, 0.9)] = 0.25
     """share of the steps that are trained again from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
@@ -176,7 +178,7 @@ class RlConfig(AirOptions, RunOptions):
     """least standard deviation of actions at its start"""
 
     horizon_s: Annotated[float, Range(0.2, 1000.0, unit="s")] | None = None
-    """time limit of training, s; the recipe's if not given: shorter than the task's, since failures
+    """time limit of training, s; default: the task's: shorter than the task's, since failures
     come early; the time-out is bootstrapped"""
     action: Literal["acceleration", "velocity", "ctbr", "rotors"] = "acceleration"
     """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust
@@ -190,11 +192,11 @@ class RlConfig(AirOptions, RunOptions):
     num_obstacles: Annotated[int, Range(0)] = 0
     """M, the number of observed obstacles"""
     observe_load: bool | None = None
-    """observe thrust margins, masses and charges; the recipe's if not given"""
+    """observe thrust margins, masses and charges; default: the task's"""
     observe_force: bool = False
     """observe the force that the shipped belief predicts for the drone"""
     features: Annotated[str, OneOf(tuple(FEATURE_SETS))] | None = None
-    """what the network sees of an observation row; the recipe's if not given, and `full-1` with
+    """what the network sees of an observation row; default: the task's, and `full-1` with
     obstacles, loads or forces"""
     controller: str | None = None
     """the shipped agent whose tracking controller flies the policy's set-points, such as
@@ -225,9 +227,9 @@ class RlConfig(AirOptions, RunOptions):
     progress: bool = True
     """show a progress bar"""
     sac: SacConfig = SacConfig()
-    """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
+    """only with `--algo sac`: replaces the PPO options above"""
     dagger: DaggerConfig = DaggerConfig()
-    """of `--algo dagger`, in place of those above that it has not"""
+    """only with `--algo dagger`: replaces the PPO options above"""
 
     def __post_init__(self) -> None:
         """Refuse options that do not fit each other."""
