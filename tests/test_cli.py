@@ -103,6 +103,8 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("train --drones 4 six", "--drones is 'six', but must be an integer of at least 1, or"),
         ("evaluate --workers two", "--workers is 'two', but must be an integer of at least 1 (see"),
         ("reproduce neural-swarm2 --figure 2", "--figure is '2', but must be 1 or 5 or"),
+        ("fly swap", "unexpected argument 'swap'; did you mean '--task swap'?"),
+        ("evaluate mine.py:Mine", "did you mean '--agent mine.py:Mine'?"),
         ("demo --swap 3", "unknown option '--swap'; did you mean '--swaps'?"),
         ("train --lr 1e-3", "unknown option '--lr'; did you mean '--learning-rate'?"),
         ("train --epochs 3", "did you mean '--n-epochs'?"),
@@ -114,7 +116,6 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("record --episodes 3", "did you mean '--flights'?"),
         ("fit -o runs", "unknown option '-o'; did you mean '--out'?"),
         ("plan --labels no", "--labels takes no value, but got 'no'"),
-        ("fly swap", "unexpected argument 'swap'"),
     ],
 )
 def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_nearest(

@@ -6,12 +6,13 @@ import dataclasses
 import difflib
 import re
 import typing
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import tyro
 
+from swarm_envs import TASKS, task_family
 from swarm_envs.arguments import Option, options_of
 from swarm_envs.errors import unknown_name
 
@@ -58,7 +59,7 @@ def find_mistake(options: type, words: Sequence[str], prefixes: bool = False) ->
 
 def _mistake(table: dict[str, Option], name: str, value: str | None) -> str | None:
     if not name:
-        return f"unexpected argument {value!r}"
+        return f"unexpected argument {value!r}" + _meant(table, str(value))
     option = table.get(name)
     if option is None:
         near = _nearest(name.lstrip("-"), [n.lstrip("-") for n in table])
@@ -72,6 +73,17 @@ def _mistake(table: dict[str, Option], name: str, value: str | None) -> str | No
         return f"{name} takes no value, but got {value!r:.80}"
     rule = kind.words.removesuffix(" or None").removesuffix(",")
     return f"{name} is {value!r:.80}, but must be {rule}"
+
+
+def _meant(table: Container[str], value: str) -> str:
+    """The option that a value without one is for, if it names a task or an agent."""
+    from swarm_envs.agents.registry import SHIPPED
+
+    tasks = {*TASKS, *map(task_family, TASKS)}
+    for option, names in (("--task", tasks), ("--agent", SHIPPED)):
+        if option in table and (value in names or (option == "--agent" and ".py:" in value)):
+            return f"; did you mean '{option} {value}'?"
+    return ""
 
 
 def _nearest(name: str, valid: Iterable[str]) -> str | None:
