@@ -94,7 +94,7 @@ def test_growth_is_the_exponent_of_the_time(power):
         for setting in slabs("uniform")
     ]
     law = growth(made)
-    assert law is not None and law["exponent"] == pytest.approx(power)
+    assert law is not None and law.exponent == pytest.approx(power)
     assert growth(made[:3]) is None  # too small to be told from the cost of calls
 
 

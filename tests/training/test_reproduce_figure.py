@@ -82,6 +82,8 @@ def test_where_a_drone_fits():
     y, z = np.meshgrid(found.y, found.z)
     fits = (np.hypot(y, z - 0.5) >= 0.12 - 1e-9) & (z >= 0.07 - 1e-9)
     assert (found.free == fits).mean() > 0.9995  # points on the very edge may round either way
+    with pytest.raises(ValueError, match=r"step_m is 0\.5"):
+        force_map(load("wake"), CASE["b"], 0.5)
 
 
 def test_larger_swarms_count_their_neighbours():

@@ -87,6 +87,9 @@ def test_pairs_are_compared_as_by_hand():
 
 def test_what_is_no_difference_is_none():
     assert signed_rank_p(np.zeros(5)) == 1.0
+    for wrong in (np.ones(3), np.ones((2, 2)), np.ones(0)):
+        with pytest.raises(ValueError, match="are no pairs"):
+            compare_paired(wrong, np.ones(0) if wrong.ndim == 1 else wrong)
 
 
 def test_the_cases_are_those_of_the_paper():
@@ -465,6 +468,8 @@ def test_measures_of_a_known_force():
     assert found["clearance"] == pytest.approx(0.3 / 0.155, rel=0.02)
     standing = abs(force[1]) * GRAM_FORCE / team[1].mass / 4000.0
     assert found["error_cm"][1] == pytest.approx(100.0 * standing, rel=0.3)
+    with pytest.raises(ValueError, match="5 steps of 2 robots"):
+        track_plan(plan, parse_team("S"), model)
 
 
 @pytest.mark.parametrize("team", SCENARIOS)

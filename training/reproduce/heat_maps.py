@@ -165,6 +165,8 @@ class _ForceMap:
 
 def force_map(model: InteractionModel, case: _MapCase, step_m: float = 0.01) -> _ForceMap:
     """Evaluate one case on a grid."""
+    if not 0.001 <= step_m <= 0.25:
+        raise ValueError(f"step_m is {step_m}, but must be from 0.001 to 0.25")
     y = np.linspace(-_HALF_WIDTH_M, _HALF_WIDTH_M, round(2 * _HALF_WIDTH_M / step_m) + 1)
     below = 0.0 if case.ground else _BELOW_M
     steps = round((_HEIGHT_M + below) / step_m) + 1

@@ -235,6 +235,11 @@ def compare_paired(without: FloatArray, compensated: FloatArray) -> dict[str, An
         compensated over uncompensated; `made_worse`, episodes in which compensation made the error
         larger; `p_value` of `signed_rank_p`, and whether it is `significant`.
     """
+    if without.shape != compensated.shape or without.ndim != 1 or not len(without):
+        raise ValueError(
+            f"errors of shapes {without.shape} and {compensated.shape} are no pairs: give one "
+            "number for each episode, of the same episodes"
+        )
     before, after = quartiles(without), quartiles(compensated)
     p_value = signed_rank_p(compensated - without)
     return {

@@ -136,6 +136,11 @@ def track_plan(
     dt: float = TIME_STEP,
 ) -> Track:
     """Let a PID track a plan on double integrators with a model's forces, held over dt, s."""
+    if plan.states.shape[1] != len(team) or plan.steps < 1:
+        raise ValueError(
+            f"the plan has {plan.steps} steps of {plan.states.shape[1]} robots, but must have at "
+            f"least one step and the team's {len(team)}"
+        )
     times: FloatArray = dt * np.arange(math.floor(plan.duration / dt + 1e-6) + 1.0)
     planned, moving, controls = plan_at(plan, times)
     mass = np.array([vehicle.mass for vehicle in team])[:, None]

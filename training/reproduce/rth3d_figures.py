@@ -282,7 +282,7 @@ def _report(options: Rth3dOptions, cells: Mapping[str, Cell]) -> Report:
     laws = {f"{name}, {method}": growth(row) for (name, method), row in curves.items()}
     summary = {
         "points": rows,
-        "growth": {name: law for name, law in laws.items() if law is not None},
+        "growth": {name: law._asdict() for name, law in laws.items() if law is not None},
         "peers": [peer._asdict() for peer in figure.peers],
     }
     draw = partial(plot_curve_figure, figure=figure, curves=curves)

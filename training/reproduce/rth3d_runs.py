@@ -287,12 +287,20 @@ def gather_runs(setting: GridSetting, method: str, cells: Sequence[Cell]) -> Cur
     )
 
 
-def growth(points: Sequence[CurvePoint]) -> dict[str, float] | None:
+class _PowerLaw(NamedTuple):
+    """y = c x^exponent, fitted."""
+
+    exponent: float  # slope in a picture whose axes are logarithmic
+    error: float  # standard error of the exponent
+    settings: int  # values that it was fitted to
+
+
+def growth(points: Sequence[CurvePoint]) -> _PowerLaw | None:
     """How the mean time grows with the vertices, where the grid is no longer small.
 
-    A straight line is fitted to logarithms: time = c vertices^exponent. Between settings of one
-    density robots grow as vertices do: the exponent is that of robots too. None where fewer than
-    three sizes are large enough.
+    A straight line is fitted to logarithms. Between settings of one density robots grow as
+    vertices do: the exponent is that of robots too. None where fewer than three sizes are large
+    enough.
     """
     from scipy.stats import linregress
 
@@ -301,8 +309,4 @@ def growth(points: Sequence[CurvePoint]) -> dict[str, float] | None:
     if len(set(sizes)) < _FEWEST:
         return None
     line = linregress(np.log(sizes), np.log([point.cpu_s.mean for point in large]))
-    return {
-        "exponent": float(line.slope),
-        "error": float(line.stderr),  # standard error of the exponent
-        "settings": len(sizes),  # values that it was fitted to
-    }
+    return _PowerLaw(float(line.slope), float(line.stderr), len(sizes))
