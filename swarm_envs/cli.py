@@ -213,7 +213,9 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "train-sweep": Command(
         "train with several seeds and options",
-        _command("train-sweep", "commands.train:SweepOptions", "commands.train:run_sweep"),
+        _command(
+            "train-sweep", "commands.train_sweep:SweepOptions", "commands.train_sweep:run_sweep"
+        ),
     ),
     "fit": Command("fit a force model to flight logs", _fit),
     "export": Command("export flights, policies and force models to real drones", _export),

@@ -19,14 +19,8 @@ from swarm_envs.shows.drawing import path_lines, read_drawing
 from swarm_envs.shows.flying import fly_show
 from swarm_envs.shows.formations import NAMES, Formation, Room, formation_of, formations_of, spelled
 from swarm_envs.shows.night import film_lights
-from swarm_envs.shows.planning import (
-    TAKEOFF_S,
-    Show,
-    light_program,
-    plan_show,
-    trajectory_points,
-    write_skyc,
-)
+from swarm_envs.shows.planning import Show, plan_show
+from swarm_envs.shows.skybrush import TAKEOFF_S, light_program, trajectory_points, write_skyc
 from swarm_envs.shows.transitions import Pace, assigned, labelled
 
 ROOM, PACE = Room(), Pace()

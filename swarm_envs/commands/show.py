@@ -98,7 +98,7 @@ _FILES = {
 
 def run_show(options: ShowOptions) -> None:
     """Plan, fly, print and write."""
-    from swarm_envs.shows.planning import write_skyc
+    from swarm_envs.shows.skybrush import write_skyc
     from swarm_envs.viewing.trajectory import write_trajectory
 
     files = output_files(options, _FILES)

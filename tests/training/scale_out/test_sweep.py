@@ -11,7 +11,7 @@ pytest.importorskip("stable_baselines3")
 
 from swarm_envs.cli import main
 from swarm_envs.commands.checks import Misuse
-from swarm_envs.commands.train import (
+from swarm_envs.commands.train_sweep import (
     check_marker,
     over_seeds,
     parse,
