@@ -273,7 +273,7 @@ class Poly4D:
 
 
 class Drone:
-    """Notes what it is told."""
+    """Logs the commands that it receives."""
 
     def __init__(self, uri: str, log: list[tuple[Any, ...]]) -> None:
         self.memory = SimpleNamespace(trajectory=[], write_data_sync=lambda: True)

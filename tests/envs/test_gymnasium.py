@@ -163,20 +163,23 @@ def test_a_row_an_agent_is_the_same_flight(mode):
     for _ in range(60):
         np.testing.assert_array_equal(own, seen.reshape(6, -1))
         actions = rng.uniform(-0.2, 0.2, (6, 3)).astype(np.float32)
-        seen, _, over, cut, told = teams.step(actions.reshape(2, -1))
-        own, rewards, ended, truncated, infos = rows.step(actions)
-        again = ~told["active"].any(axis=1)
-        expected = np.where(again[:, None], 0.0, told["rewards"])
+        seen, _, terminated, truncated, by_team = teams.step(actions.reshape(2, -1))
+        own, rewards, *ends_of_rows, infos = rows.step(actions)
+        again = ~by_team["active"].any(axis=1)
+        expected = np.where(again[:, None], 0.0, by_team["rewards"])
         np.testing.assert_array_equal(rewards, expected.reshape(-1))
-        np.testing.assert_array_equal(ended, np.repeat(over, 3))
-        np.testing.assert_array_equal(truncated, np.repeat(cut, 3))
-        if cut.any():
+        np.testing.assert_array_equal(ends_of_rows[0], np.repeat(terminated, 3))
+        np.testing.assert_array_equal(ends_of_rows[1], np.repeat(truncated, 3))
+        if truncated.any():
             ends += 1
             length = infos.get("final_info", infos)["episode_metrics"]["length_s"]
             assert length.tolist() == [0.5] * 6
-        if rows.metadata["autoreset_mode"] is AutoresetMode.DISABLED and (over | cut).any():
-            seen, _ = teams.reset(options={"reset_mask": over | cut})
-            own, _ = rows.reset(options={"reset_mask": over | cut})
+        if (
+            rows.metadata["autoreset_mode"] is AutoresetMode.DISABLED
+            and (terminated | truncated).any()
+        ):
+            seen, _ = teams.reset(options={"reset_mask": terminated | truncated})
+            own, _ = rows.reset(options={"reset_mask": terminated | truncated})
     assert ends == 2
     teams.close()
     rows.close()
@@ -242,10 +245,10 @@ def test_infos_are_of_their_own():
     batch.reset()
     for _ in range(3):
         *_, shared = batch.step(np.zeros((6, 3)))
-    for told in (list(infos.values()), shared):
-        told[0]["episode_metrics"]["success"] = "changed"
-        told[0]["mine"] = True
-        assert all("mine" not in info for info in told[1:])
-        assert all(info["episode_metrics"]["success"] is False for info in told[1:])
+    for first, *others in (list(infos.values()), shared):
+        first["episode_metrics"]["success"] = "changed"
+        first["mine"] = True
+        assert all("mine" not in info for info in others)
+        assert all(info["episode_metrics"]["success"] is False for info in others)
     env.close()
     batch.close()

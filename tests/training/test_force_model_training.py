@@ -204,19 +204,15 @@ def test_checkpoint_of_other_rows_or_options_is_refused(name, tmp_path):
         train(rows, SPEC, dataclasses.replace(short, seed=1), path, progress=False)
 
 
-TAUGHT = TrainConfig(
+TAUGHT = dataclasses.replace(
+    PLAIN,
+    steps=None,
     epochs=2.0,
     teachers=2,
     teacher_epochs=2.0,
     optimiser="soap",
     schedule="constant",
     average_share=0.2,
-    batch_size=64,
-    checkpoint_every=10,
-    slope_limit=None,
-    position_jitter_m=0.0,
-    velocity_jitter=0.0,
-    balance=0.0,
 )
 
 
