@@ -14,6 +14,7 @@ from importlib import resources
 from typing import Any
 
 from swarm_envs import task_family
+from swarm_envs.agents.avoiding import TUNED
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.arguments import Count, typed
 from swarm_envs.vehicles import SMALL, Team, parse_team
@@ -40,6 +41,7 @@ def recommended(
     learned: bool | None = None,
     privileged: bool | None = None,
     layout: str | None = None,
+    obstacles: bool = False,
 ) -> str:
     """Name of the best shipped agent for a task: for `load`, and for `swarm-envs fly --agent`.
 
@@ -55,6 +57,9 @@ def recommended(
         privileged: False for one that sees what is observed alone; None for either.
         layout: of the task; None, or one that the benchmark does not fly, stands for the first one
             that it does.
+        obstacles: whether the environment has the option `obstacles`. The benchmark flies without
+            it: then an agent that steers around them, else a script, as references are drawn free
+            of them. Trained policies do not see them.
 
     Raises:
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
@@ -64,12 +69,17 @@ def recommended(
     agents = _agents_for(task, layout, len(crew))
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
-    for name, about in agents.items():
-        if named.items() <= about.items() and _takes(name, crew):
+    names = [name for name, about in agents.items() if named.items() <= about.items()]
+    if obstacles:
+        scripts = [name for name in names if not agents[name]["learned"]]
+        names = [name for name in scripts if name in TUNED] or scripts
+    for name in names:
+        if _takes(name, crew):
             return name
     said = " and ".join(f"{name}={value}" for name, value in named.items())
     raise ValueError(
-        f"no shipped agent with {said or 'any property'} flies {task!r} with {len(crew)} drones; "
+        f"no shipped agent with {said or 'any property'} flies {task!r} with {len(crew)} drones"
+        f"{' among obstacles' if obstacles else ''}; "
         f"others that do: {', '.join(agents) or 'none'}"
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -252,6 +253,21 @@ def test_the_best_agent_succeeds(task, drones):
     env.close()
 
 
+@pytest.mark.parametrize(("task", "layout", "drones", "best"), [
+    ("swap_v1", "random", 4, "roundabout"), ("swap_v1", "random", 64, "roundabout"),
+    ("swap_v1", "circle", 4, "orca"), ("formation_v1", "shuffle", 8, "fast-line"),
+    ("pursuit_v0", "swap-goals", 8, "roundabout"), ("ring_v1", None, 4, "air-aware"),
+])  # fmt: skip
+def test_the_best_agent_among_obstacles_succeeds(task, layout, drones, best):
+    name = recommended(task, num_drones=drones, layout=layout, obstacles=True)
+    assert name == best
+    agent = load(name)
+    given = {"num_drones": drones, "obstacles": "column=1:1:0.15", "physics": "batch"}
+    given |= {} if layout is None else {"layout": layout}
+    with closing(swarm_envs.make(task, **{**given, **agent.requires})) as env:
+        assert fly_episode(env, agent, 0)["success"]
+
+
 def test_it_is_as_it_was_asked_for():
     learned = load(recommended("swap", num_drones=4, learned=True))
     assert isinstance(getattr(learned, "agent", learned), PolicyAgent)
@@ -265,6 +281,8 @@ def test_it_is_as_it_was_asked_for():
         ValueError, match=r"learned=True flies 'swap' with 500.*straight-line\+filt"
     ):
         recommended("swap", num_drones=500, learned=True)
+    with pytest.raises(ValueError, match="flies 'swap' with 4 drones among obstacles"):
+        recommended("swap", num_drones=4, learned=True, obstacles=True)
     with pytest.raises(ValueError, match=r"no task 'swop'; it has swap, ring, formation"):
         recommended("swop", num_drones=2)
 

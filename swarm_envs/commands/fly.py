@@ -201,10 +201,14 @@ def best_agent(options: EpisodeOptions, task: str) -> str:
     setting = options.setting()
     with closing(make(task, **setting)) as env:
         drones = len(env.possible_agents)
-    if setting.get("obstacles") and task_family(task) in ("swap", "formation"):
-        return "roundabout"  # the benchmark flies these without obstacles, which others do not see
     try:
-        return recommended(task, num_drones=drones, team=options.team, layout=options.layout)
+        return recommended(
+            task,
+            num_drones=drones,
+            team=options.team,
+            layout=options.layout,
+            obstacles="obstacles" in setting,
+        )
     except ValueError as error:
         raise ValueError(f"{error}; name one by --agent") from error
 
