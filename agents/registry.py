@@ -147,7 +147,7 @@ def _unknown_agent(name: str) -> str:
         return f"agent {name!r} names no class; write {name + ':Class'!r}"
     if "," in name:
         return f"unknown agent {name!r}; separate names by spaces"
-    near = difflib.get_close_matches(name, SHIPPED, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(name.lower(), SHIPPED, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return (
         f"unknown agent {name!r}; {hint}`swarm-envs fly --help` lists the included agents; others "

@@ -250,11 +250,13 @@ def _guarded(
 def _check(owner: str, name: str, value: object, kind: Kind) -> None:
     if kind.fits(value):
         return
-    label = name.replace("_", "-") if owner.startswith("--") else name
+    label, rule = name, kind.words
+    if owner.startswith("--"):  # what is not given is None
+        label, rule = name.replace("_", "-"), rule.removesuffix(" or None").removesuffix(",")
     if isinstance(value, str) and kind.names:
         message = unknown_name(label, value, kind.names)
     else:
-        message = f"{owner}{label} is {value!r:.80}, but must be {kind.words}"
+        message = f"{owner}{label} is {value!r:.80}, but must be {rule}"
     raise ValueError(message) if kind.has_type(value) else WrongKind(message)
 
 

@@ -262,7 +262,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return DONE
     name, rest = given[0], given[1:]
     if name not in COMMANDS:
-        return _complain(PROGRAM, unknown_name("command", name, COMMANDS), MISUSED)
+        return _complain(
+            PROGRAM, unknown_name("command", name, (*COMMANDS, "--help", "--version")), MISUSED
+        )
     where = f"{PROGRAM} {name}"
     try:
         with _terminable():
@@ -313,21 +315,10 @@ def _read(
 
     With `prefixes`, options of a nested dataclass are named after it: `--logs.guard-s`.
     """
-    import tyro
+    from swarm_envs.commands.mistakes import read_options
 
-    from swarm_envs.commands.mistakes import find_mistake
-
-    words = [*_with_new_names(name, arguments)]
-    mistake = find_mistake(options, words, prefixes)
-    if mistake is not None:
-        raise Misuse(f"{mistake} (see `{PROGRAM} {name} --help`)")
-    return tyro.cli(
-        options,
-        args=words,
-        description=_description(name, options),
-        prog=f"{PROGRAM} {name}",
-        config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
-    )
+    words, description = [*_with_new_names(name, arguments)], _description(name, options)
+    return read_options(options, words, f"{PROGRAM} {name}", prefixes, description)
 
 
 _SB3 = {

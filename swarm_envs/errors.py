@@ -22,9 +22,10 @@ def unknown_name(kind: str, name: object, valid: Iterable[str], where: str = "")
         where: where it was given, appended to the first clause.
     """
     names = sorted(valid)
-    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.4)
+    written = {each.lower(): each for each in names}
+    near = difflib.get_close_matches(str(name).lower(), written, n=1)
     place = f" {where}" if where else ""
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    hint = f"did you mean {written[near[0]]!r}? " if near else ""
     return f"unknown {kind} {name!r}{place}; {hint}valid: {', '.join(map(repr, names))}"
 
 

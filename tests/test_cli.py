@@ -99,6 +99,23 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
             "--swaps is 'many', but must be an integer of at least 1 and at most",
         ),
         ("fly --drones four", "--drones is 'four', but must be an integer of at least 1 (see"),
+        ("fly --drones", "--drones has no value, but must be an integer of at least 1 (see"),
+        ("fly --drones 0", "error: --drones is 0, but must be an integer of at least 1 (see"),
+        ("fly --drones 4 --team SS", "error: --drones is 4, but --team SS has 2; give one of them"),
+        ("fly --agent swap-ppo orca", "unexpected argument 'orca'"),
+        ("evaluate --workers -1", "error: --workers is -1, but must be an integer of at least 1"),
+        ("evaluate --agent", "--agent has no value, but must be"),
+        ("train --steps 1e5", "but must be an integer of at least 1; did you mean '100000'?"),
+        ("train --algo PPO", "unknown --algo 'PPO'; did you mean 'ppo'?"),
+        ("train --hidden 64,64", "did you mean '64 64'?"),
+        ("train --proximity 1", "--proximity is '1', but must be a tuple of 2 values, each"),
+        ("train --tau 0.1", "did you mean '--sac.tau'?"),
+        ("train", "the following arguments are required: --out (see"),
+        ("fit", "the following arguments are required: --data, --out (see"),
+        ("assignment", "are required: command {list,start} (see"),
+        ("curriculum --stages x", "unknown option '--stages'"),
+        ("fly --on-contact explode", "unknown --on-contact 'explode'; valid"),
+        ("plan --grid 4", "--grid is '4', but must be two or three integers of at least 1, such"),
         ("fly --drones 4.5", "--drones is '4.5', but must be an integer of at least 1 (see"),
         ("train --drones 4 six", "--drones is 'six', but must be an integer of at least 1, or"),
         ("evaluate --workers two", "--workers is 'two', but must be an integer of at least 1 (see"),
@@ -109,7 +126,10 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("train --lr 1e-3", "unknown option '--lr'; did you mean '--learning-rate'?"),
         ("train --epochs 3", "did you mean '--n-epochs'?"),
         ("train --n-step 3", "did you mean '--n-steps'?"),
-        ("train-sweep --out a --set foo=1", "unknown option '--foo' (--set and --compare take"),
+        (
+            "train-sweep --out a --set foo=1",
+            "--set and --compare take options of `swarm-envs train`: unknown",
+        ),
         ("fly --gama 0.9", "unknown option '--gama' (see"),
         ("fly --model swap-ppo", "did you mean '--agent'?"),
         ("evaluate --policy swap-ppo", "did you mean '--agent'?"),
@@ -124,7 +144,8 @@ def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_near
     assert main(line.split()) == 2
     error = capsys.readouterr().err
     assert said in error
-    assert "Annotated" not in error
+    assert "Annotated" not in error and "Options" not in error
+    assert len(error.splitlines()) == 1
     command = line.split()[0].removesuffix("-sweep")
     assert f"see `{PROGRAM} {command}" in error
 
@@ -132,9 +153,9 @@ def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_near
 def test_what_an_option_can_take_is_no_mistake():
     words = "--drones None --world hall --task x --randomization mass=1:2 --out a --horizon-s 1e1"
     assert find_mistake(FlyOptions, words.split()) is None
-    several = "--drones 4 6 --proximity 1 2.5 --sac.tau 0.1"
+    several = "--out a --drones 4 6 --proximity 1 2.5 --sac.tau 0.1"
     assert find_mistake(RlConfig, several.split(), prefixes=True) is None
-    switches = "--no-tensorboard --num_neighbors 3 --sac.train-freq=4 --log-std-init -0.7"
+    switches = "--out a --no-tensorboard --num_neighbors 3 --sac.train-freq=4 --log-std-init -0.7"
     assert find_mistake(RlConfig, switches.split(), prefixes=True) is None
     assert find_mistake(FlyOptions, ["--unknown", "--help"]) is None
 

@@ -67,7 +67,7 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--task", "swop"], "did you mean 'swap_v1'?"),
+        (["--task", "swop"], "did you mean 'swap'?"),
         (["--layout", "staked"], "did you mean 'stacked'?"),
         (["--agent", "tracing"], "did you mean 'tracking'?"),
         (["--agent", "none.py:Agent"], "there is no file 'none.py'"),

@@ -405,11 +405,8 @@ def test_the_tests_that_students_are_given_pass(tmp_path, name):
         (["--assignment", "swap", "--agent", "a", "--limit-s", "0"], "must be positive"),
     ],
 )
-def test_what_cannot_be_graded_is_refused(arguments, why, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["grade", *arguments])
-    assert end.value.code == 2
-    assert why in " ".join(capsys.readouterr().err.replace("│", " ").split())
+def test_what_cannot_be_graded_is_refused(arguments, why, refused):
+    assert why in refused("grade", *arguments)
 
 
 def test_data_that_cannot_grade_is_the_teachers_mistake(tmp_path, capsys):

@@ -40,7 +40,7 @@ def test_team_strings_come_back_as_they_were_written(team):
         ("s", ("'s'",)),
         ("S L", ("' '",)),
         ("*S", ("'*'", "did you mean 'S*'")),
-        ("L*", ("'L*'", "did you mean")),
+        ("L*", ("'L*'", "valid: 'L', 'S', 'S*'")),
         ("", ("no drones", "such as")),
         ("2", ("no drones",)),
     ],

@@ -1,6 +1,6 @@
 """Tables of options: `<!-- commands -->` becomes every command with its options.
 
-Whatever dataclass a command hands to tyro is what is written down, so nothing can be forgotten.
+Whatever dataclass a command reads is what is written down, so nothing can be forgotten.
 `<!-- option table: EnvConfig -->` becomes the options of a class of settings, with their rules, and
 `<!-- assignment table -->` the assignments of a course.
 """
@@ -14,13 +14,12 @@ from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from unittest import mock
 
-import tyro
-
 from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
 from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.columns_v0 import ColumnsOptions
+from swarm_envs.commands import mistakes
 from swarm_envs.commands.export import KINDS
 from swarm_envs.crowd_v0 import CrowdOptions
 from swarm_envs.delivery_v0 import DeliveryOptions
@@ -70,18 +69,18 @@ def options_class(command: str, *arguments: str) -> tuple[type, bool]:
     """The dataclass that a command reads, and whether nested options bear a prefix.
 
     Raises:
-        LookupError: the command reads no options with tyro.
+        LookupError: the command reads no options.
     """
 
-    def ask(options: type, **given: Any) -> None:
-        raise Asked(options, tyro.conf.OmitArgPrefixes not in given.get("config", ()))
+    def ask(options: type, words: Any, program: str, prefixes: bool, description: str) -> None:
+        raise Asked(options, prefixes)
 
-    with mock.patch.object(tyro, "cli", ask):
+    with mock.patch.object(mistakes, "read_options", ask):
         try:
             COMMANDS[command].run(arguments)
         except Asked as asked:
             return asked.options, asked.prefixes
-    raise LookupError(f"{command} reads no options with tyro")
+    raise LookupError(f"{command} reads no options")
 
 
 def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:

@@ -24,7 +24,7 @@ class AssignmentOptions:
     `start` writes the page of the assignment, a starter that runs, its tests, and a notebook.
     """
 
-    what: Annotated[Literal["list", "start"], tyro.conf.Positional]
+    command: Annotated[Literal["list", "start"], tyro.conf.Positional]
     """`list`, or `start` with the assignment's name and the folder"""
     name: Annotated[str | None, tyro.conf.Positional] = None
     """which assignment to start"""
@@ -34,7 +34,9 @@ class AssignmentOptions:
 
 def run_assignment(options: AssignmentOptions) -> None:
     """Print the assignments, or write one's files."""
-    if options.what == "list":
+    if options.command == "list":
+        if options.name is not None:
+            raise Misuse(f"list takes no name, but got {options.name!r}; `start` takes one")
         width = max(map(len, ASSIGNMENTS))
         for name, assignment in ASSIGNMENTS.items():
             print(f"{name.ljust(width)}  {assignment.summary}\n{' ' * width}  {assignment.rubric}")

@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from swarm_envs import TASKS, __version__, make, task_family
-from swarm_envs.arguments import Count, Seed
+from swarm_envs.arguments import POSITIVE_S, Count, Seed
 from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
@@ -58,7 +58,7 @@ class EpisodeFields:
     """`bullet` or `batch`; default: Bullet if it is installed"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    horizon_s: float | None = None
+    horizon_s: Annotated[float, POSITIVE_S] | None = None
     """time limit, s; default: the task's"""
 
 
@@ -138,6 +138,8 @@ def run_fly(options: FlyOptions) -> None:
         except ValueError as error:
             raise ValueError(f"agent {name!r} cannot fly: {error}") from error
     with closing(env):
+        with as_misuse(RuntimeError):
+            env.reset(seed=options.seed)
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
     _write_files(files, recording)
@@ -181,7 +183,8 @@ def check_flies(
     if ":" in name:
         return
     if not isinstance(agent, PolicyAgent):  # which asks for no state, so nothing is compiled
-        env.reset(seed=seed)
+        with as_misuse(RuntimeError):  # obstacles that leave no place to start
+            env.reset(seed=seed)
     try:
         agent.reset(env, seed)
     except ValueError as error:
@@ -190,8 +193,8 @@ def check_flies(
 
 def find_task(name: str) -> str:
     """The versioned name of a task; of the newest version if the name has none."""
-    versions = sorted(task for task in TASKS if task_family(task) == name)
-    return versions[-1] if versions else check_name("task", name, TASKS)
+    families = {task_family(task): task for task in sorted(TASKS)}
+    return families.get(name) or check_name("task", name, (*families, *TASKS))
 
 
 def best_agent(options: EpisodeOptions, task: str) -> str:

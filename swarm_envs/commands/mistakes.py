@@ -1,20 +1,26 @@
-"""What of a command line a command does not take, said by the options' own rules."""
+"""Reads a command line into options, and says by their own rules what a command does not take."""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
+import io
+import math
 import re
 import typing
 from collections.abc import Container, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 from pathlib import Path
+from typing import TypeVar
 
 import tyro
 
 from swarm_envs import TASKS, task_family
 from swarm_envs.arguments import Option, options_of
+from swarm_envs.commands.checks import Misuse
 from swarm_envs.errors import unknown_name
+
+Options = TypeVar("Options")
 
 _SYNONYMS = (
     {"agent", "agents", "model", "policy", "algorithm"},
@@ -37,6 +43,52 @@ _SYNONYMS = (
 """Names of one thing in other programs, or in other commands."""
 
 
+def read_options(
+    options: type[Options],
+    words: Sequence[str],
+    program: str,
+    prefixes: bool = False,
+    description: str | None = None,
+) -> Options:
+    """Read the options of a command line into their dataclass.
+
+    Args:
+        options: the dataclass of a command's options.
+        words: the command line after the command's name.
+        program: the command, such as `swarm-envs fly`.
+        prefixes: whether options of a nested dataclass are named after it, as `--logs.guard-s`.
+        description: what the help begins with.
+
+    Raises:
+        Misuse: the command does not take these words, or the dataclass refuses their values.
+        SystemExit: the help was asked for and printed.
+    """
+    mistake = find_mistake(options, words, prefixes)
+    if mistake is None:
+        config = () if prefixes else (tyro.conf.OmitArgPrefixes,)
+        printed = io.StringIO()
+        try:
+            with redirect_stderr(printed):
+                return tyro.cli(
+                    options, args=[*words], description=description, prog=program, config=config
+                )
+        except SystemExit as end:
+            if not end.code:
+                raise
+            mistake = _reason(end) or " ".join(printed.getvalue().split())
+        except ValueError as error:
+            mistake = str(error)
+    raise Misuse(f"{mistake} (see `{program} --help`)")
+
+
+def _reason(end: SystemExit) -> str:
+    """What a constructor said before tyro printed it and ended the program; empty if none did."""
+    error = end.__context__
+    while error is not None and not isinstance(error, ValueError):
+        error = error.__context__
+    return "" if error is None else str(error)
+
+
 def find_mistake(options: type, words: Sequence[str], prefixes: bool = False) -> str | None:
     """The first word that the command does not take, with the nearest that it does; None if none.
 
@@ -50,29 +102,66 @@ def find_mistake(options: type, words: Sequence[str], prefixes: bool = False) ->
     if not {"-h", "--help"}.isdisjoint(words):
         return None
     table = dict(_table(options, prefixes))
-    for name, value in _values(words, _positional(options)):
-        mistake = _mistake(table, name, value)
-        if mistake is not None:
-            return mistake
-    return None
+    name, given, free = "", dict[str, list[str]](), _positional(options)
+    for word in words:
+        if re.match(r"--|-[A-Za-z]", word):
+            name, equals, value = word.partition("=")
+            name = name.replace("_", "-")
+            if name not in table:
+                near = _nearest(name.lstrip("-"), [n.lstrip("-") for n in table])
+                return f"unknown option {name!r}" + (f"; did you mean '--{near}'?" if near else "")
+            given[name] = [value] if equals else []
+        elif name and len(given[name]) < _most_values(table[name]):
+            given[name].append(word)
+        elif free:
+            name = free.pop(0)
+            given[name] = [word]
+        elif name and _is_switch(table[name]):
+            return f"{name} takes no value, but got {word!r:.80}"
+        else:
+            return f"unexpected argument {word!r}" + _meant(table, word)
+    mistakes = (_mistake(table[name], name, values) for name, values in given.items())
+    return next(filter(None, mistakes), None) or _missing(table, given)
 
 
-def _mistake(table: dict[str, Option], name: str, value: str | None) -> str | None:
-    if not name:
-        return f"unexpected argument {value!r}" + _meant(table, str(value))
-    option = table.get(name)
-    if option is None:
-        near = _nearest(name.lstrip("-"), [n.lstrip("-") for n in table])
-        return f"unknown option {name!r}" + (f"; did you mean '--{near}'?" if near else "")
-    if value is None or _takes(option, value):
+def _missing(table: dict[str, Option], given: Iterable[str]) -> str | None:
+    """The options that must be given and are not."""
+    there = [table[name] for name in given]
+    missing = [
+        f"{name} {{{','.join(option.kind.names)}}}" if option.kind.names else name
+        for name, option in table.items()
+        if option.default is dataclasses.MISSING and not any(option is each for each in there)
+    ]
+    return f"the following arguments are required: {', '.join(missing)}" if missing else None
+
+
+def _mistake(option: Option, name: str, values: Sequence[str]) -> str | None:
+    """Why an option does not take such values, if it does not."""
+    if _is_switch(option):
+        return f"{name} takes no value, but got {values[0]!r:.80}" if values else None
+    kind, most = option.kind, _most_values(option)
+    rule = kind.words.removesuffix(" or None").removesuffix(",").replace("pathlib.Path", "path")
+    if not values:
+        return f"{name} has no value, but must be {rule}"
+    if len(values) < most < math.inf:
+        return f"{name} is {' '.join(values)!r:.80}, but must be {rule}"
+    value = next((value for value in values if not _takes(option, value)), None)
+    if value is None:
         return None
-    kind = option.kind
     if kind.names:
         return unknown_name(name, value, kind.names)
-    if _is_switch(option):
-        return f"{name} takes no value, but got {value!r:.80}"
-    rule = kind.words.removesuffix(" or None").removesuffix(",")
-    return f"{name} is {value!r:.80}, but must be {rule}"
+    return f"{name} is {value!r:.80}, but must be {rule}" + _as_integers(option, value)
+
+
+def _as_integers(option: Option, value: str) -> str:
+    """The integer that a number such as 1e5 is, or the integers of 64,64, if they are taken."""
+    parts = value.split(",")
+    with suppress(ValueError, OverflowError):
+        if all(float(part).is_integer() for part in parts):
+            words = [str(int(float(part))) for part in parts]
+            if all(_takes(option, word) for word in words) and _most_values(option) >= len(words):
+                return f"; did you mean {' '.join(words)!r}?"
+    return ""
 
 
 def _meant(table: Container[str], value: str) -> str:
@@ -90,6 +179,7 @@ def _nearest(name: str, valid: Iterable[str]) -> str | None:
     """The option that another program calls by this name, or one that is written like it."""
     known = [*valid]
     same = [n for group in _SYNONYMS if name in group for n in known if n in group]
+    same += [n for n in known if n.endswith(f".{name}")]
     near = same or difflib.get_close_matches(name, known, 1, 0.65)
     return near[0] if near else None
 
@@ -102,6 +192,8 @@ def _table(options: type, prefixes: bool, prefix: str = "") -> Iterator[tuple[st
         if dataclasses.is_dataclass(option.default):
             nested = f"{prefix}{name}." if prefixes else prefix
             yield from _table(type(option.default), prefixes, nested)
+            continue
+        if tyro.conf.Suppress in typing.get_args(hints[name]):
             continue
         yield name if name in positional else _flag(prefix + name), option
         for mark in typing.get_args(hints[name]):
@@ -120,16 +212,16 @@ def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def _values(words: Sequence[str], positional: Sequence[str]) -> Iterator[tuple[str, str | None]]:
-    """Each option, and each value with the option that it follows, or stands for."""
-    option, free = "", iter(positional)
-    for word in words:
-        if re.match(r"--|-[A-Za-z]", word):
-            name, equals, value = word.partition("=")
-            option = name.replace("_", "-")
-            yield option, value if equals else None
-        else:
-            yield option or next(free, ""), word
+def _most_values(option: Option) -> float:
+    """How many values an option takes at most."""
+    if _is_switch(option):
+        return 0
+    if option.kind.has_type([]):
+        return math.inf
+    numbers = [
+        n for n in (2, 3) for each in (0, 0.5, "", Path()) if option.kind.has_type((each,) * n)
+    ]
+    return max(numbers, default=1)
 
 
 def _is_switch(option: Option) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -77,11 +78,10 @@ class PlanOptions:
 
     def shape(self) -> tuple[int, ...]:
         """Sides of the grid."""
-        try:
-            return tuple(int(side) for side in self.grid.split("x"))
-        except ValueError as error:
-            rule = "must be two or three integers with an x between, such as 144x72x36"
-            raise ValueError(f"--grid is {self.grid!r}, but {rule}") from error
+        if not re.fullmatch(r"[1-9]\d*(x[1-9]\d*){1,2}", self.grid):
+            rule = "must be two or three integers of at least 1, such as 144x72x36"
+            raise ValueError(f"--grid is {self.grid!r}, but {rule}")
+        return tuple(map(int, self.grid.split("x")))
 
 
 _FILES = {

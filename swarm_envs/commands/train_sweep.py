@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 from swarm_envs import __version__
@@ -28,7 +27,7 @@ from swarm_envs.commands.checks import (
     command_options,
     need_torch,
 )
-from swarm_envs.commands.mistakes import find_mistake
+from swarm_envs.commands.mistakes import read_options
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.scale_out.jobs import Job
@@ -97,11 +96,10 @@ def train_arguments(settings: Sequence[str]) -> list[str]:
 
 def parse(arguments: Sequence[str]) -> RlConfig:
     """Read the arguments of one run as `swarm-envs train` does."""
-    mistake = find_mistake(RlConfig, arguments, prefixes=True)
-    if mistake is not None:
-        given = "--set and --compare take options of `swarm-envs train`"
-        raise Misuse(f"{mistake} ({given}; see `swarm-envs train --help`)")
-    return tyro.cli(RlConfig, args=list(arguments), prog="swarm-envs train")
+    try:
+        return read_options(RlConfig, arguments, "swarm-envs train", prefixes=True)
+    except Misuse as error:
+        raise Misuse(f"--set and --compare take options of `swarm-envs train`: {error}") from error
 
 
 def train_one(

@@ -196,7 +196,7 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ("--task swop", "did you mean 'swap_v1'"),
+        ("--task swop", "did you mean 'swap'"),
         ("--layout stacked", "valid: 'circle', 'random'"),
         ("--json a.txt", "must end in .json"),
         ("--batch-size 1000", "--batch-size is 1000, but must divide the 16384 decisions"),
