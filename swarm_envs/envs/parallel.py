@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
+from gymnasium import logger, spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
@@ -190,7 +190,9 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self.agents = list(compress(self.possible_agents, flies.tolist()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode.
+        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU.
+
+        Without a mode it returns None, with a warning.
 
         `human` shows the flight in a browser after every reset and step instead, in real time; the
         address is printed.
@@ -208,6 +210,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
                 self._live = LiveViewer(self.core)
             self._live.show()
+        if self.render_mode is None:
+            warn_without_mode()
         return None
 
     def close(self) -> None:
@@ -263,6 +267,14 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """What every drone of the team observes, by rows (1, N, width); zeros of one that ended."""
         own = map(self._shape, rows[0].copy())
         return dict(zip(self.possible_agents, own, strict=True))
+
+
+def warn_without_mode() -> None:
+    """Warn that `render()` shows nothing without a mode, in Gymnasium's words."""
+    logger.warn(
+        "You are calling render method without specifying any render mode. Specify it when the "
+        'environment is made, e.g. render_mode="human"'
+    )
 
 
 def _rebuilt(

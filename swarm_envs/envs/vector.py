@@ -16,6 +16,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, split_teams
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import batch_of
+from swarm_envs.envs.parallel import warn_without_mode
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
@@ -114,7 +115,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         where = np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask)
         self._ended[where] = False
         self._begun[where] = True
-        self.render()
+        if self.render_mode == "human":
+            self.render()
         return self._observations(), {}
 
     def step(
@@ -148,12 +150,14 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
                 infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, row)
         if self.mode is AutoresetMode.SAME_STEP and over.any():
             infos = self._begin_again(over, infos)
-        self.render()
+        if self.render_mode == "human":
+            self.render()
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> None:
-        """Show the environments as they are now, with `render_mode="human"`; else nothing."""
+        """Show the environments as they are now, with `render_mode="human"`; else only warn."""
         if self.render_mode is None:
+            warn_without_mode()
             return
         if self._live is None:
             from swarm_envs.viewing.live import LiveViewer

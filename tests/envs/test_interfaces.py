@@ -403,3 +403,13 @@ def test_step_without_an_episode(engine):
         env.step(actions)
     assert everything(env) == before
     env.close()
+
+
+def test_render_without_a_mode_warns_on_every_interface():
+    options: dict[str, Any] = {"num_drones": 2, "physics": "batch"}
+    makers: list[Any] = [make_joint, make_solo, make_vector, swarm_envs.make]
+    for env in [*(make("swap_v0", **options) for make in makers), swap_v0.env(**options)]:
+        env.reset(seed=1)  # does not warn
+        with pytest.warns(UserWarning, match='without.* any render mode.* render_mode="human"'):
+            assert env.render() is None
+        env.close()
