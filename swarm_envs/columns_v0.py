@@ -20,7 +20,7 @@ a drone that reaches the place of another exchanges goals with it, so that `task
 place that no other drone has. The neighbors' goals show all places. `sprint`: every drone stays
 within 0.03 m of its own place for 1 s. In both, without a collision.
 
-**Rewards** (per drone, weights in `ColumnsTask.reward_weights`): as in swap.
+**Rewards** (`parallel_env` lists terms and weights): as in swap.
 
 **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
 floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are

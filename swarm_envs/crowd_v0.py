@@ -20,8 +20,8 @@ single drone reaches in an open arena on straight lines. The score is the metric
 `throughput_per_min`: goals reached, per drone and minute of the whole episode length. A drone that
 has ended reaches no more.
 
-**Rewards** (per drone, weights in `CrowdTask.reward_weights`): as in swap, and `reached`, 1 for
-each goal that the drone reaches.
+**Rewards** (`parallel_env` lists terms and weights): as in swap, and `reached`, 1 for each goal
+that the drone reaches.
 
 **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
 floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are

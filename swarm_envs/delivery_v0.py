@@ -19,8 +19,8 @@ all in the same direction. `reset(options={"start": ...})` sets other starts. Go
 **Success.** A stage of 2.2 s is reached if every drone was within 0.02 m of its goal for 0.4 s.
 Success: all three stages were reached, without a collision.
 
-**Rewards** (per drone, weights in `DeliveryTask.reward_weights`): as in swap; `success` is one over
-the number of stages, for each stage reached.
+**Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is one over the number
+of stages, for each stage reached.
 
 **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
 floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are

@@ -24,7 +24,8 @@ assignment. `reset(options={"start": ...})` sets other starts. Goals cannot be s
 **Success.** A shape is reached when every drone stayed within 0.10 m of its place for 0.5 s before
 the next shape begins, every 6 s. Success: all shapes were reached, without a collision.
 
-**Rewards.** As in swap; `success` is one over the number of shapes, for each shape reached.
+**Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is one over the number
+of shapes, for each shape reached.
 
 **End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
 rad/s) or success. It is truncated after 6 s for each shape but the first.

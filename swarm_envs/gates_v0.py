@@ -21,8 +21,7 @@ random. `reset(options={"start": ...})` sets other starts. Goals cannot be set.
 `gates_per_min`: gates passed per minute until the last one, or of the whole episode length if not
 all were passed. A gate that part of the team passed counts for that part.
 
-**Rewards** (per drone, weights in `GatesTask.reward_weights`): as in swap; `success` is 1/8 for
-each gate.
+**Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is 1/8 for each gate.
 
 **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
 floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are

@@ -19,7 +19,7 @@ largest speed of 0.6-1.2 m/s, reached after 2 s. The drone that each drone chase
 0.5, since half of the time is needed for the paths. The score is the metric `share_on_goal`: the
 share of the drones' time, over the whole episode length, within 0.2 m of their goals.
 
-**Rewards** (per drone, weights in `PursuitTask.reward_weights`): as in swap.
+**Rewards** (`parallel_env` lists terms and weights): as in swap.
 
 **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
 floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are

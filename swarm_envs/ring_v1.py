@@ -20,7 +20,8 @@ sets other starts; the reference stays the same. Goals cannot be set.
 **Success.** No collision until the time limit, and after the first 2 s every drone stays within
 0.15 m of its reference. Success is known, and rewarded, at the time limit.
 
-**Rewards.** As in swap, with `tracking` in place of `progress` and `at_goal`.
+**Rewards** (`parallel_env` lists terms and weights): as in swap, with `tracking` in place of
+`progress` and `at_goal`.
 
 **End.** The episode is terminated by a collision, the floor, a wall, an obstacle or tumbling (150
 rad/s). It is truncated after 2 + 10 s.

@@ -31,8 +31,9 @@ scale.
 
 **Success.** Every drone stays within 0.10 m of its goal for 0.5 s, without a collision.
 
-**Rewards.** Each drone gets the weighted sum of bounded terms, which `infos[agent]["reward_terms"]`
-contains; `reward_weights={"effort": -0.5}` changes a weight.
+**Rewards** (`parallel_env` lists terms and weights): each drone gets the weighted sum of bounded
+terms, which `infos[agent]["reward_terms"]` contains; `reward_weights={"effort": -0.5}` changes a
+weight.
 
 **End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
 rad/s) or success. It is truncated after 8 s.

@@ -18,7 +18,7 @@ from swarm_envs import gymnasium_name, swap_v1
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.options import TaskOptions
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.tasks.rewards import write_terms
+from swarm_envs.tasks.rewards import reward_meanings
 
 from .option_tables import options_table
 
@@ -27,7 +27,6 @@ FIELDS_MARK = "<!-- observation table -->"
 _SECTION = re.compile(r"^\*\*([^*\n]+?)\.?\*\*\.? ?", re.MULTILINE)
 _ASIDE = re.compile(r"^\([^)]*\):?\s*")
 _ACTION = re.compile(r"^\| `(\w+)` \| (.+) \|$", re.MULTILINE)
-_TERM = re.compile(r"^- `(\w+)`: (.+(?:\n  .+)*)", re.MULTILINE)
 _KNOWN = ("Start", "Success", "Rewards", "End", "Versions")
 
 
@@ -152,11 +151,9 @@ def observation_table() -> str:
 
 
 def _rewards(text: str, env: SwarmParallelEnv) -> str:
-    meanings: dict[str, str] = {}
-    for writer in (write_terms, env.core.task.write_reward_terms):
-        meanings |= dict(_TERM.findall(inspect.getdoc(writer) or ""))
+    meanings = reward_meanings(env.core.task.write_reward_terms)
     rows = [
-        f"| `{name}` | {weight:g} | {' '.join(meanings.get(name, '').split())} |"
+        f"| `{name}` | {weight:g} | {meanings.get(name, '')} |"
         for name, weight in env.core.task.reward_weights.items()
     ]
     said = _ASIDE.sub("", text)

@@ -23,6 +23,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
+from swarm_envs.tasks.rewards import reward_meanings
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
 __all__ = [
@@ -182,8 +183,8 @@ Raises:
 def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> Any:
     """Give a view the options as its signature, and a docstring that explains each of them.
 
-    The task's own options come first. Types are in the docstring, in words, and would make the
-    signature unreadable.
+    The reward terms come first, then the task's own options. Types are in the docstring, in words,
+    and would make the signature unreadable.
     """
     made: Any = view
     table = options_of(options)  # type: ignore[arg-type]  # a class
@@ -196,8 +197,20 @@ def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> An
     )
     made.__module__, made.__qualname__ = options.__module__, view.__name__
     entries = [_entry(table[name]) for name in names]
-    made.__doc__ = "\n".join([made.__doc__, "", "Args:", *entries, "", _RAISES])
+    parts = [made.__doc__, *_reward_list(options), "", "Args:", *entries, "", _RAISES]
+    made.__doc__ = "\n".join(parts)
     return view
+
+
+def _reward_list(options: object) -> list[str]:
+    task: Any = getattr(options, "task_type", Task)  # a custom class may have none
+    meanings = reward_meanings(task.write_reward_terms)
+    terms = [
+        f"- `{name}` ({weight:g}): {meanings.get(name, '')}"
+        for name, weight in task.default_weights.items()
+    ]
+    lines = [textwrap.fill(term, 100, subsequent_indent="  ") for term in terms]
+    return ["", "Reward terms, with their default weights:", "", *lines] if lines else []
 
 
 def _entry(option: Option) -> str:

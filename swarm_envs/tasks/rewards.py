@@ -5,8 +5,10 @@ Terms are seconds, or events that count 1, so weights alone set the scale.
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -54,9 +56,14 @@ def write_terms_v0(
 ) -> None:
     """Write the terms of version 0 of the tasks.
 
-    They differ from those of `write_terms` in that `at_goal` and `tracking` are shares of the
-    time limit, so that their sum over an episode is at most 1, and that `progress` is cut off at
-    the speed limit. Arguments as of `write_terms`.
+    Those that differ from `write_terms`, whose arguments these are:
+
+    - `progress`: decrease of the distance to the goal, over the speed limit, in seconds; cut off
+      at the speed limit.
+    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); times seconds, over the time
+      limit: the sum over an episode is at most 1.
+    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); times seconds, over the time
+      limit.
     """
     rules = settings[0]
     write_by_clock(drones, environments, rules.decision_s, rules.horizon_s, 1.0, out)
@@ -86,6 +93,13 @@ def write_by_clock(
             out[4, e, i] = decision_s * proximity
             out[5, e, i] = d.crashed
             out[6, e, i] = environments[e].achieved * d.active
+
+
+def reward_meanings(writer: Callable[..., None]) -> dict[str, str]:
+    """What each term is, as the docstrings of a task's kernel and of `write_terms` say."""
+    said = "\n\n".join(inspect.getdoc(source) or "" for source in (write_terms, writer))
+    found = re.findall(r"^- `(\w+)`: (.+(?:\n  .+)*)", said, re.MULTILINE)
+    return {name: " ".join(meaning.split()) for name, meaning in found}
 
 
 def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> None:

@@ -60,6 +60,10 @@ def test_the_module(task):
     newest = importlib.import_module(f"swarm_envs.{find_task(task_family(task))}")
     assert {"Start", "Success", "Rewards", "End", "Versions"} <= set(sections(newest.__doc__ or ""))
     assert newest is module or newest.__name__ in (module.__doc__ or "")
+    for name, weight in env.core.task.reward_weights.items():
+        assert re.search(
+            rf"^- `{name}` \({weight:g}\): \w", module.parallel_env.__doc__, re.MULTILINE
+        )
 
 
 def test_version_0_flies_the_force_of_release_0_1_0():
