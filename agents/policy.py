@@ -455,6 +455,8 @@ gates_dagger = partial(_shipped_policy, "gates-dagger")
 """The policy that ships for the slalom of two to four small drones through gates."""
 pursuit_dagger = partial(_shipped_policy, "pursuit-dagger")
 """The policy that ships for two to eight small drones whose goals do not stay."""
+crowd_dagger = partial(_shipped_policy, "crowd-dagger")
+"""The policy that ships for crowds of 8 to 128 drones; made to fly behind the safety filter."""
 stack_dagger = partial(_shipped_policy, "stack-dagger")
 """The policy that ships for columns of eight small drones, half of them with a payload."""
 sprint_dagger = partial(_shipped_policy, "sprint-dagger")

@@ -45,6 +45,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "swap-dagger": "swarm_envs.agents.policy:swap_dagger",
         "gates-dagger": "swarm_envs.agents.policy:gates_dagger",
         "pursuit-dagger": "swarm_envs.agents.policy:pursuit_dagger",
+        "crowd-dagger": "swarm_envs.agents.policy:crowd_dagger",
         "stack-dagger": "swarm_envs.agents.policy:stack_dagger",
         "sprint-dagger": "swarm_envs.agents.policy:sprint_dagger",
         "delivery-dagger": "swarm_envs.agents.policy:delivery_dagger",
@@ -92,7 +93,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     if not name:
         raise ValueError("name is '', but must be an agent's, such as 'swap-ppo'")
     if name.endswith(FILTER):
-        from swarm_envs.agents.safety import SafetyFilter
+        from swarm_envs.agents.safety import CHOSEN, SafetyFilter
 
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
@@ -100,7 +101,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         agent = load_agent(inner, environment)
         if isinstance(agent, SafetyFilter):
             raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
-        return SafetyFilter(agent)
+        return SafetyFilter(agent, CHOSEN.get(inner))
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path, environment)

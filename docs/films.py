@@ -50,7 +50,7 @@ FILMS = {
     "formation": Take("formation_v1", "formation-ppo", {"num_drones": 8}),
     "columns": Take("columns_v0", "air-aware", {}),
     "delivery": Take("delivery_v0", "delivery-dagger", {"num_drones": 7, "world": "hall"}),
-    "crowd": Take("crowd_v0", "roundabout", {"num_drones": 16, "layout": "forest"}),
+    "crowd": Take("crowd_v0", "crowd-dagger+filter", {"num_drones": 16, "layout": "forest"}),
     "pursuit": Take("pursuit_v0", "pursuit-dagger", {"layout": "chase"}),
     "gates": Take("gates_v0", "gates-dagger", {"num_drones": 4}),
     "tracking": Take("swap_v1", "tracking", {"team": "L2S", "layout": "stacked"}),

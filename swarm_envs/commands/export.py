@@ -73,8 +73,8 @@ class PolicyOptions(HeaderOptions):
     """
 
     agent: str
-    """swap-ppo, swap-ppo-8, swap-dagger, gates-dagger, pursuit-dagger, stack-dagger, sprint-dagger,
-    delivery-dagger, formation-ppo, ring-ppo, a .safetensors file, or the folder of a
+    """swap-ppo, swap-ppo-8, swap-dagger, gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger,
+    sprint-dagger, delivery-dagger, formation-ppo, ring-ppo, a .safetensors file, or the folder of a
     training run"""
 
 

@@ -123,6 +123,7 @@ SHIPPED = (
     *("swap-dagger", "gates-dagger", "pursuit-dagger", "stack-dagger"),
     "sprint-dagger",
     "delivery-dagger",
+    "crowd-dagger",
 )
 
 

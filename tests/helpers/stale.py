@@ -100,7 +100,10 @@ PRODUCTS = {
         "the commands in agents/weights/MODEL_CARD.md",
     ),
     "imitation": Product(
-        ("agents/weights/swap-dagger.safetensors", "agents/weights/pursuit-dagger.safetensors"),
+        tuple(
+            f"agents/weights/{n}.safetensors"
+            for n in ("swap-dagger", "pursuit-dagger", "crowd-dagger")
+        ),
         (LEARNED,),
         "the commands in agents/weights/MODEL_CARD.md",
     ),

@@ -17,7 +17,7 @@ import torch
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from torch.distributions import Normal, kl_divergence
 
-from swarm_envs import swap_v0, swap_v1
+from swarm_envs import crowd_v0, swap_v0, swap_v1
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.networks import ANY, Network, to_tensors
@@ -25,6 +25,7 @@ from swarm_envs.agents.policy import Policy, PolicyAgent, read_policy, write_pol
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.training.rl import teachers
 from swarm_envs.training.rl.dagger import DaggerLearner
 from swarm_envs.training.rl.labels import Teacher, teacher_of
@@ -94,6 +95,30 @@ def test_the_teacher_of_the_shipped_policy_swaps_without_near_misses():
     env = swap_v1.parallel_env(num_drones=12, physics="batch", **agent.requires)
     episodes = [episode["metrics"] for episode in evaluate_agent(env, agent, frozen_seeds(4, 12))]
     assert all(m["success"] and not m["near_misses"] for m in episodes)
+
+
+def test_the_teacher_of_crowds_reaches_more_goals_in_a_forest_than_scripts_and_hits_nothing():
+    name = str(Path(teachers.__file__)) + ":WayFinder"
+    reached = {}
+    for each in (name, "fast-line"):
+        agent = load(each)
+        env = crowd_v0.parallel_env(horizon_s=10.0, physics="batch", **agent.requires)
+        flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(4, 4))]
+        assert all(metrics["success"] for metrics in flown)
+        reached[each] = np.mean([metrics["throughput_per_min"] for metrics in flown])
+        env.close()
+    assert reached[name] > 1.1 * reached["fast-line"]
+
+
+def test_all_layouts_of_crowd_are_learned_with_short_ways_between_buildings():
+    given = {"task": "crowd", "layout": "all", "drones": 8, "environments": 6, "num_neighbors": 7}
+    teacher = str(Path(teachers.__file__)) + ":WayFinder"
+    config = RlConfig(
+        **{**OPTIONS, **given}, num_obstacles=3, dagger=DaggerConfig(teacher=(teacher,))
+    )
+    tasks = [core.tasks[0] for core in DaggerLearner(config, "crowd_v0").env.cores]
+    reach = {t.layout: t.reach_m for t in tasks if isinstance(t, CrowdTask)}
+    assert reach == {"open": (1.0, 3.0), "forest": (1.0, 3.0), "buildings": (0.8, 2.2)}
 
 
 NOISE = "position_noise_m=0.2,velocity_noise=0.5"

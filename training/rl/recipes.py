@@ -141,7 +141,8 @@ def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
     else:
         given = {"obstacles": task.obstacles, "success": None}
     changed: Any = task  # a dataclass, as every task is
-    return {name: (1 / len(names), replace(changed, layout=name, **given)) for name in names}
+    tasks = {name: replace(changed, **recipe.layouts[name], **given) for name in names}
+    return {name: (1 / len(names), part) for name, part in tasks.items()}
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -289,9 +290,14 @@ def _of_air(*layouts: str, more: Mapping[str, Any] = MappingProxyType({}), **giv
     )
 
 
-def _of_scores(layouts: Sequence[str], score: str, full: float) -> Recipe:
-    """Of tasks that give goal after goal."""
-    names = {name: {"layout": name} for name in layouts}
+def _of_scores(
+    layouts: Sequence[str],
+    score: str,
+    full: float,
+    more: Mapping[str, Any] = MappingProxyType({}),
+) -> Recipe:
+    """Of tasks that give goal after goal; `more` are further options of layouts, by name."""
+    names = {name: {"layout": name, **more.get(name, {})} for name in layouts}
     return Recipe(
         layouts={ALL: names[layouts[0]], **names},
         defaults={**_REACH, "layout": ALL, "horizon_s": None},
@@ -311,6 +317,8 @@ _TIMED: Mapping[str, Any] = {
 }
 _STACKS: Mapping[str, Any] = {"stack": {"gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)}}
 """What the layout is learned in: the default's and the benchmark's gaps and payloads."""
+_CROWDS: Mapping[str, Any] = {"buildings": {"reach_m": (0.8, 2.2)}}
+"""Ways between towers are as short as the benchmark's, and as the default's shorter ones."""
 _GATES: Mapping[str, Any] = {
     "reward_weights": {},
     "measures": {
@@ -358,7 +366,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "delivery": _of_air("docks", **_TIMED),
         "gates": _of_air("slalom", **_GATES),
         "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),
-        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0),
+        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0, _CROWDS),
     }
 )
 """Every task that can be learned, by its name without the version."""

@@ -73,6 +73,10 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
             "pursuit DAgger", f"{_POLICY} It imitates tracking, and a roundabout."
         ),
         "pursuit-dagger+filter": Place("pursuit DAgger + filter", _FILTERED),
+        "crowd-dagger": Place(
+            "crowd DAgger", f"{_POLICY} It imitates a script that knows where all obstacles are."
+        ),
+        "crowd-dagger+filter": Place("crowd DAgger + filter", _FILTERED),
         "stack-dagger": Place("stack DAgger", f"{_POLICY} It puts the heavy drones on top."),
         "sprint-dagger": Place(
             "sprint DAgger", f"{_POLICY} It imitates ways that take just the time."
