@@ -58,8 +58,8 @@ def recommended(
         layout: of the task; None, or one that the benchmark does not fly, stands for the first one
             that it does.
         obstacles: whether the environment has the option `obstacles`. The benchmark flies without
-            it: then an agent that steers around them, else a script, as references are drawn free
-            of them. Trained policies do not see them.
+            it: then a script that steers around them, else any, as references are drawn free of
+            them. No policy was trained among other obstacles than its task's own.
 
     Raises:
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
