@@ -93,7 +93,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     if not name:
         raise ValueError("name is '', but must be an agent's, such as 'swap-ppo'")
     if name.endswith(FILTER):
-        from swarm_envs.agents.safety import CHOSEN, SafetyFilter
+        from swarm_envs.agents.safety import SAFETY_OF, SafetyFilter
 
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
@@ -101,7 +101,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         agent = load_agent(inner, environment)
         if isinstance(agent, SafetyFilter):
             raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
-        return SafetyFilter(agent, CHOSEN.get(inner))
+        return SafetyFilter(agent, SAFETY_OF.get(inner))
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path, environment)

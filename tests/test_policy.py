@@ -390,7 +390,7 @@ def test_goals_that_do_not_stay_are_reached_by_imitation(layout, drones, episode
 
 
 CROWDS: dict[tuple[str, int], float] = {
-    **{("open", 64): 38.6, ("forest", 16): 22.0, ("forest", 64): 22.0, ("buildings", 32): 38.0},
+    **{("open", 64): 38.4, ("forest", 16): 22.0, ("forest", 64): 22.0, ("buildings", 32): 38.0},
 }
 """Goals a minute that the policy surpasses in the benchmark's tasks; scripts that see no truth have
 at most 38.4, 20.5, 19.7 and 23.8."""
@@ -399,13 +399,13 @@ at most 38.4, 20.5, 19.7 and 23.8."""
 @pytest.mark.slow
 @pytest.mark.parametrize(("layout", "drones"), CROWDS)
 def test_crowds_reach_as_many_goals_by_imitation_as_the_card_says(layout, drones):
-    """Eight of the benchmark's episodes, behind the filter: two drones crash, in an open crowd."""
+    """Eight of the benchmark's episodes, behind the filter: no drone crashes."""
     agent = load("crowd-dagger+filter")
     options = {"layout": layout, "num_drones": drones, "physics": "batch"}
     near = {"reach_m": (0.8, 1.6)} if layout == "buildings" else {}
     env = make("crowd_v0", **options, **near, **agent.requires)
     flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(2026, 8))]
-    assert sum(metrics["success"] for metrics in flown) >= 8 - (layout == "open")
+    assert all(metrics["success"] for metrics in flown)
     assert np.mean([m["throughput_per_min"] for m in flown]) > CROWDS[layout, drones]
     env.close()
 

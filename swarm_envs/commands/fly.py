@@ -138,7 +138,7 @@ def run_fly(options: FlyOptions) -> None:
         except ValueError as error:
             raise ValueError(f"agent {name!r} cannot fly: {error}") from error
     with closing(env):
-        with as_misuse(RuntimeError):
+        with as_misuse(RuntimeError):  # obstacles that leave no place to start
             env.reset(seed=options.seed)
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
