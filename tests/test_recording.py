@@ -205,18 +205,22 @@ def test_events_are_named_once_when_they_begin():
     assert found[0].text == "0.04 s: drone_0 and drone_1 collide"
 
 
+LATE = "the time limit was reached after 0.10 s."
+
+
 @pytest.mark.parametrize(
-    ("success", "contact", "said"),
+    ("success", "contacts", "said"),
     [
-        (True, False, "Success, after 0.10 s."),
-        (False, True, "Ended in flight, at 0.10 s: drone_1 hits the floor."),
-        (False, False, "No success: the time limit was reached after 0.10 s."),
+        (True, [], "Success, after 0.10 s."),
+        (False, [5], "Ended in flight, at 0.10 s: drone_1 hits the floor."),
+        (False, [], f"No success: {LATE}"),
+        (False, [2], f"No success: 1 of 2 drones collided or tumbled; {LATE}"),
     ],
 )
-def test_the_outcome_in_a_sentence(success, contact, said):
+def test_the_outcome_in_a_sentence(success, contacts, said):
     quiet = still(6)
     floor = quiet.contact_floor.copy()
-    floor[-1, 1] = contact
+    floor[contacts, 1] = True
     about = replace(quiet.about, metrics={"success": success})
     assert outcome(replace(quiet, contact_floor=floor, about=about)) == said
 

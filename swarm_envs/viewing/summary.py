@@ -127,11 +127,14 @@ def outcome(recording: Recording) -> str:
         return f"Recorded for {last:.2f} s; the episode had not ended."
     if metrics["success"]:
         return f"Success, after {last:.2f} s."
-    ending = [event for event in events(recording) if event.frame == len(recording.time) - 1]
+    found = events(recording)
+    ending = [event for event in found if event.frame == len(recording.time) - 1]
     if ending:
         more = f" and {len(ending) - 1} more" if len(ending) > 1 else ""
         return f"Ended in flight, at {ending[0].text}{more}."
-    return f"No success: the time limit was reached after {last:.2f} s."
+    hit = {drone for event in found for drone in event.drones}
+    cause = f"{len(hit)} of {len(recording.team)} drones collided or tumbled; " if hit else ""
+    return f"No success: {cause}the time limit was reached after {last:.2f} s."
 
 
 def metric_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
