@@ -152,7 +152,10 @@ def heavy_on_top(places: FloatArray, team: Team) -> FloatArray:
         places: (N, 3) of the drones, m.
         team: N vehicles.
     """
-    spare, chosen = np.array([v.thrust_to_weight for v in team]), np.empty_like(places)
+    # What counts is the force that is left, not its share of the weight: a large drone with a
+    # payload has the same share as a small one without, and can hold twice the force.
+    spare = np.array([v.mass * (v.thrust_to_weight - 1.0) for v in team])
+    chosen = np.empty_like(places)
     columns = np.unique(places[:, :2].round(6), axis=0, return_inverse=True)[1].ravel()
     for column in range(columns.max() + 1):
         drones = np.flatnonzero(columns == column)

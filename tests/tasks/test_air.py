@@ -175,8 +175,8 @@ def test_a_drone_that_stands_at_its_goal_keeps_it():
 
 def test_the_heavy_go_on_top():
     places = np.array([[0, 0, z] for z in (0.4, 0.8, 1.2)] + [[1, 0, z] for z in (0.8, 0.4)])
-    chosen = heavy_on_top(places.astype(float), parse_team("LSS*SS*"))  # T/W 2.2 1.9 2.6 1.9 2.6
-    assert chosen[:, 2].tolist() == [0.8, 1.2, 0.4, 0.8, 0.4]
+    chosen = heavy_on_top(places.astype(float), parse_team("LSS*SS*"))  # spare 78 31 54 31 54 g
+    assert chosen[:, 2].tolist() == [0.4, 1.2, 0.8, 0.8, 0.4]
     assert chosen[:, 0].tolist() == [0, 0, 0, 1, 1]
 
 
