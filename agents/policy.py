@@ -459,6 +459,8 @@ crowd_dagger = partial(_shipped_policy, "crowd-dagger")
 """The policy that ships for crowds of 8 to 128 drones; made to fly behind the safety filter."""
 stack_dagger = partial(_shipped_policy, "stack-dagger")
 """The policy that ships for columns of eight small drones, half of them with a payload."""
+mixed_dagger = partial(_shipped_policy, "mixed-dagger")
+"""The policy that ships for columns of large and small drones, some of them with a payload."""
 sprint_dagger = partial(_shipped_policy, "sprint-dagger")
 """The policy that ships for sprints of eight drones into two columns."""
 delivery_dagger = partial(_shipped_policy, "delivery-dagger")

@@ -47,6 +47,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "pursuit-dagger": "swarm_envs.agents.policy:pursuit_dagger",
         "crowd-dagger": "swarm_envs.agents.policy:crowd_dagger",
         "stack-dagger": "swarm_envs.agents.policy:stack_dagger",
+        "mixed-dagger": "swarm_envs.agents.policy:mixed_dagger",
         "sprint-dagger": "swarm_envs.agents.policy:sprint_dagger",
         "delivery-dagger": "swarm_envs.agents.policy:delivery_dagger",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",

@@ -438,6 +438,17 @@ def test_heavy_drones_go_on_top_by_imitation(episodes):
 
 
 @pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
+def test_small_drones_with_a_payload_go_on_top_of_large_ones_by_imitation(episodes):
+    """The benchmark's episodes, where the nearest places fail in a third at least."""
+    agent = load("mixed-dagger")
+    given = {"layout": "stack", "team": "LSSLSS", "world": "hall", "physics": "batch"}
+    drawn = {"gap_m": (0.30, 0.36), "payload_kg": (0.013, 0.016)}
+    env = make("columns_v0", **given, **drawn, **agent.requires)
+    assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.97
+    env.close()
+
+
+@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
 def test_eight_drones_sprint_by_imitation(episodes):
     """The benchmark's episodes, in which scripts without the true state never succeed."""
     agent = load("sprint-dagger")

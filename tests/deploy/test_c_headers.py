@@ -121,6 +121,7 @@ def in_c(policy: Policy, folder: Path, rows: np.ndarray) -> np.ndarray:
 SHIPPED = (
     *("swap-ppo", "swap-ppo-8", "formation-ppo", "ring-ppo"),
     *("swap-dagger", "gates-dagger", "pursuit-dagger", "stack-dagger"),
+    "mixed-dagger",
     "sprint-dagger",
     "delivery-dagger",
     "crowd-dagger",

@@ -117,6 +117,11 @@ PRODUCTS = {
         (LEARNED, BELIEF),
         "the command in agents/weights/MODEL_CARD.md",
     ),
+    "mixed-dagger": Product(
+        ("agents/weights/mixed-dagger.safetensors",),
+        (LEARNED, BELIEF),
+        "the command in agents/weights/MODEL_CARD.md",
+    ),
     "sprint-dagger": Product(
         ("agents/weights/sprint-dagger.safetensors",),
         (LEARNED, BELIEF),

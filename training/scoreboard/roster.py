@@ -78,6 +78,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         ),
         "crowd-dagger+filter": Place("crowd DAgger + filter", _FILTERED),
         "stack-dagger": Place("stack DAgger", f"{_POLICY} It puts the heavy drones on top."),
+        "mixed-dagger": Place("mixed DAgger", f"{_POLICY} It puts the heavy drones on top."),
         "sprint-dagger": Place(
             "sprint DAgger", f"{_POLICY} It imitates ways that take just the time."
         ),

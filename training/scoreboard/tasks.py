@@ -303,6 +303,7 @@ _ADAPTIVE = "tracking-compensated-adaptive"
 _AWARE, _TOP, _LINE = "air-aware", "air-on-top", "fast-line"
 _GOALS = "A reached goal gives another, 1 to 3 m away."
 _STACK = "Two columns of small drones, half with a payload: who is on top?"
+_MIXED = "Two columns of a large drone and two small ones, one with a payload: who is on top?"
 _SPRINT = "Two columns of large drones and a small one, in at most 2 s, within 3 cm."
 _OTHER_AIR = "Air in which nothing that ships was trained."
 
@@ -311,6 +312,8 @@ _NEW = (
     _of_own("air-sprint-6", _SPRINT, "columns_v0", _AWARE, 128, layout="sprint", num_drones=6),
     _of_own("air-stack-8", _STACK, "columns_v0", _TOP, 128, 3, layout="stack", num_drones=8,
             gap_m=[0.28, 0.33], payload_kg=[0.013, 0.016]),
+    _of_own("air-mixed-6", _MIXED, "columns_v0", _TOP, 128, 3, layout="stack", team="LSSLSS",
+            gap_m=[0.30, 0.36], payload_kg=[0.013, 0.016]),
     _of_own("air-sprint-8", _SPRINT, "columns_v0", f"{_AWARE}@2", 128, 3, layout="sprint",
             num_drones=8, horizon_s=1.8),
     _of_own("air-delivery-7", "Couriers dock above the floor, at two of three docks below others.",

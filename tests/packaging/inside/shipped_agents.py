@@ -13,7 +13,7 @@ from swarm_envs.agents.registry import SHIPPED
 TASKS = {
     **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1"},
     **{"gates-dagger": "gates_v0", "pursuit-dagger": "pursuit_v0"},
-    **{"stack-dagger": "columns_v0", "sprint-dagger": "columns_v0"},
+    **{f"{name}-dagger": "columns_v0" for name in ("stack", "mixed", "sprint")},
     **{"delivery-dagger": "delivery_v0", "crowd-dagger": "crowd_v0"},
 }
 TEAMS = {
@@ -21,13 +21,15 @@ TEAMS = {
     **{"stack-dagger": 8, "sprint-dagger": 8, "delivery-dagger": 7, "crowd-dagger": 8},
 }
 """Numbers of drones, of agents that were made for so many; the others fly two."""
-LAYOUTS = {"sprint-dagger": {"layout": "sprint"}}  # Where it is not the default
+OTHERS = {"sprint-dagger": {"layout": "sprint"}, "mixed-dagger": {"team": "LSSLSS"}}
+"""Layout or vehicles of agents that the default ones are not for."""
 DECISIONS = 3
 
 for name in SHIPPED:
     agent = load(name)
-    options: dict[str, Any] = {"num_drones": TEAMS.get(name, 2), **agent.requires}
-    options |= LAYOUTS.get(name, {})
+    options: dict[str, Any] = {**OTHERS.get(name, {}), **agent.requires}
+    if "team" not in options:
+        options["num_drones"] = TEAMS.get(name, 2)
     env = make(TASKS.get(name, "swap_v1"), physics="batch", **options)
     observations, _ = env.reset(seed=0)
     agent.reset(env, seed=0)
