@@ -105,6 +105,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("fly --agent swap-ppo orca", "unexpected argument 'orca'"),
         ("evaluate --workers -1", "error: --workers is -1, but must be an integer of at least 1"),
         ("evaluate --agent", "--agent has no value, but must be"),
+        ("evaluate --force-rate 7", "--force-rate is 7, but must be 240 over an integer"),
         ("train --steps 1e5", "but must be an integer of at least 1; did you mean '100000'?"),
         ("train --algo PPO", "unknown --algo 'PPO'; did you mean 'ppo'?"),
         ("train --hidden 64,64", "did you mean '64 64'?"),

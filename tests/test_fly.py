@@ -69,6 +69,8 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
     [
         (["--task", "swop"], "did you mean 'swap'?"),
         (["--layout", "staked"], "did you mean 'stacked'?"),
+        (["--layout", "forest", "--agent", "crowd-dagger"], "--task crowd has 'forest'"),
+        (["--task", "ring", "--layout", "chase"], "'ring' has no layouts; leave it out; --task pu"),
         (["--agent", "tracing"], "did you mean 'tracking'?"),
         (["--agent", "none.py:Agent"], "there is no file 'none.py'"),
         (["--team", "SXL"], "unknown vehicle token"),

@@ -16,7 +16,7 @@ from typing import Any
 import swarm_envs
 from swarm_envs import gymnasium_name, swap_v1
 from swarm_envs.envs.observation import observation_layout
-from swarm_envs.envs.options import TaskOptions
+from swarm_envs.envs.options import TaskOptions, options_type
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.rewards import reward_meanings
 
@@ -36,17 +36,6 @@ def sections(text: str) -> dict[str, str]:
     return {"": parts[0].strip()} | {
         title: body.strip() for title, body in zip(parts[1::2], parts[2::2], strict=True)
     }
-
-
-def options_type(task: str) -> type[TaskOptions]:
-    """The options of a task, which its module defines.
-
-    Raises:
-        StopIteration: the module defines none.
-    """
-    module = importlib.import_module(f"swarm_envs.{task}")
-    own = (c for c in vars(module).values() if getattr(c, "__module__", "") == module.__name__)
-    return next(c for c in own if inspect.isclass(c) and issubclass(c, TaskOptions))
 
 
 def task_page(task: str, folder: Path) -> str:

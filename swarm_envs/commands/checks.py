@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from tqdm import tqdm
@@ -25,14 +26,22 @@ class Misuse(ValueError):
 
 
 @contextmanager
-def as_misuse(*kinds: type[Exception]) -> Iterator[None]:
-    """Turn ValueError, and errors of these kinds, into Misuse."""
+def as_misuse(
+    *kinds: type[Exception], names: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[None]:
+    """Turn ValueError, and errors of these kinds, into Misuse.
+
+    Args:
+        *kinds: of errors.
+        names: what a message calls an argument at its beginning, and what the command calls it.
+    """
     try:
         yield
     except Exception as error:
-        if isinstance(error, (ValueError, *kinds)):
-            raise Misuse(str(error)) from error
-        raise
+        if not isinstance(error, (ValueError, *kinds)):
+            raise
+        name, is_, rest = str(error).partition(" is ")
+        raise Misuse(names.get(name, name) + is_ + rest) from error
 
 
 class FlightBar:

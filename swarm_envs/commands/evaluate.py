@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tqdm import tqdm
 
 from swarm_envs import __version__, make
-from swarm_envs.arguments import Count, Seed
+from swarm_envs.arguments import Count, Divides, Seed
 from swarm_envs.commands.checks import (
     Misuse,
     as_misuse,
@@ -24,6 +24,7 @@ from swarm_envs.commands.checks import (
 )
 from swarm_envs.commands.fly import EpisodeOptions, best_agent, check_flies, find_task, prepare
 from swarm_envs.files import claimed, write_json
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class EvaluateOptions(EpisodeOptions):
     """random seed from which the seeds of the episodes are drawn, the same for every agent"""
     physics: str = "batch"
     """`batch` or `bullet`"""
-    force_rate: Count = 240
+    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
     """force evaluations per second: 240 over an integer"""
     out: Path | None = None
     """output folder for report.json, and for the results of every episode in episodes/"""

@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from swarm_envs import TASKS, __version__, make, task_family
-from swarm_envs.arguments import POSITIVE_S, Count, Seed
+from swarm_envs.arguments import POSITIVE_S, Count, Seed, options_of
 from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
@@ -24,7 +24,7 @@ from swarm_envs.commands.checks import (
     output_files,
 )
 from swarm_envs.envs.setting import CrewOptions
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.vehicles import parse_team, team_string
 
@@ -67,7 +67,9 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
     """What is flown, and in which air."""
 
     def __post_init__(self) -> None:
-        """Refuse two numbers of drones."""
+        """Refuse two numbers of drones, and a layout of another task."""
+        if self.layout is not None:
+            check_layout(find_task(self.task), self.layout)
         if self.team is None or self.drones is None:
             return
         if (count := len(parse_team(self.team))) != self.drones:
@@ -193,8 +195,31 @@ def check_flies(
 
 def find_task(name: str) -> str:
     """The versioned name of a task; of the newest version if the name has none."""
-    families = {task_family(task): task for task in sorted(TASKS)}
+    families = _newest()
     return families.get(name) or check_name("task", name, (*families, *TASKS))
+
+
+def _newest() -> dict[str, str]:
+    """The newest version of every task, by its family."""
+    return {task_family(task): task for task in sorted(TASKS)}
+
+
+def check_layout(task: str, layout: str) -> None:
+    """Refuse a layout that a task does not have, and name the tasks that have it."""
+    from swarm_envs.envs.options import options_type
+
+    def layouts(name: str) -> tuple[str, ...]:
+        option = options_of(options_type(name)).get("layout")
+        return option.kind.names if option else ()
+
+    valid, family = layouts(task), task_family(task)
+    if layout in valid:
+        return
+    said = f"--layout is {layout!r}, but task {family!r} has no layouts; leave it out"
+    if valid:
+        said = unknown_name("layout", layout, valid, f"of task {family!r}")
+    others = [other for other, newest in _newest().items() if layout in layouts(newest)]
+    raise ValueError("; ".join([said, *(f"--task {other} has {layout!r}" for other in others)]))
 
 
 def best_agent(options: EpisodeOptions, task: str) -> str:

@@ -120,7 +120,11 @@ def _instance(options: PlanOptions) -> GridInstance:
     from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark
     from swarm_envs.baselines.rth3d.grid import check_shape
 
-    with as_misuse(OSError):
+    robots = "--robots"
+    if options.density is not None:
+        robots = f"the number of robots at --density {options.density:g}"
+    names = {"count": robots, "the number of robots": robots, "shape": "--grid"}
+    with as_misuse(OSError, names=names):
         if options.map is not None and options.scen is not None:
             need_file("--map", options.map, "the grid with its obstacles")
             need_file("--scen", options.scen, "the robots' starts and goals on the map")

@@ -14,13 +14,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from swarm_envs.arguments import Count, Seed
+from swarm_envs.arguments import Count, Divides, Seed
 from swarm_envs.commands.checks import Misuse, check_folder, command_options
 from swarm_envs.commands.fly import EpisodeOptions, best_agent, check_flies, find_task, prepare
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
@@ -59,7 +60,7 @@ class RecordOptions(EpisodeOptions):
     `drone`, what it observed and did itself: a flight of N drones gives N, one after another"""
     physics: str = "batch"
     """`batch` or `bullet`"""
-    force_rate: Count = 240
+    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
     """evaluations of the force per second: 240 over an integer"""
     name: str | None = None
     """the dataset's name; TASK-AGENT-v0 if not given"""

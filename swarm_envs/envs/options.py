@@ -33,6 +33,7 @@ __all__ = [
     "TaskOptions",
     "batch_of",
     "blueprint_of",
+    "options_type",
     "task_views",
 ]
 
@@ -218,6 +219,17 @@ def _entry(option: Option) -> str:
     if option.default is not MISSING:
         text += f" Default: {option.default!r}."
     return textwrap.fill(text, 100, initial_indent=" " * 4, subsequent_indent=" " * 8)
+
+
+def options_type(task: str) -> type[TaskOptions]:
+    """The options of a task, which its module defines.
+
+    Raises:
+        StopIteration: the module defines none.
+    """
+    module = importlib.import_module(f"swarm_envs.{task}")
+    own = (c for c in vars(module).values() if getattr(c, "__module__", "") == module.__name__)
+    return next(c for c in own if inspect.isclass(c) and issubclass(c, TaskOptions))
 
 
 def blueprint_of(task: str, **options: Any) -> Blueprint:

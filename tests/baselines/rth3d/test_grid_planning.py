@@ -295,6 +295,8 @@ def test_it_plans_prints_and_writes(tmp_path, capsys):
         (["--density", "0.1", "--robots", "5"], 2, "give one of them"),
         (["--family", "unifrom"], 2, "did you mean 'uniform'"),
         (["--save", "plan.pkl"], 2, "must end in .npz"),
+        (["--grid", "5x5x5", "--robots", "126"], 2, "--robots is 126, but"),
+        (["--grid", "8x8x8", "--family", "mirror"], 2, "--grid is (8, 8, 8), but every"),
         (["--grid", "6x6x6", "--density", "0.5", "--method", "rth3d"], 1, "carry 72 at most"),
         (["--grid", "6x6x6", "--time-limit-s", "1e-9", "--method", "rth3d"], 1, "time limit"),
     ],
