@@ -413,8 +413,7 @@ class PolicyAgent:
         if not note.fewest <= env.core.num_drones <= note.drones:
             raise ValueError(
                 f"this policy was trained for teams of {note.teams} drones, but the environment "
-                f"has {env.core.num_drones}; train one with such teams too by "
-                f"`swarm-envs train --drones {note.drones} {env.core.num_drones}`"
+                f"has {env.core.num_drones}; set {note.teams} (--drones), or fly another agent"
             )
         others = {vehicle.token for vehicle in task.team} - set(note.types)
         if note.types and others:

@@ -140,7 +140,7 @@ def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys)
         ("{mine}:Picky", "requires num_drones=5, not 2"),
         ("none.py:Agent", "there is no file 'none.py'"),
         ("ring-ppo", "this policy flies ring, but the environment's task is swap; set the task"),
-        ("swap-ppo", "was trained for teams of 4 drones, but the environment has 2"),
+        ("swap-ppo", "for teams of 4 drones, but the environment has 2; set 4 (--drones)"),
     ],
 )
 def test_who_cannot_fly_is_refused_before_anybody_flies(name, why, tmp_path, mine, capsys):
