@@ -19,10 +19,12 @@ from swarm_envs.agents.registry import load_agent
 from swarm_envs.arguments import Count, typed
 from swarm_envs.vehicles import SMALL, Team, parse_team
 
-__all__ = ["FILE", "recommended"]
+__all__ = ["AVOIDS", "FILE", "recommended"]
 
 FILE = "recommended.json"
 """Its name, in the folder of the agents."""
+AVOIDS = frozenset({*TUNED, "crowd-dagger+filter"})
+"""Agents that steer around obstacles wherever they stand."""
 
 
 @cache
@@ -58,8 +60,8 @@ def recommended(
         layout: of the task; None, or one that the benchmark does not fly, stands for the first one
             that it does.
         obstacles: whether the environment has the option `obstacles`. The benchmark flies without
-            it: then a script that steers around them, else any, as references are drawn free of
-            them. No policy was trained among other obstacles than its task's own.
+            it: then the best agent of `AVOIDS`; where none succeeds, the best script, which may
+            fly into them.
 
     Raises:
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
@@ -72,7 +74,7 @@ def recommended(
     names = [name for name, about in agents.items() if named.items() <= about.items()]
     if obstacles:
         scripts = [name for name in names if not agents[name]["learned"]]
-        names = [name for name in scripts if name in TUNED] or scripts
+        names = [name for name in names if name in AVOIDS] or scripts
     for name in names:
         if _takes(name, crew):
             return name

@@ -257,6 +257,7 @@ def test_the_best_agent_succeeds(task, drones):
     ("swap_v1", "random", 4, "roundabout"), ("swap_v1", "random", 64, "roundabout"),
     ("swap_v1", "circle", 4, "orca"), ("formation_v1", "shuffle", 8, "fast-line"),
     ("pursuit_v0", "swap-goals", 8, "roundabout"), ("ring_v1", None, 4, "air-aware"),
+    ("crowd_v0", "forest", 16, "crowd-dagger+filter"),
 ])  # fmt: skip
 def test_the_best_agent_among_obstacles_succeeds(task, layout, drones, best):
     name = recommended(task, num_drones=drones, layout=layout, obstacles=True)

@@ -80,6 +80,7 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
             "'swap-dagger' cannot fly: it requires",
         ),
         (["--physics", "bulet"], "did you mean 'bullet'?"),
+        (["--agent", "hover", "--obstacles", "box=-9:-9:0:9:9:5"], "error: found room for 0 of 4"),
         (["--video", "a.avi"], "--video is 'a.avi', but must end in .mp4 or .gif"),
         (["--trajectory", "a.csv"], "must end in .parquet or .npz"),
         (["--replay", "a.htm"], "must end in .html"),
@@ -118,6 +119,9 @@ def test_the_best_agent_among_obstacles_sees_them(capsys):
     assert "agent roundabout" in capsys.readouterr().out
     assert main(["fly", *column, "--agent", "swap-ppo"]) == 2
     assert "try --agent roundabout" in capsys.readouterr().err
+    short = ["--task", "ring", "--horizon-s", "0.2"]
+    assert main(["fly", *short, *column]) == 0
+    assert "air-aware was measured without obstacles" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,8 @@ def run_fly(options: FlyOptions) -> None:
             env.reset(seed=options.seed)
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
+    if options.obstacles and options.agent is None:
+        _note_obstacles(name)
     _write_files(files, recording)
 
 
@@ -287,6 +289,14 @@ def _print_summary(recording: Recording, agent: Agent) -> None:
         print("note: this agent sees the true state")
     if others := _unmeasured(recording, agent):
         print(f"note: {about.agent} was not trained with vehicles {', '.join(others)}")
+
+
+def _note_obstacles(best: str) -> None:
+    """Say so if the best agent for a task does not avoid obstacles."""
+    from swarm_envs.agents.recommendation import AVOIDS
+
+    if best not in AVOIDS:
+        print(f"note: {best} was measured without obstacles, and may fly into them")
 
 
 def _unmeasured(recording: Recording, agent: Agent) -> list[str]:
