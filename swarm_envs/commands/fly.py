@@ -140,8 +140,6 @@ def run_fly(options: FlyOptions) -> None:
         except ValueError as error:
             raise ValueError(f"agent {name!r} cannot fly: {error}") from error
     with closing(env):
-        with as_misuse(RuntimeError):  # obstacles that leave no place to start
-            env.reset(seed=options.seed)
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
     if options.obstacles and options.agent is None:
@@ -252,6 +250,8 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
         bar.bar.total = bar.bar.n  # it may have ended before the time limit
         return recording
     except Exception as error:
+        if isinstance(error, RuntimeError) and bar.bar is None and not env.agents:
+            raise Misuse(str(error)) from error  # obstacles that leave no place to start
         if ":" in name:  # its author needs to see where it failed
             traceback.print_exc()
         elif bar.bar is None and isinstance(error, ValueError):
