@@ -37,6 +37,7 @@ from swarm_envs.agents.networks import (
 )
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
 from swarm_envs.agents.registry import belief_of, controller_of
+from swarm_envs.agents.safety import Safety
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.observation import Float32Array, observation_layout
@@ -61,8 +62,8 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
-FORMAT = "swarm-envs-policy-6"  # What a file of a policy says it is
-_SENSES = {"num_obstacles", "observe_load", "observe_force", "controller"}
+FORMAT = "swarm-envs-policy-7"  # What a file of a policy says it is
+_SENSES = {"num_obstacles", "observe_load", "observe_force", "controller", "safety"}
 _BEFORE = {
     "swarm-envs-policy-1": {
         *("fewest", "encoder", "pooling", "types", "per_type", "activation", "also"),
@@ -72,6 +73,7 @@ _BEFORE = {
     "swarm-envs-policy-3": {"activation", "also", *_SENSES},
     "swarm-envs-policy-4": {"also", *_SENSES},
     "swarm-envs-policy-5": _SENSES,
+    "swarm-envs-policy-6": {"safety"},
 }
 """Formats that are read, though no longer written: what their notes do not say."""
 MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
@@ -118,6 +120,8 @@ class PolicyNote:
     controller: str = ""
     """the shipped agent whose tracking controller it needs, such as `air-aware`; the default
     controller if empty"""
+    safety: Safety | None = None
+    """the safety filter that `+filter` puts around it; None for the default"""
 
     @property
     def families(self) -> set[str]:
@@ -346,6 +350,8 @@ def _about(note: Mapping[str, Any]) -> PolicyNote:
         field.name: note[field.name] for field in fields(PolicyNote) if field.name not in later
     }
     known |= {name: tuple(known[name]) for name in ("types", "also") if name in known}
+    if known.get("safety") is not None:
+        known["safety"] = Safety(**known["safety"])
     about = PolicyNote(**known)
     about.check()
     if "activation" in later and about.encoder != "mlp":

@@ -20,7 +20,7 @@ from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import unknown_name
 from swarm_envs.interactions import InteractionModel
 
-__all__ = ["FILTER", "SHIPPED", "belief_of", "controller_of", "load_agent", "load_class"]
+__all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
 
 SHIPPED: Mapping[str, str] = MappingProxyType(
     {
@@ -79,7 +79,8 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     Args:
         name: one that ships (a key of `SHIPPED`); a trained policy: the folder of its training
             run or its .safetensors file; or a class in a file, `path/to/file.py:Class`, which is
-            called without arguments. With `+filter` at its end, behind a safety filter.
+            called without arguments. With `+filter` at its end, behind a safety filter: the
+            policy's own, if its file names one.
         environment: the versioned name of the task that it is to fly, such as `swap_v0`: shipped
             agents that compensate have the belief that was fitted in the forces which that version
             calls `learned`. None for the newest.
@@ -94,7 +95,8 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     if not name:
         raise ValueError("name is '', but must be an agent's, such as 'swap-ppo'")
     if name.endswith(FILTER):
-        from swarm_envs.agents.safety import SAFETY_OF, SafetyFilter
+        from swarm_envs.agents.policy import PolicyAgent
+        from swarm_envs.agents.safety import SafetyFilter
 
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
@@ -102,7 +104,8 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         agent = load_agent(inner, environment)
         if isinstance(agent, SafetyFilter):
             raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
-        return SafetyFilter(agent, SAFETY_OF.get(inner))
+        own = agent.policy.note.safety if isinstance(agent, PolicyAgent) else None
+        return SafetyFilter(agent, own)
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path, environment)

@@ -14,7 +14,6 @@ import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -95,12 +94,6 @@ class Safety:
             walls=bool(self.walls),
             radial=radial,
         )
-
-
-SAFETY_OF: Mapping[str, Safety] = MappingProxyType(
-    {"crowd-dagger": Safety(margin_m=0.14, horizon_s=0.4)}
-)
-"""Of shipped policies that fly better behind another filter than the default, by name."""
 
 
 @typed

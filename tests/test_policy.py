@@ -16,7 +16,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from swarm_envs import formation_v0, formation_v1, make, ring_v0, swap_v0, swap_v1
-from swarm_envs.agents import Agent, fly_episode, load
+from swarm_envs.agents import Agent, SafetyFilter, fly_episode, load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.features import FEATURE_SETS, FULL, REFERENCE, TYPED, goal_features
 from swarm_envs.agents.networks import ANY, plain
@@ -28,6 +28,7 @@ from swarm_envs.agents.policy import (
     read_policy,
     write_policy,
 )
+from swarm_envs.agents.safety import Safety
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions.weights_file import load_weights
@@ -107,6 +108,17 @@ def test_a_file_gives_back_what_was_written(tmp_path):
     assert policy(seed=1).digest != written.digest
 
 
+def test_a_file_holds_the_filter_of_its_policy(tmp_path):
+    safety = Safety(margin_m=0.2)
+    for note, wanted in ((NOTE, Safety()), (replace(NOTE, safety=safety), safety)):
+        write_policy(tmp_path / FILE, policy(note))
+        agent = load(f"{tmp_path / FILE}+filter")
+        assert isinstance(agent, SafetyFilter)
+        assert agent.safety == wanted
+    rewrite(tmp_path / FILE, format="swarm-envs-policy-6")  # which has no such entry
+    assert read_policy(tmp_path / FILE).note == NOTE
+
+
 def test_actions_stay_within_their_bounds():
     loud = policy()
     layers = tuple((100 * weight, bias) for weight, bias in loud.networks[ANY].layers)
@@ -119,8 +131,8 @@ def test_actions_stay_within_their_bounds():
 @pytest.mark.parametrize(
     ("task", "options", "why"),
     [
-        ("swap_v0", {"num_drones": 4}, r"teams of 2 to 3 drones, .* has 4; .*--drones 3 4"),
-        ("swap_v0", {"num_drones": 1}, r"teams of 2 to 3 drones, .* has 1; .*--drones 3 1"),
+        ("swap_v0", {"num_drones": 4}, r"teams of 2 to 3 drones, .* 4; set 2 to 3 \(--drones"),
+        ("swap_v0", {"num_drones": 1}, r"teams of 2 to 3 drones, .* 1; set 2 to 3 \(--drones"),
         ("formation_v0", {"num_drones": 3}, "flies swap, but the environment's task is formation"),
         ("swap_v0", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
         ("swap_v0", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),
@@ -159,6 +171,7 @@ def rewrite(path: Path, **changes: object) -> None:
         ({"decision_rate": 10**9}, "decision_rate is 1000000000, but must be 240 over an integer"),
         ({"num_neighbors": 10**9}, "num_neighbors is 1000000000"),
         ({"provenance": "deep"}, "is damaged"),
+        ({"safety": {"margin_m": -1}}, "Safety.margin_m is -1, but must be"),
         ({"weights_sha256": "0" * 64}, "are not those that were written"),
     ],
 )

@@ -29,7 +29,7 @@ from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.tasks.base import Task
 
-__all__ = ["SwarmParallelEnv", "join_actions"]
+__all__ = ["SwarmParallelEnv"]
 
 RENDER_MODES = ("rgb_array", "human")  # Ways in which an environment shows itself
 
