@@ -67,6 +67,23 @@ def test_every_agent_is_in_the_gallery():
     } == set()
 
 
+UNCOUNTED = {
+    *("generated", "tasks"),
+    *("commands.md", "equations.md", "glossary.md", "public.md", "mlr-dmpc/proof.md"),
+}
+"""Of the docs: what is generated, the pages of tasks, the reference and proofs."""
+
+
+def test_the_docs_are_short():
+    counted = [
+        page
+        for page in DOCS.rglob("*.md")
+        if UNCOUNTED.isdisjoint((name := page.relative_to(DOCS)).parts)
+        and name.as_posix() not in UNCOUNTED
+    ]
+    assert sum(len(page.read_text("utf-8").split()) for page in counted) <= 24_000
+
+
 def test_every_page_is_in_a_table_of_contents():
     found, queue = {DOCS / "index.md"}, [DOCS / "index.md"]
     while queue:
