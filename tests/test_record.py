@@ -48,8 +48,9 @@ def same(one: Any, other: Any) -> bool:
     ],
 )
 def test_what_minari_loads_is_what_its_environment_flies(tmp_path, monkeypatch, more):
-    assert main(command(tmp_path, *more)) == 0
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert main(command(Path("out"), *more)) == 0
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "out"))
     dataset = minari.load_dataset("a-v0")
     assert dataset.total_episodes == 4
     check_flights(dataset, dataset.recover_environment())

@@ -95,6 +95,7 @@ def run_record(options: RecordOptions) -> None:
     except (ValueError, TypeError, FileNotFoundError) as error:
         raise Misuse(str(error)) from error
     root = options.out or Path(os.environ.get(_ROOT, Path.home() / ".minari" / "datasets"))
+    root = root.absolute()  # Minari joins its own folder and a relative one
     check_folder("--out", root)
     if (root / name).exists():
         raise Misuse(f"there is a dataset {name!r} in {str(root)!r}; choose another --name")
