@@ -38,7 +38,7 @@ def _rows() -> list[Mapping[str, Any]]:
 def recommended(
     task: str,
     *,
-    num_drones: Count = 4,
+    num_drones: Count | None = None,
     team: str | None = None,
     learned: bool | None = None,
     privileged: bool | None = None,
@@ -53,7 +53,8 @@ def recommended(
 
     Args:
         task: such as `swap`, or with its version.
-        num_drones: how many fly, if no team is given.
+        num_drones: how many fly, if no team is given; None for as many as in the benchmark's
+            smallest team of at least four.
         team: the vehicles, such as `L2S`; None for small drones. Some policies fly few types.
         learned: True for a trained policy, False for a script; None for either.
         privileged: False for one that sees what is observed alone; None for either.
@@ -67,8 +68,12 @@ def recommended(
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
             message names an agent for a task that is near.
     """
-    crew = num_drones * (SMALL,) if team is None else parse_team(team)
-    agents = _agents_for(task, layout, len(crew))
+    rows = _rows_of(task, layout)
+    count = num_drones or next(row["drones"] for row in rows if row["drones"] >= 4)
+    crew = count * (SMALL,) if team is None else parse_team(team)
+    agents: Mapping[str, Mapping[str, Any]] = next(
+        (row for row in rows if row["drones"] >= len(crew)), rows[-1]
+    )["agents"]
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     names = [name for name, about in agents.items() if named.items() <= about.items()]
@@ -86,19 +91,15 @@ def recommended(
     )
 
 
-def _agents_for(task: str, layout: str | None, num_drones: int) -> Mapping[str, Mapping[str, Any]]:
-    """The agents of the row of as many drones, else of the next larger number, or the largest."""
+def _rows_of(task: str, layout: str | None) -> list[Mapping[str, Any]]:
+    """The rows of a task and layout, by the number of drones."""
     family = task_family(task)
     rows = [row for row in _rows() if row["task"] == family]
     if not rows:
         known = ", ".join(dict.fromkeys(row["task"] for row in _rows()))
         raise ValueError(f"the benchmark has no task {task!r}; it has {known}")
     like = layout if layout in {row["layout"] for row in rows} else rows[0]["layout"]
-    rows = sorted((row for row in rows if row["layout"] == like), key=lambda row: row["drones"])
-    agents: Mapping[str, Any] = next(
-        (row for row in rows if row["drones"] >= num_drones), rows[-1]
-    )["agents"]
-    return agents
+    return sorted((row for row in rows if row["layout"] == like), key=lambda row: row["drones"])
 
 
 def _takes(name: str, team: Team) -> bool:

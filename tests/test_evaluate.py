@@ -277,6 +277,7 @@ def test_it_is_as_it_was_asked_for():
     assert recommended("swap", num_drones=16, layout="circle", learned=False) == "roundabout"
     assert recommended("swap", team="SSLL", learned=True) == "swap-dagger"
     assert recommended("swap", team="S*S*LL") == "roundabout"  # policies fly S and L alone
+    assert recommended("crowd", obstacles=True) == "crowd-dagger+filter"  # of 16 drones
     assert recommended("swap", num_drones=500, privileged=False) == "straight-line+filter"
     with pytest.raises(
         ValueError, match=r"learned=True flies 'swap' with 500.*straight-line\+filt"
