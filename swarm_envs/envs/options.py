@@ -161,6 +161,8 @@ def task_views(options: Callable[P, TaskOptions]) -> TaskViews[P]:
 
     def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
         """Make what every interface to the task is made from."""
+        if args:
+            raise TypeError(f"options have names, such as num_drones=4, but got {args[0]!r:.80}")
         return options(*args, **given).blueprint()
 
     def parallel_env(*args: P.args, **given: P.kwargs) -> SwarmParallelEnv:

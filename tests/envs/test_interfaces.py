@@ -294,6 +294,11 @@ def test_bad_options(face, options, error, message):
         face.make("swap_v0", **options)
 
 
+def test_options_have_names():
+    with pytest.raises(TypeError, match="options have names, such as num_drones=4, but got 8"):
+        swap_v0.parallel_env(8)  # type: ignore[call-arg, arg-type]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
