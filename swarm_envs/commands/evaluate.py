@@ -22,7 +22,14 @@ from swarm_envs.commands.checks import (
     check_folder,
     command_options,
 )
-from swarm_envs.commands.fly import EpisodeOptions, best_agent, check_flies, find_task, prepare
+from swarm_envs.commands.fly import (
+    EpisodeOptions,
+    best_agent,
+    cannot_fly,
+    check_flies,
+    find_task,
+    prepare,
+)
 from swarm_envs.files import claimed, write_json
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.scale_out.options import ScaleOptions
@@ -99,7 +106,7 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
         try:
             agent, env = prepare(name, options, task)
         except (ValueError, TypeError, FileNotFoundError) as error:
-            raise Misuse(f"agent {name!r} cannot fly: {error}") from error
+            raise Misuse(cannot_fly(name, error)) from error
         except (Exception, SystemExit) as error:
             found[name] = error
             continue

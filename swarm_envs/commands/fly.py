@@ -138,7 +138,7 @@ def run_fly(options: FlyOptions) -> None:
         try:
             agent, env = prepare(name, options, task)
         except ValueError as error:
-            raise ValueError(f"agent {name!r} cannot fly: {error}") from error
+            raise ValueError(cannot_fly(name, error)) from error
     with closing(env):
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
@@ -262,9 +262,15 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
         bar.close()
 
 
+def cannot_fly(name: str, error: Exception) -> str:
+    """What an error says, and of which agent."""
+    said = str(error)
+    return said if repr(name) in said else f"agent {name!r} cannot fly: {said}"
+
+
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
     """Why an agent cannot fly, and who can, if the benchmark has one."""
-    said = f"agent {name!r} cannot fly: {error}"
+    said = cannot_fly(name, error)
     try:
         best = best_agent(options, task)
     except ValueError:
