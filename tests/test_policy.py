@@ -364,6 +364,16 @@ def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     env.close()
 
 
+@pytest.mark.parametrize("episodes", [4, pytest.param(64, marks=pytest.mark.slow)])
+def test_a_circle_of_32_is_swapped_by_imitation(episodes):
+    """The benchmark's episodes, none of which a script without the true state solves."""
+    agent = load("swap-dagger")
+    given = {"layout": "circle", "num_drones": 32, "horizon_s": 16.0, "physics": "batch"}
+    env = swap_v1.parallel_env(**given, **agent.requires)
+    assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.98
+    env.close()
+
+
 def slalom(drones: int) -> tuple[SwarmParallelEnv, Agent]:
     """The benchmark's gates for a number of drones, and the agent `gates-dagger`."""
     agent = load("gates-dagger")

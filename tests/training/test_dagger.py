@@ -97,6 +97,19 @@ def test_the_teacher_of_the_shipped_policy_swaps_without_near_misses():
     assert all(m["success"] and not m["near_misses"] for m in episodes)
 
 
+def test_the_teacher_of_circles_keeps_the_distances_at_the_start():
+    agent = load(str(Path(teachers.__file__)) + ":Carousel")
+    given = {"layout": "circle", "num_drones": 32, "physics": "batch"}
+    env = swap_v1.parallel_env(**given, **agent.requires)
+    env.reset(seed=0)
+    start = env.core.world.drones["start"][0]
+    nearest = np.linalg.norm(start[0] - start[1:], axis=-1).min()
+    flown = [episode["metrics"] for episode in evaluate_agent(env, agent, frozen_seeds(4, 2))]
+    assert all(m["success"] and m["time_to_goal_s"] < 4.0 for m in flown)
+    assert all(m["minimum_separation_m"] > 0.85 * nearest for m in flown)
+    env.close()
+
+
 def test_the_teacher_of_crowds_reaches_more_goals_in_a_forest_than_scripts_and_hits_nothing():
     name = str(Path(teachers.__file__)) + ":WayFinder"
     reached = {}

@@ -26,7 +26,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.physics.contact import BOX
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records
-from swarm_envs.tasks.base import SPEED_LIMIT
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 
 def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
@@ -184,6 +184,41 @@ class AirAdaptiveOracle(AirOracle):
     """The same with a controller that estimates the force in flight."""
 
     controller = "air-blind-adaptive"
+
+
+class Carousel(CoreAgent):
+    """Circles: all fly half a turn to the right at one speed, so that their distances stay.
+
+    It reads where they started; a student finds the turn from its goal, its velocity and who is
+    near. No circle is too crowded for it, as long as neighbors at rest have room.
+    """
+
+    requires = MappingProxyType({"action": "acceleration", "decision_rate": 20, "num_neighbors": 7})
+    speed_mps, gain, braking = 1.5, 5.0, 2.0  # Gain and braking: velocity and distance, 1/s
+    straight_m = 0.35  # Arc that is left where it begins to fly straight to the goal
+
+    def teach(self, core: SwarmCore) -> FloatArray:
+        """Accelerations along the arc."""
+        drones = core.world.drones
+        start, goal, position = drones["start"], drones["goal"], drones["position"]
+        middle, way = 0.5 * (start + goal), goal - position
+        radius = 0.5 * np.linalg.norm((goal - start)[..., :2], axis=-1, keepdims=True)
+        out, last = (position - middle)[..., :2], (goal - middle)[..., :2]
+        distance = np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 0.05)
+        out = out / distance
+        cross = out[..., 0] * last[..., 1] - out[..., 1] * last[..., 0]
+        angle = np.arctan2(cross, (out * last).sum(axis=-1))[..., None]
+        left = np.maximum(np.where(angle < -0.2, angle + 2 * np.pi, angle), 0.0) * radius
+        speed = np.minimum(self.speed_mps, self.braking * left)
+        along = np.stack([-out[..., 1], out[..., 0]], axis=-1)
+        level = speed * along + self.braking * (radius - distance) * out
+        near = left < self.straight_m
+        level = np.where(near, self.braking * way[..., :2], level)
+        wanted = np.concatenate([level, self.braking * way[..., 2:]], axis=-1)
+        asked = self.gain * (wanted - drones["velocity"])
+        asked[..., :2] -= np.where(near, 0.0, speed**2 / radius) * out
+        size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+        return np.asarray(asked / ACCELERATION_LIMIT / np.maximum(size, 1.0))
 
 
 class _Ahead(RoundaboutAgent):
