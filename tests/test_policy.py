@@ -369,7 +369,7 @@ def test_a_circle_of_32_is_swapped_by_imitation(episodes):
     """The benchmark's episodes, none of which a script without the true state solves."""
     agent = load("swap-dagger")
     given = {"layout": "circle", "num_drones": 32, "horizon_s": 16.0, "physics": "batch"}
-    env = swap_v1.parallel_env(**given, **agent.requires)
+    env = make("swap_v1", **given, **agent.requires)
     assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.98
     env.close()
 

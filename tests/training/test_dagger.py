@@ -99,8 +99,7 @@ def test_the_teacher_of_the_shipped_policy_swaps_without_near_misses():
 
 def test_the_teacher_of_circles_keeps_the_distances_at_the_start():
     agent = load(str(Path(teachers.__file__)) + ":Carousel")
-    given = {"layout": "circle", "num_drones": 32, "physics": "batch"}
-    env = swap_v1.parallel_env(**given, **agent.requires)
+    env = swap_v1.parallel_env(layout="circle", num_drones=32, physics="batch", **agent.requires)
     env.reset(seed=0)
     start = env.core.world.drones["start"][0]
     nearest = np.linalg.norm(start[0] - start[1:], axis=-1).min()
