@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from swarm_envs import TASKS, __version__, make, task_family
-from swarm_envs.arguments import POSITIVE_S, Count, Seed, options_of
+from swarm_envs.arguments import POSITIVE_S, Seed, options_of
 from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
@@ -23,7 +23,7 @@ from swarm_envs.commands.checks import (
     need_recording,
     output_files,
 )
-from swarm_envs.envs.setting import CrewOptions
+from swarm_envs.envs.setting import CrewOptions, NumDrones
 from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.vehicles import parse_team, team_string
@@ -51,7 +51,7 @@ class EpisodeFields:
     `swap_v1`"""
     layout: str | None = None
     """layout of the task, such as `random` or `stacked`; default: the task's"""
-    drones: Count | None = None
+    drones: NumDrones | None = None
     """number of drones if no team is given; default: 4 in swap, ring and formation, otherwise the
     task's"""
     physics: str | None = None

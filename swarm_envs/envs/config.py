@@ -16,6 +16,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
+from swarm_envs.envs.setting import NumObserved
 from swarm_envs.errors import check_array, check_integer, check_name
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
@@ -33,10 +34,7 @@ __all__ = ["WORLDS", "EnvConfig", "check_num_envs"]
 ENGINES = ("bullet", "batch")  # Names of the physics engines
 WORLDS = ("ideal", "hall")
 """Names of the worlds."""
-
-
 MANY_DRONES = 1024  # From so many drones in all environments together on, more threads than one pay
-MOST_OBSERVED = 10_000  # Of K and M: an observation has room for all of them in every episode
 MOST_THREADS = 1024  # Of `threads`: each is the system's
 
 
@@ -71,14 +69,14 @@ class EnvConfig:
     vertical force at its position (docs/forces.md)."""
     controller: ControllerConfig | None = None
     """The tracking controller between actions and rotors; None for the default."""
-    num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 3
+    num_neighbors: NumObserved = 3
     """K, the number of observed neighbours."""
     threads: Annotated[int, Range(1, MOST_THREADS)] | None = None
     """Threads of the compiled engine, which do not change the result; None for one, or for all
     cores from 1,024 drones on."""
     observation: Annotated[str, OneOf(FORMS)] = "flat"
     """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
-    num_obstacles: Annotated[int, Range(0, MOST_OBSERVED)] | None = None
+    num_obstacles: NumObserved | None = None
     """M, the number of observed obstacles, nearest first; None: 3 if the task has obstacles, else
     0."""
     observe_load: bool = False

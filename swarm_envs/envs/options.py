@@ -14,10 +14,11 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
-from swarm_envs.arguments import OneOf, Option, Range, options_of
+from swarm_envs.arguments import OneOf, Option, options_of
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.config import MOST_OBSERVED, WORLDS, EnvConfig
+from swarm_envs.envs.config import WORLDS, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
+from swarm_envs.envs.setting import NumDrones, NumObserved
 from swarm_envs.errors import check_name
 from swarm_envs.hall import Hall
 from swarm_envs.physics.contact import ON_CONTACT
@@ -38,10 +39,6 @@ __all__ = [
 ]
 
 P = ParamSpec("P")
-
-MOST_DRONES = 100_000  # Of `num_drones`: a batch of environments shares the memory
-NumDrones = Annotated[int, Range(1, MOST_DRONES)]
-"""How many drones fly."""
 
 
 class Blueprint(NamedTuple):
@@ -136,7 +133,7 @@ class TaskOptions(EnvConfig, ABC):
 class AirTaskOptions(TaskOptions):
     """Options of a task about downwash: those of every task, with other defaults."""
 
-    num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 7
+    num_neighbors: NumObserved = 7
     """K, how many neighbours a drone observes."""
     observe_load: bool = True
     """Whether observations include thrust margin, mass and charge of the drone and of its

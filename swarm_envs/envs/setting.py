@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from swarm_envs.arguments import Count
+from swarm_envs.arguments import Range
 
-__all__ = ["AirOptions", "CrewOptions"]
+__all__ = ["AirOptions", "CrewOptions", "NumDrones"]
+
+NumDrones = Annotated[int, Range(1, 100_000)]
+"""How many drones fly: a batch of environments shares the memory."""
+NumObserved = Annotated[int, Range(0, 10_000)]
+"""K or M: an observation has room for all of them in every episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +43,7 @@ class CrewOptions(AirOptions):
     team: str | None = None
     """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `*` after
     one adds a payload. The 2 of `L2S` only separates them: S passes below L"""
-    neighbors: Count | None = None
+    neighbors: NumObserved | None = None
     """K, the number of observed neighbors"""
 
     def crew(self) -> dict[str, Any]:
