@@ -41,8 +41,8 @@ class CrewOptions(AirOptions):
     """The same, and those of the team."""
 
     team: str | None = None
-    """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `*` after
-    one adds a payload. The 2 of `L2S` only separates them: S passes below L"""
+    """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `S*`
+    small with strong motors. The 2 of `L2S` only separates them: S passes below L"""
     neighbors: NumObserved | None = None
     """K, the number of observed neighbors"""
 
