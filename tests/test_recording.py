@@ -226,13 +226,18 @@ def test_the_outcome_in_a_sentence(success, contacts, said):
 
 
 def test_metrics_have_labels_and_units():
-    metrics = {"success": True, "worst_force_g": 12.3456, "near_misses": 2, "energy_j": None}
-    rows = metric_rows(metrics | {"by_drone_m": [1.0]})
+    metrics = {
+        "success": True,
+        "worst_force_g": 12.3456,
+        "near_misses": 2,
+        "rms_tracking_error_m": 0.5,
+    }
+    rows = metric_rows(metrics | {"by_drone_m": [1.0], "energy_j": None})
     assert rows == [
         ("Success", "yes"),
         ("Worst force", "12.35 g"),
         ("Near misses", "2"),
-        ("Energy", "\N{EN DASH}"),
+        ("RMS tracking error", "0.5 m"),
     ]
 
 

@@ -138,20 +138,18 @@ def outcome(recording: Recording) -> str:
 
 
 def metric_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Label and value, with its unit, of each metric that is a single number."""
+    """Label and value, with its unit, of each metric that is a single number and was measured."""
     rows = []
     for name, value in metrics.items():
-        if isinstance(value, list):
+        if value is None or isinstance(value, list):
             continue
         unit = next((u for end, u in _UNITS.items() if name.endswith(end)), "")
-        label = (name[:-2] if unit else name).replace("_", " ")
+        label = (name[:-2] if unit else name).replace("_", " ").replace("rms", "RMS")
         rows.append((label[0].upper() + label[1:], _value(value, unit)))
     return rows
 
 
 def _value(value: Any, unit: str) -> str:
-    if value is None:
-        return "\N{EN DASH}"
     if isinstance(value, bool):
         return "yes" if value else "no"
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
