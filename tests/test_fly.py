@@ -147,7 +147,7 @@ def test_a_recorded_flight_becomes_a_page_and_nothing_else_does(capsys, tmp_path
     for name, code in (("none.npz", 2), ("b.npz", 1)):
         assert main(["replay", str(tmp_path / name), "--out", str(page)]) == code
     error = capsys.readouterr().err
-    assert "there is no file" in error and "not an npz file" in error
+    assert "there is no file" in error and "not an npz file; `swarm-envs fly" in error
     assert not page.exists()
     assert main([*STACKED, "--horizon-s", "0.5", "--trajectory", str(recorded)]) == 0
     assert main(["replay", str(recorded), "--out", str(page)]) == 0

@@ -10,6 +10,7 @@ An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same J
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -184,6 +185,9 @@ def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
 
 def _read_npz(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
     with path.open("rb") as file:
+        if not zipfile.is_zipfile(file):  # numpy would advise to unpickle it
+            raise ValueError(f"{path} is not an npz file; `swarm-envs fly --trajectory` writes one")
+        file.seek(0)
         try:
             with np.load(file, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
