@@ -85,6 +85,11 @@ class Randomization:
         values: dict[str, Any] = {}
         for name, numbers in parse_pairs("randomization", given):
             check_name("randomization", name, [field.name for field in fields(cls)])
+            if isinstance(getattr(cls, name), tuple) and len(numbers) != 2:
+                got = ":".join(f"{number:g}" for number in numbers)
+                raise ValueError(
+                    f"randomization is {name}={got}, but must be a range, {name}=LOW:HIGH"
+                )
             values[name] = numbers[0] if len(numbers) == 1 else tuple(numbers)
         return cls(**values)
 
