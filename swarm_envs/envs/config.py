@@ -120,17 +120,18 @@ class EnvConfig:
         if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(
                 f"Randomization.battery is {ranges.battery}, but these batteries never "
-                "empty; give battery=BatteryModel() too"
+                "empty; give battery=BatteryModel() too, in Python"
             )
         if ranges is not None and ranges.hall != SAME and self.hall is None:
             raise ValueError(
-                f'Randomization.hall is {ranges.hall}, but the world is ideal; give world="hall" '
-                "or a Hall too"
+                f"Randomization.hall is {ranges.hall}, but the world is ideal; give "
+                'world="hall" (--world hall) or a Hall too'
             )
         if ranges is not None and ranges.noisy and self.hall is not None:
             raise ValueError(
                 f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
-                "with noise of its own; leave it 0 and give world=Hall(position_noise_m=...)"
+                "with noise of its own; leave it 0 or, in Python, give "
+                "world=Hall(position_noise_m=...)"
             )
 
     @property

@@ -149,7 +149,7 @@ def draw_apart(
         return points
     raise RuntimeError(
         f"found room for {placed} of {n} drones {distance} m apart within 10,000 draws; "
-        "use fewer drones or obstacles, or give reset(options={'start': ...})"
+        "use fewer drones or obstacles, or, in Python, give reset(options={'start': ...})"
     )
 
 
