@@ -25,32 +25,33 @@ from swarm_envs.commands.grading.grades import Grade, grade_table, write_feedbac
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:
-    """Grade what students handed in: one line of a table for each, whatever happens to it.
+    """Grade submissions of students and print a table with one line for each.
 
-    A file that cannot be imported, raises, returns what is no action or takes too long is named
-    with its error and gets no points; the others go on.
+    A submission that cannot be imported, raises an error, returns invalid actions or takes too long
+    gets no points, and the table names the error; the others are still graded.
     """
 
     assignment: AssignmentName
-    """which one; `swarm-envs assignment list` says what they are"""
+    """assignment; `swarm-envs assignment list` describes each"""
     agent: list[str] = field(default_factory=list)
-    """what was handed in: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
+    """submissions: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
     also folders of trained policies"""
     out: Path | None = None
-    """write the table to this file after each work: .csv, or .json with the columns of nbgrader"""
+    """write the table to this file after each submission: .csv, or .json with the columns of
+    nbgrader"""
     feedback: Path | None = None
     """folder for each student's results.json (Gradescope's format), and failure.html, a page that
     plays the first episode that failed"""
     episodes: Count = 256
-    """episodes that each flies"""
+    """number of episodes of each submission"""
     seed: Seed = 0
     """random seed of the episodes, the same for all; use a secret one"""
     data: Path | None = None
     """for `force-model`: the rows.npz of a `swarm-envs collect`, whose validation rows grade"""
     limit_s: Annotated[float, POSITIVE_S] = 600.0
-    """time that each may take, s"""
+    """time limit of each submission, s"""
     unprotected: bool = False
-    """grade where nothing keeps what was handed in from renaming or removing your files: for a
+    """grade even where nothing keeps submissions from renaming or removing your files: for a
     container or virtual machine that serves nothing else"""
 
     def __post_init__(self) -> None:

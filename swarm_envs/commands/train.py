@@ -50,7 +50,7 @@ def run_train(config: RlConfig) -> None:
         write_json(config.json, report)
     print(_summary(report))
     words = ["swarm-envs", "evaluate", *setting(config), "--agent", str(config.out)]
-    print("fly it by:", shlex.join(words))
+    print("to evaluate it:", shlex.join(words))
 
 
 def setting(config: RlConfig) -> list[str]:
