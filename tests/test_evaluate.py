@@ -85,6 +85,7 @@ def test_the_report_is_what_the_episodes_were(tmp_path, capsys):
     assert main([*arguments, "--out", str(out), "--layout", "circle"]) == 0
     said = capsys.readouterr()
     assert "100%" in said.err
+    assert "swap_v1, team SS, 5 episodes, seed 7" in said.out
     assert "detour*" in said.out
     assert "sees the true state" in said.out
     report = json.loads((out / "report.json").read_text())

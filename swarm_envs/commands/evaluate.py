@@ -29,6 +29,7 @@ from swarm_envs.commands.fly import (
     check_flies,
     find_task,
     prepare,
+    team_text,
 )
 from swarm_envs.files import claimed, write_json
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -127,7 +128,7 @@ def _evaluate(
     for path in reports:
         write_json(path, content)
         print(f"wrote {path}", flush=True)
-    print(_table(agents))
+    print(_head(options, task, made), _table(agents), sep="")
     kept = _kept(options)
     if options.out is None and kept is not None and kept.is_dir() and not failed:
         shutil.rmtree(kept)  # the report is whole: nothing is left to resume
@@ -245,6 +246,13 @@ def _fly_apart(
 
         specs = [EvaluationSpec(e, task, options.setting(), seeds) for e in agents]
         evaluate_distributed(specs, workers, on_episode)
+
+
+def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
+    """What was flown, on a line above the table."""
+    teams = [each[1].core.task.team for each in made.values() if isinstance(each, tuple)]
+    team = f"{team_text(teams[0])}, " if teams else ""  # the same for all
+    return f"\n{task}, {team}{options.episodes} episodes, seed {options.seed}\n"
 
 
 def _table(agents: list[dict[str, Any]]) -> str:

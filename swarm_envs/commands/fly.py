@@ -26,7 +26,7 @@ from swarm_envs.commands.checks import (
 from swarm_envs.envs.setting import CrewOptions, NumDrones
 from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.files import write_json
-from swarm_envs.vehicles import parse_team, team_string
+from swarm_envs.vehicles import Team, parse_team, team_string
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -281,12 +281,16 @@ def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -
 _LETTERS = 32  # Drones up to which a team is written out
 
 
+def team_text(team: Team) -> str:
+    """What a command prints of a team: its string, or its size where that is long."""
+    return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
+
+
 def _print_summary(recording: Recording, agent: Agent) -> None:
     from swarm_envs.viewing.summary import metric_rows, outcome
 
-    about, count = recording.about, len(recording.team)
-    team = f"team {team_string(recording.team)}" if count <= _LETTERS else f"{count} drones"
-    print(f"{about.task}, {team}, agent {about.agent}, seed {about.seed}")
+    about = recording.about
+    print(f"{about.task}, {team_text(recording.team)}, agent {about.agent}, seed {about.seed}")
     print(outcome(recording), end="\n\n")
     rows = metric_rows(about.metrics)
     width = max(len(label) for label, _ in rows)
