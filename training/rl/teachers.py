@@ -125,10 +125,21 @@ class AirLine(CoreAgent):
         if not self.compensates:
             return 0.0
         drones, g = core.world.drones, self._gains
-        unknown = core.physics.force - drones["adaptive_force"]
+        unknown = _all_force(core) - drones["adaptive_force"]
         learned = g.velocity * g.integral * drones["velocity_integral"]
         pushed = unknown / drones["nominal_mass"][..., None] - learned
         return np.asarray(-pushed / (g.position * (g.velocity + g.integral)))
+
+
+def _all_force(core: SwarmCore) -> FloatArray:
+    """(E, N, 3) of other drones, and vertically of what no model knows in the hall, N."""
+    force, drones = np.array(core.physics.force), core.world.drones
+    if core.config.hall is not None:
+        felt = np.linalg.norm(force, axis=-1)
+        grown = felt / (felt + drones["residual_half"])
+        size = drones["residual_quiet"] + drones["residual_more"] * grown
+        force[..., 2] += size * drones["residual_process"][..., 2] + drones["force_offset"]
+    return force
 
 
 class Sprinter(AirLine):
@@ -151,7 +162,7 @@ class AirInTime(AirLine):
         """Velocities of the set-points."""
         drones, task = core.world.drones, core.task
         named = getattr(task.success, "named", True)
-        places = drones["goal"] if named else self._chosen(core)
+        places = drones["goal"] + self._shift(core) if named else self._chosen(core)
         since, stage_s = np.array(core.world.environments["time"]), task.motion.stage_s
         since = np.mod(since + 1e-9, stage_s) if stage_s else since
         x = np.clip(since / self.travel_s, 0.02, self.latest)[:, None, None]
@@ -219,6 +230,23 @@ class Carousel(CoreAgent):
         asked[..., :2] -= np.where(near, 0.0, speed**2 / radius) * out
         size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
         return np.asarray(asked / ACCELERATION_LIMIT / np.maximum(size, 1.0))
+
+
+class StackOracle(AirOracle, AirInTime):
+    """The same in time, for `stack`; where there are no forces, to the nearest places."""
+
+    def _chosen(self, core: SwarmCore) -> FloatArray:
+        if core.config.interactions == "none":
+            return np.array(core.world.drones["goal"])
+        return super()._chosen(core)
+
+
+class SprintOracle(AirOracle, SprintInTime):
+    """The same in the time that `sprint` leaves."""
+
+
+class DeliveryOracle(AirOracle, DeliveryInTime):
+    """The same in the time that `delivery` leaves."""
 
 
 class _Ahead(RoundaboutAgent):

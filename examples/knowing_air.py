@@ -1,0 +1,183 @@
+"""Measure what knowing the air is worth to a policy: train it in one air, fly it in another.
+
+    python -m examples.knowing_air --out runs/air
+    python -m examples.knowing_air --task sprint --seeds 0 --steps 300000 --out runs/sprint
+
+Policies learn by imitation (DAgger) in three airs: without interaction forces (`none`), with them
+(`learned`), and with them in the hall (`hall`); without and with the predicted force as an
+observation. Each flies in all three. The tracking controller is that of `air-blind`, which knows no
+force model and estimates no force; the teachers move set-points by what the true force of the air
+in which they teach would displace the drones. In air without forces they move nothing.
+
+The table has means over training seeds and episodes. Intervals are 95 % bootstrap intervals in
+which both are drawn again: seeds, and episodes of each. Killed, the same command resumes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from swarm_envs import __version__, make
+from swarm_envs.agents.evaluation import EpisodeFile, evaluate_agent, frozen_seeds
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.registry import load_agent
+from swarm_envs.arguments import Count, Seed
+from swarm_envs.errors import check_name
+from swarm_envs.files import claimed, write_json
+from swarm_envs.state import FloatArray
+from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.run import finished_report, train_policy
+from swarm_envs.training.scoreboard.standings import align_columns
+
+AIRS: Mapping[str, Mapping[str, Any]] = {
+    "none": {"interactions": "none", "world": "ideal"},
+    "learned": {"interactions": "learned", "world": "ideal"},
+    "hall": {"interactions": "learned", "world": "hall"},
+}
+"""In what policies train and fly: options of the environment."""
+RECIPE: Mapping[str, Any] = {
+    **{"algo": "dagger", "environments": 96, "threads": 1},
+    **{"action": "velocity", "decision_rate": 48, "controller": "air-blind"},
+    **{"encoder": "deep-set", "pooling": "max-sum", "activation": "relu"},
+    **{"set_hidden": (48, 48), "hidden": (96, 96)},
+    **{"checkpoint_rollouts": 100, "judge_every": 99, "judge_episodes": 64},
+    **{"tensorboard": False, "progress": False},
+}
+"""Options of every training run."""
+TEACHERS = "swarm_envs/training/rl/teachers.py"
+EPISODE_SEED = 7  # Of the episodes that trained policies fly
+
+
+class Case(NamedTuple):
+    """A task that policies learn and fly."""
+
+    task: str
+    """Its versioned name."""
+    drones: int
+    """N."""
+    teacher: str
+    """Class in `TEACHERS`."""
+    options: Mapping[str, Any] = {}
+    """Options of the environment, and of the training run."""
+    measure: str = "success"
+    """Metric of an episode that is averaged."""
+
+
+_GATES = {"horizon_s": 12.0, "num_obstacles": 2}
+CASES: Mapping[str, Case] = {
+    "stack": Case("columns_v0", 8, "StackOracle", {"layout": "stack"}),
+    "sprint": Case("columns_v0", 6, "SprintOracle", {"layout": "sprint"}),
+    "delivery": Case("delivery_v0", 7, "DeliveryOracle"),
+    "gates": Case("gates_v0", 4, "AirOracle", _GATES, "gates_per_min"),
+}
+"""The tasks of the family *air*, by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AirStudy:
+    """Train policies in air of three kinds, and fly each in all of them."""
+
+    out: Path
+    """folder of the runs, the episodes and results.json"""
+    task: list[str] = field(default_factory=lambda: list(CASES))
+    """`stack`, `sprint`, `delivery`, `gates`"""
+    seeds: list[Seed] = field(default_factory=lambda: [0, 1, 2])
+    """training seeds"""
+    steps: Count = 1_000_000
+    """of each run: decisions of single drones"""
+    episodes: Count = 128
+    """of each policy in each air"""
+
+    def __post_init__(self) -> None:
+        """Refuse tasks that there are not."""
+        for name in self.task:
+            check_name("--task", name, CASES)
+
+
+def training_of(study: AirStudy, task: str, air: str, force: bool, seed: int) -> RlConfig:
+    """The options of a training run."""
+    case = CASES[task]
+    given = {**RECIPE, **case.options, **AIRS[air], "task": case.task, "drones": case.drones}
+    return RlConfig(
+        **given,
+        out=study.out / task / (f"{air}-force" if force else air) / f"seed-{seed}",
+        dagger=replace(RlConfig.dagger, teacher=(f"{TEACHERS}:{case.teacher}",)),
+        num_neighbors=case.drones - 1,
+        observe_force=force,
+        steps=study.steps,
+        seed=seed,
+    )
+
+
+def fly_in(study: AirStudy, config: RlConfig, task: str, air: str) -> list[float]:
+    """What a trained policy reaches in each episode in an air; episodes are flown once."""
+    agent, case = load_agent(config.out), CASES[task]
+    assert isinstance(agent, PolicyAgent)
+    setting = {**case.options, **AIRS[air], "num_drones": case.drones, "physics": "batch"}
+    about = {**setting, "task": case.task, "policy": agent.digest, "version": __version__}
+    file = EpisodeFile(config.out, f"flown-in-{air}", about)
+    env = make(case.task, **{**setting, **agent.requires, "threads": 1})
+    try:
+        seeds = frozen_seeds(EPISODE_SEED, study.episodes)
+        flown = evaluate_agent(env, agent, seeds, file.episodes, file.add, timed=0)
+        return [float(episode["metrics"][case.measure]) for episode in flown]
+    finally:
+        env.close()
+
+
+def summary_of(values: FloatArray) -> dict[str, Any]:
+    """Mean of values (seeds, episodes), its bootstrap interval, and the mean of each seed."""
+    rng, (seeds, episodes) = np.random.default_rng(0), values.shape
+    rows = rng.integers(seeds, size=(2000, seeds, 1))
+    means = values[rows, rng.integers(episodes, size=(2000, seeds, episodes))].mean(axis=(1, 2))
+    ends = np.percentile(means, (2.5, 97.5)).tolist()
+    return {"mean": float(values.mean()), "interval": ends, "each": values.mean(axis=1).tolist()}
+
+
+def run_study(study: AirStudy) -> list[dict[str, Any]]:
+    """Train and fly what has not been yet; the results, which are also written."""
+    students, results = list(product(study.task, AIRS, (False, True))), []
+    with (
+        claimed(study.out),
+        tqdm(total=len(students) * len(study.seeds), unit="policy", desc="air") as bar,
+    ):
+        for task, air, force in students:
+            flown: dict[str, list[list[float]]] = {name: [] for name in AIRS}
+            for seed in study.seeds:
+                config = training_of(study, task, air, force, seed)
+                bar.set_postfix_str(f"{task}, {air}")
+                if finished_report(config, config.task) is None:
+                    train_policy(config, config.task)
+                for name, episodes in flown.items():
+                    episodes.append(fly_in(study, config, task, name))
+                bar.update()
+            entry = {name: summary_of(np.array(values)) for name, values in flown.items()}
+            results.append({"task": task, "air": air, "force": force, "flown_in": entry})
+        write_json(study.out / "results.json", results)
+    return results
+
+
+def table_of(results: list[dict[str, Any]]) -> str:
+    """A line for each kind of student: what it reaches in each air."""
+    rows = [["task", "trained in", "observes force", *(f"in {name}" for name in AIRS)]]
+    for entry in results:
+        scale = 100.0 if CASES[entry["task"]].measure == "success" else 1.0
+        cells = []
+        for found in entry["flown_in"].values():
+            mean, low, high = (scale * x for x in (found["mean"], *found["interval"]))
+            cells.append(f"{mean:.1f} ({low:.1f}-{high:.1f})")
+        rows.append([entry["task"], entry["air"], "yes" if entry["force"] else "no", *cells])
+    return "\n".join(align_columns(rows))
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table_of(run_study(tyro.cli(AirStudy))) + "\n")

@@ -1,0 +1,85 @@
+"""The study of what knowing the air is worth: it resumes, and its teachers know the true force."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+
+from examples import knowing_air
+from examples.knowing_air import AIRS, AirStudy, run_study, summary_of, table_of
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import batch_of
+from swarm_envs.training.rl.run import train_policy
+from swarm_envs.training.rl.teachers import SprintOracle, StackOracle
+
+
+def test_an_interrupted_study_resumes_with_the_same_results(tmp_path, monkeypatch):
+    monkeypatch.setattr(knowing_air, "AIRS", {name: AIRS[name] for name in ("none", "hall")})
+    small = {"environments": 2, "judge_episodes": 1, "hidden": (8,), "set_hidden": (8,)}
+    monkeypatch.setattr(knowing_air, "RECIPE", {**knowing_air.RECIPE, **small})
+    trained: list[Path] = []
+
+    def count(config, task):
+        if len(trained) == 2:
+            raise KeyboardInterrupt
+        trained.append(config.out)
+        return train_policy(config, task)
+
+    study = AirStudy(out=tmp_path / "study", task=["sprint"], seeds=[0], steps=120, episodes=2)
+    monkeypatch.setattr(knowing_air, "train_policy", count)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study)
+    flown = {path: path.read_bytes() for path in study.out.rglob("flown-*.jsonl")}
+    assert len(flown) == 4
+    monkeypatch.setattr(knowing_air, "train_policy", train_policy)
+    results = run_study(study)
+    assert len({path.parent for path in study.out.rglob("report.json")}) == 4
+    assert all(path.read_bytes() == content for path, content in flown.items())
+    assert json.loads((study.out / "results.json").read_text()) == results
+    assert run_study(replace(study, out=tmp_path / "other")) == results
+    assert len(table_of(results).splitlines()) == 5
+
+
+def test_an_interval_counts_training_seeds():
+    one_fails = np.repeat([[1.0], [1.0], [0.0]], 100, axis=1)
+    found = summary_of(one_fails)
+    assert found["mean"] == pytest.approx(2 / 3)
+    assert found["interval"] == [0.0, 1.0]  # all three draws are that seed in 1 of 27 resamples
+    assert found["each"] == [1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("air", AIRS)
+def test_teachers_compensate_the_force_of_their_air(air):
+    teacher = SprintOracle()
+    requires = {**teacher.requires, **AIRS[air], "threads": 1}
+    blueprint = batch_of("columns_v0", layout="sprint", **requires)
+    core = SwarmCore(blueprint.task, blueprint.config, 32)
+    core.reset(list(range(32)))
+    while core.running.all():
+        core.step(np.clip(teacher.teach(core), -1.0, 1.0))
+    away = np.linalg.norm(teacher._shift(core), axis=-1)
+    if air == "none":
+        assert away.max() < 2e-3  # what the integrator has gathered on the way
+    else:
+        assert away.max() > 0.01
+    ended = core.metrics_of(np.flatnonzero(~core.running).tolist())
+    assert np.mean([metrics["success"] for metrics in ended]) > 0.9
+
+
+def test_only_a_teacher_in_air_with_forces_puts_the_heavy_on_top():
+    teacher, places = StackOracle(), {}
+    for air in ("none", "learned"):
+        blueprint = batch_of("columns_v0", **teacher.requires, **AIRS[air])
+        core = SwarmCore(blueprint.task, blueprint.config, 1)
+        core.reset([3])
+        places[air] = teacher._chosen(core) - teacher._shift(core)
+        goals = np.array(core.world.drones["goal"])
+    assert np.array_equal(places["none"], goals)
+    assert not np.allclose(places["learned"], goals)
