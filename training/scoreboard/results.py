@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds, source_digest
@@ -67,7 +68,7 @@ def verify_results(path: Path, again: int = 2) -> Iterator[str]:
             return
     agents = {agent["name"]: agent for agent in content["agents"]}
     rng = np.random.default_rng(list(hashlib.sha256(json.dumps(content).encode()).digest()))
-    for cell in content["cells"]:
+    for cell in tqdm(content["cells"], desc="verify", unit="cell"):
         if cell["status"] == "flown":
             where = f"{cell['agent']} on {cell['task']}: "
             wrong = [*_inside(cell)] or [*_flown_again(cell, agents[cell["agent"]], again, rng)]
