@@ -346,6 +346,7 @@ DIGESTS = {
     "transfer-random-8-wake-v2": "d3a87a043a42f559",
     "transfer-stacked-L2S-wake-v2": "de6ace113bc1ddf3",
     "transfer-ring-5-wake-v2": "14db2a7c487bfd88",
+    "air-mixed-6-v3": "1512d8e965de3b3e",
 }
 """What each id has stood for since it was first used. A line here is never changed: what is flown
 otherwise gets a row with the next version, and the old row is marked as retired."""
