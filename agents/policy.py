@@ -63,16 +63,17 @@ FILE = "policy.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
 FORMAT = "swarm-envs-policy-7"  # What a file of a policy says it is
-_SENSES = {"num_obstacles", "observe_load", "observe_force", "controller", "safety"}
+_LATER = {"num_obstacles", "observe_load", "observe_force", "controller", "safety"}
+"""What notes in a file say since format 6, the last one since 7."""
 _BEFORE = {
     "swarm-envs-policy-1": {
         *("fewest", "encoder", "pooling", "types", "per_type", "activation", "also"),
-        *_SENSES,
+        *_LATER,
     },
-    "swarm-envs-policy-2": {"fewest", "activation", "also", *_SENSES},
-    "swarm-envs-policy-3": {"activation", "also", *_SENSES},
-    "swarm-envs-policy-4": {"also", *_SENSES},
-    "swarm-envs-policy-5": _SENSES,
+    "swarm-envs-policy-2": {"fewest", "activation", "also", *_LATER},
+    "swarm-envs-policy-3": {"activation", "also", *_LATER},
+    "swarm-envs-policy-4": {"also", *_LATER},
+    "swarm-envs-policy-5": _LATER,
     "swarm-envs-policy-6": {"safety"},
 }
 """Formats that are read, though no longer written: what their notes do not say."""

@@ -69,11 +69,9 @@ def recommended(
             message names an agent for a task that is near.
     """
     rows = _rows_of(task, layout)
-    count = num_drones or next(row["drones"] for row in rows if row["drones"] >= 4)
+    count = num_drones or _row_for(rows, 4)["drones"]
     crew = count * (SMALL,) if team is None else parse_team(team)
-    agents: Mapping[str, Mapping[str, Any]] = next(
-        (row for row in rows if row["drones"] >= len(crew)), rows[-1]
-    )["agents"]
+    agents: Mapping[str, Mapping[str, Any]] = _row_for(rows, len(crew))["agents"]
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     names = [name for name, about in agents.items() if named.items() <= about.items()]
@@ -100,6 +98,11 @@ def _rows_of(task: str, layout: str | None) -> list[Mapping[str, Any]]:
         raise ValueError(f"the benchmark has no task {task!r}; it has {known}")
     like = layout if layout in {row["layout"] for row in rows} else rows[0]["layout"]
     return sorted((row for row in rows if row["layout"] == like), key=lambda row: row["drones"])
+
+
+def _row_for(rows: list[Mapping[str, Any]], num_drones: int) -> Mapping[str, Any]:
+    """The row of as many drones, else of the next larger number, or the largest."""
+    return next((row for row in rows if row["drones"] >= num_drones), rows[-1])
 
 
 def _takes(name: str, team: Team) -> bool:

@@ -132,7 +132,11 @@ class AirLine(CoreAgent):
 
 
 def _all_force(core: SwarmCore) -> FloatArray:
-    """(E, N, 3) of other drones, and vertically of what no model knows in the hall, N."""
+    """(E, N, 3) of other drones, and vertically of what no model knows in the hall, N.
+
+    The physics keeps no record of that force, which pushes in one step alone; it is computed again
+    from its process, for drones that have others near.
+    """
     force, drones = np.array(core.physics.force), core.world.drones
     if core.config.hall is not None:
         felt = np.linalg.norm(force, axis=-1)
