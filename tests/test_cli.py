@@ -98,9 +98,18 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
             "demo --swaps many",
             "--swaps is 'many', but must be an integer of at least 1 and at most",
         ),
-        ("fly --drones four", "--drones is 'four', but must be an integer of at least 1"),
-        ("fly --drones", "--drones has no value, but must be an integer of at least 1"),
-        ("fly --drones 0", "error: --drones is 0, but must be an integer of at least 1"),
+        (
+            "fly --drones four",
+            "--drones is 'four', but must be an integer of at least 1 and at most 100,000 (see",
+        ),
+        (
+            "fly --drones",
+            "--drones has no value, but must be an integer of at least 1 and at most 100,000 (see",
+        ),
+        (
+            "fly --drones 0",
+            "error: --drones is 0, but must be an integer of at least 1 and at most 100,000 (see",
+        ),
         ("fly --drones 4 --team SS", "error: --drones is 4, but --team SS has 2; give one of them"),
         ("fly --agent swap-ppo orca", "unexpected argument 'orca'"),
         ("evaluate --workers -1", "error: --workers is -1, but must be an integer of at least 1"),
@@ -117,7 +126,10 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("curriculum --stages x", "unknown option '--stages'"),
         ("fly --on-contact explode", "unknown --on-contact 'explode'; valid"),
         ("plan --grid 4", "--grid is '4', but must be two or three integers of at least 1, such"),
-        ("fly --drones 4.5", "--drones is '4.5', but must be an integer of at least 1"),
+        (
+            "fly --drones 4.5",
+            "--drones is '4.5', but must be an integer of at least 1 and at most 100,000 (see",
+        ),
         ("train --drones 4 six", "--drones is 'six', but must be an integer of at least 1, or"),
         ("evaluate --workers two", "--workers is 'two', but must be an integer of at least 1 (see"),
         ("reproduce neural-swarm2 --figure 2", "--figure is '2', but must be 1 or 5 or"),
