@@ -101,6 +101,18 @@ def test_collisions_collapse(name, layout, most):
     env.close()
 
 
+def test_who_comes_fast_from_behind_seven_others_is_seen_in_time():
+    own = load("swap-dagger+filter")
+    assert isinstance(own, SafetyFilter)
+    env = swap_v1.parallel_env(num_drones=32, layout="random", **own.requires)
+    assert fly_episode(env, own, 117427086)["success"]
+    env.close()
+    seven = SafetyFilter(own.agent)
+    env = swap_v1.parallel_env(num_drones=32, layout="random", **seven.requires)
+    assert fly_episode(env, seven, 117427086)["collided_drones"] == 2  # 3.3 m/s at 0.86 m
+    env.close()
+
+
 def test_walls_are_kept_away_from():
     class Outwards:
         requires: Mapping[str, Any] = {"action": "acceleration", "decision_rate": 10}
