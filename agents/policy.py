@@ -462,7 +462,7 @@ gates_dagger = partial(_shipped_policy, "gates-dagger")
 pursuit_dagger = partial(_shipped_policy, "pursuit-dagger")
 """The policy that ships for two to eight small drones whose goals do not stay."""
 crowd_dagger = partial(_shipped_policy, "crowd-dagger")
-"""The policy that ships for crowds of 8 to 128 drones; made to fly behind the safety filter."""
+"""The policy that ships for 2 to 128 small drones among obstacles, behind the filter."""
 stack_dagger = partial(_shipped_policy, "stack-dagger")
 """The policy that ships for columns of eight small drones, half of them with a payload."""
 mixed_dagger = partial(_shipped_policy, "mixed-dagger")
@@ -475,3 +475,5 @@ formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")
 """The policy that ships for rings of up to five drones."""
+ring_dagger = partial(_shipped_policy, "ring-dagger")
+"""The policy that ships for rings of 2 to 16 drones, small and large."""

@@ -52,6 +52,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "delivery-dagger": "swarm_envs.agents.policy:delivery_dagger",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
+        "ring-dagger": "swarm_envs.agents.policy:ring_dagger",
         "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",
         "air-blind-adaptive": "swarm_envs.baselines.neural_swarm.air:air_blind_adaptive",
         "air-aware": "swarm_envs.baselines.neural_swarm.air:air_aware",

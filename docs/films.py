@@ -67,6 +67,7 @@ FILMS = {
         "sprint-dagger",
         {"layout": "sprint", "num_drones": 8, "world": "hall", "horizon_s": 1.8},
     ),
+    "ring-dagger": Take("ring_v1", "ring-dagger", {"num_drones": 16}),
     "detour-compensated": Take("swap_v1", "detour-compensated", {"team": "SSSSLLLL"}),
     "neural-swarm-planner": Take("swap_v1", "neural-swarm-planner", {"num_drones": 3}),
     "mlr-dmpc": Take("swap_v1", "mlr-dmpc", {"num_drones": 8, "layout": "circle"}),

@@ -355,6 +355,19 @@ def test_heights_on_rings_are_kept_better_than_without_compensation():
     assert worst["tracking"] == pytest.approx(0.09, abs=0.02)
 
 
+@pytest.mark.parametrize("given", [{"num_drones": 2}, {"num_drones": 16}, {"team": "LLLLL"}])
+def test_heights_on_rings_are_kept_by_imitation_as_with_compensation(given):
+    worst = []
+    for name in ("ring-dagger", "tracking-compensated"):
+        agent = load(name)
+        env = make("ring_v1", physics="batch", **given, **agent.requires)
+        metrics = fly_episode(env, agent, SEEDS[0])
+        assert metrics["success"]
+        worst.append(metrics["worst_height_error_m"])
+        env.close()
+    assert worst[0] < min(worst[1], 0.012)
+
+
 @pytest.mark.parametrize("team", ["SS", 8 * "S", 32 * "S", "LLLL", "SLSLSLSL"])
 def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     """24 random swaps; nothing was chosen on these seeds."""

@@ -74,8 +74,8 @@ class PolicyOptions(HeaderOptions):
 
     agent: str
     """swap-ppo, swap-ppo-8, swap-dagger, gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger,
-    mixed-dagger, sprint-dagger, delivery-dagger, formation-ppo, ring-ppo, a .safetensors file, or
-    the folder of a training run"""
+    mixed-dagger, sprint-dagger, delivery-dagger, ring-dagger, formation-ppo, ring-ppo, a
+    .safetensors file, or the folder of a training run"""
 
 
 def _check_outputs(options: HeaderOptions) -> str:

@@ -103,8 +103,8 @@ class FlyOptions(EpisodeOptions):
     tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive, air-aware,
     air-nearest, air-on-top, neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, gates-dagger,
     pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger, delivery-dagger,
-    formation-ppo, ring-ppo. Also the folder of a trained policy, or path/to/file.py:Class. The
-    suffix +filter adds a safety filter"""
+    ring-dagger, formation-ppo, ring-ppo. Also the folder of a trained policy, or
+    path/to/file.py:Class. The suffix +filter adds a safety filter"""
     seed: Seed = 0
     """random seed of the episode and the agent"""
     out: Path | None = None

@@ -125,6 +125,7 @@ SHIPPED = (
     "sprint-dagger",
     "delivery-dagger",
     "crowd-dagger",
+    "ring-dagger",
 )
 
 

@@ -132,6 +132,11 @@ PRODUCTS = {
         (LEARNED,),
         "the command in agents/weights/MODEL_CARD.md",
     ),
+    "ring-dagger": Product(
+        ("agents/weights/ring-dagger.safetensors",),
+        (LEARNED, BELIEF),
+        "the command in agents/weights/MODEL_CARD.md",
+    ),
     "benchmark": Product(
         ("docs/benchmark.png", "docs/generated/benchmark.md", "agents/recommended.json"),
         (LEARNED, WAKE, BELIEF, *POLICIES),

@@ -87,6 +87,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         ),
         "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
         "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
+        "ring-dagger": Place("ring DAgger", f"{_POLICY} It imitates who leads set-points."),
         "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),
         "neural-swarm-planner": Place(
             "Neural-Swarm2 planner", "Plans within bounds on the force, then tracks.", 8, 0.1

@@ -11,7 +11,7 @@ from swarm_envs.agents import load
 from swarm_envs.agents.registry import SHIPPED
 
 TASKS = {
-    **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1"},
+    **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1", "ring-dagger": "ring_v1"},
     **{"gates-dagger": "gates_v0", "pursuit-dagger": "pursuit_v0"},
     **{f"{name}-dagger": "columns_v0" for name in ("stack", "mixed", "sprint")},
     **{"delivery-dagger": "delivery_v0", "crowd-dagger": "crowd_v0"},
