@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["changed_options", "differing", "file_sha256", "json_ready", "scalar_writer"]
+from swarm_envs.files import write_json
+
+__all__ = [
+    "begin_manifest",
+    "changed_options",
+    "check_same",
+    "file_sha256",
+    "json_ready",
+    "scalar_writer",
+]
 
 
 def json_ready(value: object) -> object:
@@ -59,13 +69,49 @@ def _short(content: Mapping[str, object], name: str) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def changed_options(config: Any, prefix: str = "--", aside: Sequence[str] = ()) -> list[str]:
-    """Options of a command, nested ones too, that differ from their defaults, but those aside."""
+def check_same(path: Path, there: Mapping[str, object], here: Mapping[str, object]) -> None:
+    """Refuse to go on from a file that was made with other options, both as JSON holds them.
+
+    Raises:
+        ValueError: they differ; the message says in what.
+    """
+    differences = differing(there, here)
+    if differences:
+        raise ValueError(
+            f"{str(path)!r} was made with other options: {differences}; "
+            "choose another folder or delete that one"
+        )
+
+
+def begin_manifest(path: Path, origin: Mapping[str, object]) -> None:
+    """Note in a file what its folder comes from, or check that it is the same.
+
+    Raises:
+        ValueError: it is not, or the file is damaged.
+    """
+    wanted = json.loads(json.dumps(json_ready(origin)))
+    if not path.is_file():
+        write_json(path, wanted)
+        return
+    try:
+        found = dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{str(path)!r} is damaged ({error}); delete it") from error
+    check_same(path, {name: found.get(name) for name in wanted}, wanted)
+
+
+def changed_options(
+    config: Any, prefix: str = "--", aside: Sequence[str] = (), flat: bool = False
+) -> list[str]:
+    """Options of a command that differ from their defaults, but those aside.
+
+    Nested ones are named after their place, or by themselves if `flat`.
+    """
     words = []
     for entry in dataclasses.fields(config):
         value, name = getattr(config, entry.name), prefix + entry.name.replace("_", "-")
         if dataclasses.is_dataclass(value):
-            words += changed_options(value, f"{name}.", aside)
+            words += changed_options(value, prefix if flat else f"{name}.", aside, flat)
         elif entry.default not in (dataclasses.MISSING, value) and entry.name not in aside:
             given = value if isinstance(value, tuple) else (value,)
             words.append(f"{name} {' '.join(map(str, given))}")

@@ -375,7 +375,7 @@ def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     again = compare(comparison_of(tmp_path))
     assert again.errors == found.errors
     assert kept.stat().st_mtime_ns == before
-    with pytest.raises(ValueError, match="of another comparison: seed is 0 there, 1 here"):
+    with pytest.raises(ValueError, match="other options: seed is 0 there, 1 here"):
         compare(comparison_of(tmp_path, seed=1))
 
 

@@ -198,9 +198,9 @@ def test_checkpoint_of_other_rows_or_options_is_refused(name, tmp_path):
     train(rows, SPEC, short, path, progress=False)
     train(rows, SPEC, short, path, progress=False)
     other = dataclasses.replace(rows, **{name: getattr(rows, name)[::-1].copy()})
-    with pytest.raises(ValueError, match="was written with other options: rows is"):
+    with pytest.raises(ValueError, match="was made with other options: rows is"):
         train(other, SPEC, short, path, progress=False)
-    with pytest.raises(ValueError, match=r"options: training.seed is 0 there, 1 here; delete"):
+    with pytest.raises(ValueError, match=r"options: training.seed is 0 there, 1 here; choose"):
         train(rows, SPEC, dataclasses.replace(short, seed=1), path, progress=False)
 
 

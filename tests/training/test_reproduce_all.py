@@ -203,7 +203,7 @@ def test_the_command_writes_a_page_of_all_items_and_goes_on(tmp_path, capsys, mo
 def test_a_folder_of_another_run_is_refused(tmp_path, capsys):
     assert main(["reproduce", "all", "--out", str(tmp_path), "--items", "rth3d/figure-1"]) == 0
     assert main(["reproduce", "all", "--quick", "--out", str(tmp_path)]) == 1
-    assert "was begun with preset 'full'" in capsys.readouterr().err
+    assert "preset is full there, quick here" in capsys.readouterr().err
 
 
 def test_items_are_listed_and_unknown_ones_refused(capsys):
@@ -351,7 +351,7 @@ def test_cells_of_other_settings_and_damaged_ones_are_refused(tmp_path):
     path = tmp_path / "cells.json"
     found = run_cells({"a": lambda: {"value": 1}}, path, {"seed": 0}, progress=False)
     assert found == {"a": {"value": 1}}
-    with pytest.raises(ValueError, match="made with other seed"):
+    with pytest.raises(ValueError, match="options: seed is 0 there, 1 here"):
         run_cells({}, path, {"seed": 1}, progress=False)
     path.write_text("{")
     with pytest.raises(ValueError, match="is damaged"):

@@ -130,7 +130,7 @@ def test_flights_of_other_settings_and_damaged_ones_are_refused(tmp_path):
     case, belief = swap_case("S2S", PAPER_SWAP, Air("wake", "ideal"), "batch"), load_belief("wake")
     path = tmp_path / "S2S.npz"
     fly_or_read(path, case, belief, [1])
-    with pytest.raises(ValueError, match=r"other settings: seeds is \[1\] there, \[2\] here"):
+    with pytest.raises(ValueError, match=r"other options: seeds is \[1\] there, \[2\] here"):
         fly_or_read(path, case, belief, [2])
     with pytest.raises(ValueError, match="belief_sha256"):
         fly_or_read(path, case, load_belief("learned"), [1])

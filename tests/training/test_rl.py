@@ -186,7 +186,7 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
     assert "other options: algo is ppo there, sac here; choose" in capsys.readouterr().err
     assert main(command("mappo", whole["sac"])) == 1
     said = capsys.readouterr().err
-    assert "finished run with other options: algo is sac there, mappo here; choose" in said
+    assert "was made with other options: algo is sac there, mappo here; choose" in said
     for content in (path.read_bytes()[:-7], b"\x80\x04K\x01."):
         path.write_bytes(content)
         assert main(command("ppo", tmp_path)) == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +21,10 @@ from swarm_envs.training.collection.log import FlightLog, Label, SensorNoise, re
 from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, StackedSwaps, TeamMotion
 from swarm_envs.training.collection.storage import Format, flight_file, read_log, save_log
 from swarm_envs.training.collection.table import CollectedFlight, scenario_counts
-from swarm_envs.training.provenance import differing, json_ready
+from swarm_envs.training.provenance import begin_manifest, json_ready
 from swarm_envs.vehicles import parse_team
 
-__all__ = ["MANIFEST", "CollectionConfig", "begin_manifest", "collect", "was_cut_short"]
+__all__ = ["MANIFEST", "CollectionConfig", "collect", "was_cut_short"]
 
 KINDS = ("walk", "low-walk", "swap", "low-swap")
 """Motions: random walks and stacked swaps, aloft and near the ground."""
@@ -184,25 +183,6 @@ def collect(
 def was_cut_short(flight: CollectedFlight, duration_s: float) -> bool:
     """Whether a flight ended before its time: its team touched something or tumbled."""
     return flight.seconds < duration_s - 0.05
-
-
-def begin_manifest(path: Path, origin: dict[str, object]) -> None:
-    """Note in a file what its folder comes from, or check that it is the same.
-
-    Raises:
-        ValueError: it is not.
-    """
-    if path.exists():
-        found = json.loads(path.read_text())
-        there = {name: found.get(name) for name in origin}
-        differences = differing(there, json.loads(json.dumps(origin)))
-        if differences:
-            raise ValueError(
-                f"{str(path)!r} was made with other options: {differences}; "
-                "choose another folder or delete that one"
-            )
-    else:
-        write_json(path, origin)
 
 
 def flight_generator(config: CollectionConfig, name: str) -> np.random.Generator:

@@ -24,7 +24,7 @@ from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
 from swarm_envs.state import FloatArray
 from swarm_envs.training.belief.feedforward import simulated_fit_config
-from swarm_envs.training.collection.collect import begin_manifest, collect, was_cut_short
+from swarm_envs.training.collection.collect import collect, was_cut_short
 from swarm_envs.training.collection.table import CollectedFlight, interaction_rows
 from swarm_envs.training.curriculum.curriculum_config import (
     CurriculumConfig,
@@ -42,7 +42,12 @@ from swarm_envs.training.curriculum.curriculum_report import (
 from swarm_envs.training.force_model import fit, load_network
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
-from swarm_envs.training.provenance import file_sha256, json_ready
+from swarm_envs.training.provenance import (
+    begin_manifest,
+    changed_options,
+    file_sha256,
+    json_ready,
+)
 from swarm_envs.vehicles import parse_team
 
 MARK = "round.json"  # Written last: a round that has it is done
@@ -314,14 +319,5 @@ def _rule(config: CurriculumConfig) -> str:
 def curriculum_command(config: CurriculumConfig) -> str:
     """Command line that makes this curriculum, with the folder left out."""
     words = ["swarm-envs curriculum --out DIR", f"--seed {config.seed}"]
-    usual = CurriculumConfig(out=Path())
-    for name in config.what_is_learned():
-        value = getattr(config, name)
-        if name in ("stages", "unseen_teams"):  # no options of the command
-            continue
-        if name in ("noise", "errors"):
-            given = {k: v for k, v in vars(value).items() if v != getattr(getattr(usual, name), k)}
-            words += [f"--{k.replace('_', '-')} {v}" for k, v in given.items()]
-        elif value != getattr(usual, name) and name != "seed":
-            words.append(f"--{name.replace('_', '-')} {value}")
-    return " ".join(words)
+    aside = ("seed", "stages", "unseen_teams", "quick", "json", "progress")
+    return " ".join(words + changed_options(config, aside=aside, flat=True))

@@ -12,7 +12,6 @@ of each flight, the held-out ones included, since they belong to the measurement
 from __future__ import annotations
 
 import dataclasses
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -38,9 +37,10 @@ from swarm_envs.training.force_model.wake_fit import (
     wake_rows,
 )
 from swarm_envs.training.interaction_rows.rows import InteractionRows
-from swarm_envs.training.provenance import differing, json_ready
+from swarm_envs.training.provenance import begin_manifest, json_ready
 
 DRAWS = 2000  # Bootstrap samples of flights
+_ASIDE = ("data", "out", "json", "progress")  # Options that change nothing of a comparison
 
 
 @typed_options
@@ -138,7 +138,8 @@ def compare(config: CompareConfig) -> ModelComparison:
     rows, _ = read_data(config.data, config.logs, config.progress)
     rows = dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_))
     fold, digest = _folds(rows, config), data_sha256(config.data)
-    _check_same(config, digest)
+    options = {k: v for k, v in vars(config).items() if k not in _ASIDE}
+    begin_manifest(config.out / "comparison.json", {**options, "data_sha256": digest})
     label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
     parts = [(model, k) for model in config.models for k in range(fold.max() + 1)]
     for model, k in tqdm(parts, disable=not config.progress, unit="fit"):
@@ -161,22 +162,6 @@ def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
     if config.hold_out == "flights":
         return flight_folds(rows, config.folds, config.seed)
     return (rows.neighbor_type >= 0).sum(axis=1, dtype=np.int64).clip(1, 2) - 2
-
-
-def _check_same(config: CompareConfig, digest: str) -> None:
-    """Keep what the parts in a folder were made of; refuse a folder of other ones."""
-    path, aside = config.out / "comparison.json", ("data", "out", "json", "progress")
-    options = json.loads(json.dumps(json_ready(config)))
-    made = {k: v for k, v in options.items() if k not in aside} | {"data_sha256": digest}
-    if path.is_file():
-        differences = differing(json.loads(path.read_text(encoding="utf-8")), made)
-        if differences:
-            raise ValueError(
-                f"{str(path)!r} is of another comparison: {differences}; choose another folder or "
-                "delete that one"
-            )
-    config.out.mkdir(parents=True, exist_ok=True)
-    write_json(path, made)
 
 
 def _fit_config(model: Model, config: CompareConfig) -> FitConfig:

@@ -44,7 +44,7 @@ from swarm_envs.training.force_model.train import teacher_checkpoint, train_taug
 from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.provenance import changed_options, differing, json_ready, scalar_writer
+from swarm_envs.training.provenance import changed_options, check_same, json_ready, scalar_writer
 
 __all__ = ["REPORTS", "fit"]
 
@@ -66,15 +66,8 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
         ) from error
     config_now = json.loads(json.dumps(json_ready(config)))
     wanted = {**config_now, "data_sha256": data_sha256}
-    kept = [
-        {k: v for k, v in c.items() if k not in ("data", "out", *_ASIDE)} for c in (made, wanted)
-    ]
-    differences = differing(*kept)
-    if differences:
-        raise ValueError(
-            f"{str(path)!r} is of a finished fit with other data or options: {differences}; "
-            "choose another folder or delete that one"
-        )
+    aside = ("data", "out", *_ASIDE)
+    check_same(path, *({k: v for k, v in c.items() if k not in aside} for c in (made, wanted)))
 
 
 WEIGHTS = {

@@ -46,7 +46,7 @@ from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNet
 from swarm_envs.training.force_model.optimisers import FlatWeights, Soap, hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS
-from swarm_envs.training.provenance import differing
+from swarm_envs.training.provenance import check_same
 
 _OPTIMISER = "optimiser."
 
@@ -70,12 +70,7 @@ def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    differences = differing(json.loads(metadata["configuration"]), json.loads(configuration))
-    if differences:
-        raise ValueError(
-            f"checkpoint {str(path)!r} was written with other options: {differences}; "
-            "delete the file or choose another output folder"
-        )
+    check_same(path, json.loads(metadata["configuration"]), json.loads(configuration))
     run.weights.set(tensors["weights"])
     run.averaged = tensors["averaged"]
     state = {k.removeprefix(_OPTIMISER): v for k, v in tensors.items() if k.startswith(_OPTIMISER)}

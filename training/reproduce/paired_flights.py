@@ -31,7 +31,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import TrackingSuccess
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.provenance import differing
+from swarm_envs.training.provenance import check_same
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about, exactly
 from swarm_envs.vehicles import GRAM_FORCE, team_string
 
@@ -215,12 +215,7 @@ def _read(path: Path, settings: dict[str, Any]) -> PairedFlights:
         raise ValueError(
             f"{str(path)!r} is damaged, or no file of flights ({error}); delete it"
         ) from error
-    differences = differing(there, settings)
-    if differences:
-        raise ValueError(
-            f"{str(path)!r} was flown with other settings: {differences}; choose another folder "
-            "by --out, or delete that file"
-        )
+    check_same(path, there, settings)
     return flown
 
 

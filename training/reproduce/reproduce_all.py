@@ -22,6 +22,7 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import claimed, write_json, written_whole
+from swarm_envs.training.provenance import begin_manifest
 from swarm_envs.training.reproduce.claims import Claim, Extent
 from swarm_envs.training.reproduce.collected_flights import collect_rows, collection
 from swarm_envs.training.reproduce.papers import load_paper, numbered_studies
@@ -285,7 +286,7 @@ def reproduce_all(options: ReproduceAllOptions) -> tuple[str, bool]:
             lines.append(f"{key.ljust(width)}  {study.shows}{why}")
         return "\n".join(lines), True
     with claimed(options.out):
-        _check_settings(options)
+        begin_manifest(options.out / _SETTINGS, options.settings)
         others = {key: outcome_of(options, study) for key, study in numbered_studies().items()}
         wanted = choose_studies(options.items)
         found = run_many(options, wanted, lambda some: _write(options, {**others, **some}))
@@ -297,25 +298,6 @@ def reproduce_all(options: ReproduceAllOptions) -> tuple[str, bool]:
     lines.append(f"{spent / 60:.1f} minutes of CPU time")
     lines.append(f"wrote {options.out / 'index.html'}, side_by_side.md and results.json")
     return "\n".join(lines), not failed
-
-
-def _check_settings(options: ReproduceAllOptions) -> None:
-    """Write what all studies share, or compare it with what stands there."""
-    path, wanted = options.out / _SETTINGS, options.settings
-    if not path.is_file():
-        write_json(path, wanted)
-        return
-    try:
-        made = dict(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{str(path)!r} is damaged ({error}); delete it") from error
-    differing = [name for name in wanted if made.get(name) != wanted[name]]
-    if differing:
-        was = ", ".join(f"{name} {made.get(name)!r}" for name in differing)
-        raise ValueError(
-            f"{str(options.out)!r} was begun with {was}; go on with that, or choose another folder "
-            "by --out"
-        )
 
 
 def _write(options: ReproduceAllOptions, outcomes: Mapping[str, StudyOutcome]) -> None:

@@ -22,6 +22,7 @@ from swarm_envs.arguments import Seed
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json, write_table
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.training.provenance import check_same
 from swarm_envs.training.reproduce.claims import Claim, Extent
 
 Cell = dict[str, Any]  # The numbers of one cell, ready for JSON
@@ -229,15 +230,10 @@ def _read_cells(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
         return {}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        made, cells = content["settings"], dict(content["cells"])
+        made, cells = dict(content["settings"]), dict(content["cells"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{str(path)!r} is damaged ({error}); delete it") from error
-    differing = sorted(k for k in wanted.keys() | made.keys() if wanted.get(k) != made.get(k))
-    if differing:
-        raise ValueError(
-            f"{str(path)!r} was made with other {', '.join(differing)}; choose another folder by "
-            "--out, or delete it"
-        )
+    check_same(path, made, wanted)
     return cells
 
 

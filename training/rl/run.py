@@ -21,7 +21,7 @@ from swarm_envs import __version__
 from swarm_envs.agents.policy import CHECKPOINT, FILE, Policy, PolicyNote, write_policy
 from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.export import write_safetensors
-from swarm_envs.training.provenance import differing, json_ready, scalar_writer
+from swarm_envs.training.provenance import check_same, json_ready, scalar_writer
 from swarm_envs.training.rl.learner import Learner, make_learner
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy, recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -210,21 +210,16 @@ def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
         raise ValueError(
             f"{str(path)!r} is no report of a training run ({error}); choose another folder"
         ) from error
-    differences = _differing_runs(made, result_options(config, task))
-    if differences:
-        raise ValueError(
-            f"{str(path)!r} is of a finished run with other options: {differences}; choose another "
-            "folder by --out: it is not overwritten"
-        )
+    _check_same_run(path, made, result_options(config, task))
     return report
 
 
-def _differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """Options in which two runs differ, in words; of two algorithms the names alone."""
+def _check_same_run(path: Path, there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+    """Refuse the file of a run with other options; of two algorithms tell the names alone."""
     there = {**{name: old for name, old in _EARLIER.items() if name in here}, **there}
     if there.get("algo") != here["algo"]:
-        return differing({"algo": there.get("algo")}, {"algo": here["algo"]})
-    return differing(there, here)
+        there, here = {"algo": there.get("algo")}, {"algo": here["algo"]}
+    check_same(path, there, here)
 
 
 def _save_checkpoint(path: Path, learner: Learner, progress: _Progress) -> None:
@@ -245,12 +240,7 @@ def _load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) ->
         raise ValueError(
             f"checkpoint {str(path)!r} is damaged ({error}); delete the folder and train again"
         ) from error
-    differences = _differing_runs(progress["config"], config)
-    if differences:
-        raise ValueError(
-            f"checkpoint {str(path)!r} is of a run with other options: {differences}; choose "
-            "another folder by --out, or delete that one"
-        )
+    _check_same_run(path, progress["config"], config)
     try:
         learner.load(tensors)
     except (KeyError, RuntimeError, ValueError) as error:
