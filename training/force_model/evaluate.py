@@ -12,12 +12,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.state import FloatArray
 from swarm_envs.training.flight_logs import LogReport
@@ -35,17 +37,24 @@ _LEAST_ROWS = 50  # of a bin
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
 
 
-class ForceFunction(Protocol):
-    """A model of any kind, as it is judged here."""
+@dataclass(frozen=True)
+class CompiledForce:
+    """A model of `swarm_envs.interactions`, asked as a network is."""
+
+    model: InteractionModel  # The model that is evaluated
 
     @property
     def types(self) -> tuple[str, ...]:
-        """Return the interaction types that it knows."""
-        ...
+        """Interaction types that it knows."""
+        return self.model.types
 
     def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
         """Vertical force (E, N), gram-force, at (E, N, 3) m and m/s, drag included."""
-        ...
+        p, v = (np.ascontiguousarray(values.numpy()) for values in (position, velocity))
+        kinds = np.tile(types_array(tuple(type_names), self.types), (len(p), 1))
+        out = np.empty_like(p)
+        all_forces(self.model.packed, kinds, p, v, out)
+        return torch.from_numpy(out[..., 2] / GRAM_FORCE)
 
 
 @dataclass(frozen=True)
@@ -89,7 +98,7 @@ def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
 
 
 def axis_bins(
-    network: ForceFunction, predicted_g: FloatArray, rows: InteractionRows
+    network: ForceNetwork | CompiledForce, predicted_g: FloatArray, rows: InteractionRows
 ) -> list[dict[str, Any]]:
     """Mean force under one neighbour by types and vertical distance, within 5 cm of its axis, g.
 
@@ -126,7 +135,9 @@ def axis_bins(
     return bins
 
 
-def pair_force(network: ForceFunction, below: str, above: str, distance_m: float) -> float:
+def pair_force(
+    network: ForceNetwork | CompiledForce, below: str, above: str, distance_m: float
+) -> float:
     """Force on a drone at rest, `distance_m` under another one at rest, 1 m above the ground, g."""
     position = torch.tensor([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0 + distance_m]]], dtype=torch.float64)
     with torch.no_grad():
@@ -135,7 +146,7 @@ def pair_force(network: ForceFunction, below: str, above: str, distance_m: float
 
 
 def scan_swarms(
-    network: ForceFunction, drones: int, swarms: int, rng: np.random.Generator
+    network: ForceNetwork | CompiledForce, drones: int, swarms: int, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Lowest and highest force, g, in random swarms `small_only` and `mixed`, packed closely.
 
@@ -241,7 +252,7 @@ def worth(errors: Errors) -> list[str]:
 
 
 def examine(
-    function: ForceFunction,
+    function: ForceNetwork | CompiledForce,
     predicted_g: FloatArray,
     treated: Treated,
     lipschitz_samples: int,

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -68,15 +69,12 @@ def save_network(
     tensors |= {name: layer.bias for name, layer in _layers(network, ".bias").items()}
     if isinstance(network, Composed):
         tensors |= network.wake_tensors()
-    window, limits = spec.window, spec.input_range
     description = {
         **(provenance or {}),
         "format": next(name for name, kind in FORMATS.items() if kind == spec.kind),
         "types": list(spec.types),
-        "window": None if window is None else window._asdict(),
-        "input_range": None
-        if limits is None
-        else {"pair": limits.pair, "environment": limits.environment},
+        "window": spec.window and spec.window._asdict(),
+        "input_range": spec.input_range and vars(spec.input_range),
         "anchor_height_m": spec.anchor_height_m,
     }
     exact = {name: value.detach().to(dtype) for name, value in tensors.items()}
@@ -133,31 +131,20 @@ def _layers(network: ForceNetwork, ending: str) -> dict[str, nn.Linear]:
     return found
 
 
-def _spec(description: dict[str, object], tensors: dict[str, Tensor]) -> DeepSetSpec:
-    window, limits = description["window"], description["input_range"]
-    types, anchor = description["types"], description["anchor_height_m"]
-    assert isinstance(types, list) and (anchor is None or isinstance(anchor, float))
-    kind = FORMATS[str(description["format"])]
+def _spec(description: dict[str, Any], tensors: dict[str, Tensor]) -> DeepSetSpec:
+    window, limits = description["window"], description["input_range"] or {}
+    ranges: dict[str, Any] = {name: tuple(map(tuple, ends)) for name, ends in limits.items()}
+    types, kind = description["types"], FORMATS[description["format"]]
     first = f"rho.{types[0]}." if kind == "deep-set" else f"pair.{types[0]}.{types[0]}."
     depth = sum(name.startswith(first) and name.endswith(".weight") for name in tensors)
     hidden = {} if kind != "deep-set" else {"hidden": tensors[f"{first}0.weight"].shape[1]}
     return DeepSetSpec(
         types=tuple(types),
-        window=_window(window) if isinstance(window, dict) else None,
-        input_range=_input_range(limits) if isinstance(limits, dict) else None,
-        anchor_height_m=anchor or None,  # a file may say 0 for none
+        window=window and FadeWindow(**{name: tuple(pair) for name, pair in window.items()}),
+        input_range=InputRange(**ranges) if ranges else None,
+        anchor_height_m=description["anchor_height_m"] or None,  # a file may say 0 for none
         layers=depth,
         kind=kind,
         torque=f"torque.{types[0]}.weight" in tensors,
         **hidden,
     )
-
-
-def _window(value: dict[str, list[float]]) -> FadeWindow:
-    lateral, vertical = value["lateral_m"], value["vertical_m"]
-    return FadeWindow((lateral[0], lateral[1]), (vertical[0], vertical[1]))
-
-
-def _input_range(value: dict[str, list[list[float]]]) -> InputRange:
-    (low, high), (lowest, highest) = value["pair"], value["environment"]
-    return InputRange((tuple(low), tuple(high)), (tuple(lowest), tuple(highest)))

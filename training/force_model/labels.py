@@ -184,7 +184,9 @@ def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
     unknown = [(int(i), int(j)) for i, j in np.argwhere(~pairs)]
     never = [(i, j, never_together(types[i], types[j])) for i, j in unknown if felt[j]]
     if isinstance(network, DeepSet):
-        _silence(*(heads[name] for heads in network.heads_by_type() for name in silent))
+        _silence(*(network.rho[name] for name in silent))
+        if network.spec.torque:
+            _silence(*(network.torque[name] for name in silent))
         quiet = [name for name, row in zip(types, pairs, strict=True) if not row.any()]
         _silence(*(network.phi[name] for name in quiet))
         return [

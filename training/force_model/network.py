@@ -317,10 +317,6 @@ class DeepSet(ForceNetwork):
             outputs = outputs.index_add(0, chosen, value)
         return outputs
 
-    def heads_by_type(self) -> list[nn.ModuleDict]:
-        """What gives the force, and the torque if there is a head for it, by type."""
-        return [self.rho, self.torque] if self.spec.torque else [self.rho]
-
     def _of_type(self, name: str, hidden: Tensor) -> Tensor:
         rho = self.rho[name]
         if not self.spec.torque:

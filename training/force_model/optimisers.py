@@ -189,7 +189,11 @@ class Soap(torch.optim.Optimizer):
             if not begun:
                 state[f"{side}_basis"] = _eigenvectors(state[side])
             elif int(state["step"]) % _REFRESH == 0:
-                state[f"{side}_basis"] = _iterated(state[side], state[f"{side}_basis"])
+                # One orthogonal iteration. The small multiple keeps columns of a null space, such
+                # as that of the padding, as they are.
+                basis = state[f"{side}_basis"]
+                turned = torch.linalg.qr(state[side] @ basis + 1e-12 * basis)[0]
+                state[f"{side}_basis"] = turned
 
 
 def _padded_places(shapes: Sequence[tuple[int, int]], size: int) -> Tensor:
@@ -216,9 +220,3 @@ def _eigenvectors(symmetric: Tensor) -> Tensor:
                 return found.to(symmetric.dtype).flip(-1).contiguous()
     # Any orthogonal basis will do to begin with: with this one SOAP is Adam until it is turned.
     return torch.eye(symmetric.shape[-1], dtype=symmetric.dtype).expand_as(symmetric).contiguous()
-
-
-def _iterated(symmetric: Tensor, basis: Tensor) -> Tensor:
-    """One orthogonal iteration towards the eigenvectors of (M, n, n) matrices."""
-    # The small multiple keeps columns of a null space, such as that of the padding, as they are.
-    return torch.linalg.qr(symmetric @ basis + 1e-12 * basis)[0]

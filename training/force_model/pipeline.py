@@ -181,16 +181,17 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
     """The function that a fit looks for."""
     assert config.model != "wake"
     kind: NetworkKind = config.model
+    anchored = config.mode == "anchored"
     spec = DeepSetSpec(
-        rows.types, hidden=config.hidden, layers=config.layers, kind=kind, torque=config.torque
+        rows.types,
+        window=OUTER_FADE if anchored else EVERYWHERE,
+        input_range=measured_range(rows) if anchored else None,
+        anchor_height_m=config.anchor_height_m if anchored else None,
+        hidden=config.hidden,
+        layers=config.layers,
+        kind=kind,
+        torque=config.torque,
     )
-    if config.mode == "anchored":
-        measured = measured_range(rows)
-        spec = dataclasses.replace(
-            spec, window=OUTER_FADE, input_range=measured, anchor_height_m=config.anchor_height_m
-        )
-    else:
-        spec = dataclasses.replace(spec, window=EVERYWHERE, input_range=None, anchor_height_m=None)
     return spec if config.relative_velocity else without_velocity(spec)
 
 

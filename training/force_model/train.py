@@ -20,7 +20,6 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -83,15 +82,6 @@ Entry = dict[str, float]
 """Of the history: step, mean training loss since the last entry, validation MSE, g^2."""
 
 
-class Lesson(NamedTuple):
-    """What teachers give to the network that learns from them."""
-
-    taught: FloatArray
-    """(R,) vertical force, gram-force, to learn in place of the labels; errors are of the labels
-    all the same."""
-    first: Tensor  # (P,) weights to start from
-
-
 @dataclass
 class Training:
     """A run: what a checkpoint holds."""
@@ -150,7 +140,8 @@ def train(
     checkpoint: Path | None = None,
     progress: bool = True,
     watch: Callable[[Entry], None] | None = None,
-    lesson: Lesson | None = None,
+    taught: FloatArray | None = None,
+    first: Tensor | None = None,
     name: str | None = None,
 ) -> Training:
     """Fit one network to the rows' vertical labels `force_g[:, 2]` by least squares.
@@ -166,7 +157,9 @@ def train(
         checkpoint: file to continue from if it exists, and to write; None keeps none.
         progress: show a progress bar, which says `name`.
         watch: called with every new entry of the history.
-        lesson: what to learn in place of the labels, and where to start.
+        taught: (R,) vertical force, gram-force, to learn in place of the labels; errors are of the
+            labels all the same.
+        first: (P,) weights to start from; None for seeded ones.
         name: of the network.
 
     Raises:
@@ -176,11 +169,9 @@ def train(
     torch.set_num_threads(1)
     config = with_mode_defaults(config)
     run = start(spec, config)
-    taught = None
-    if lesson is not None:
-        taught = lesson.taught
-        run.weights.set(lesson.first)
-        run.averaged = lesson.first.clone()
+    if first is not None:
+        run.weights.set(first)
+        run.averaged = first.clone()
     configuration = _configuration(rows, spec, config, taught)
     if checkpoint is not None and checkpoint.exists():
         load_checkpoint(checkpoint, run, configuration)
@@ -344,8 +335,7 @@ def train_taught(
         answer = predict if config.symmetry == "none" else symmetric_mean
         answers += answer(run.network, to_batch(rows)).double().numpy() / config.teachers
     first = torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
-    lesson = Lesson(answers, first)
-    return train(rows, spec, config, checkpoint, progress, watch, lesson, "the network")
+    return train(rows, spec, config, checkpoint, progress, watch, answers, first, "the network")
 
 
 def teacher_checkpoint(checkpoint: Path, number: int) -> Path:

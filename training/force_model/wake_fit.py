@@ -20,7 +20,6 @@ drone's own, which is what `swarm_envs.interactions` computes.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -29,13 +28,11 @@ import numpy as np
 import torch
 import tyro
 from scipy.optimize import least_squares
-from torch import Tensor
 
 from swarm_envs.files import write_json
-from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.forces import all_forces, types_array
+from swarm_envs.interactions import load
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.training.force_model.evaluate import mean_squared_errors
+from swarm_envs.training.force_model.evaluate import CompiledForce, mean_squared_errors
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.labels import (
     Treated,
@@ -167,13 +164,6 @@ class WakeFitConfig:
     """of that draw"""
 
 
-def bounds(types: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Start, lowest and highest value of the packed parameters."""
-    rows = [limits for axes, *limits in _LIMITS.values() for _ in range(types**axes)]
-    start, low, high = np.array(rows).T
-    return start, low, high
-
-
 def unpack(vector: FloatArray, types: int) -> WakeParameters:
     """Turn a packed vector into named parameters."""
     values: dict[str, Any] = {}
@@ -191,36 +181,30 @@ def fit_wake(rows: InteractionRows, velocity: WakeVelocity) -> WakeParameters:
     """
     types = len(rows.types)
     table, label = wake_rows(rows, velocity), rows.force_g[:, 2]
-    start, low, high = bounds(types)
+    limits = [limits for axes, *limits in _LIMITS.values() for _ in range(types**axes)]
+    packed, low, high = np.array(limits).T
     weight = np.ones(len(rows))
+
+    def left(vector: FloatArray) -> FloatArray:
+        return wake_force_g(unpack(vector, types), table) - label
+
+    def weighted(vector: FloatArray) -> FloatArray:
+        return weight * left(vector)
+
     for _ in range(2):
-        start = _least_squares(table, label, weight, types, (start, low, high))
-        left = wake_force_g(unpack(start, types), table) - label
+        packed = least_squares(
+            weighted, packed, bounds=(low, high), x_scale=high - low, xtol=1e-6
+        ).x
+        error = left(packed)
         for index in range(types):
             own = rows.ego_type == index
             if own.any():
-                weight[own] = 1.0 / max(float(left[own].std()), 1e-6)
-    found, felt = unpack(start, types), np.isin(np.arange(types), rows.ego_type)
+                weight[own] = 1.0 / max(float(error[own].std()), 1e-6)
+    found, felt = unpack(packed, types), np.isin(np.arange(types), rows.ego_type)
     return found._replace(
         amplitude_g=np.where(shown_pairs(rows), found.amplitude_g, 0.0),
         ground_g=np.where(felt, found.ground_g, 0.0),
     )
-
-
-def _least_squares(
-    table: _WakeRows,
-    label: FloatArray,
-    weight: FloatArray,
-    types: int,
-    limits: tuple[FloatArray, FloatArray, FloatArray],
-) -> FloatArray:
-    start, low, high = limits
-
-    def residual(vector: FloatArray) -> FloatArray:
-        return weight * (wake_force_g(unpack(vector, types), table) - label)
-
-    result = least_squares(residual, start, bounds=(low, high), x_scale=high - low, xtol=1e-6)
-    return np.asarray(result.x)
 
 
 def draw_rows(rows: InteractionRows, seed: int, count: int = MOST_ROWS) -> InteractionRows:
@@ -259,26 +243,6 @@ def description(
         "window": OUTER_FADE._asdict(),
         "validation_mse_g2": errors,
     }
-
-
-@dataclass(frozen=True)
-class CompiledForce:
-    """A model of `swarm_envs.interactions`, as `evaluate.ForceFunction` asks for one."""
-
-    model: InteractionModel  # The model that is evaluated
-
-    @property
-    def types(self) -> tuple[str, ...]:
-        """Interaction types that it knows."""
-        return self.model.types
-
-    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
-        """Vertical force (E, N), gram-force, at (E, N, 3) m and m/s, drag included."""
-        p, v = (np.ascontiguousarray(values.numpy()) for values in (position, velocity))
-        kinds = np.tile(types_array(tuple(type_names), self.types), (len(p), 1))
-        out = np.empty_like(p)
-        all_forces(self.model.packed, kinds, p, v, out)
-        return torch.from_numpy(out[..., 2] / GRAM_FORCE)
 
 
 def fit_wake_model(
