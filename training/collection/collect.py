@@ -15,7 +15,6 @@ from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.training.collection.flight import CalibrationErrors, fly_motion
 from swarm_envs.training.collection.log import FlightLog, Label, SensorNoise, resampled, with_noise
 from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, StackedSwaps, TeamMotion
@@ -222,12 +221,12 @@ def make_motion(
     config: CollectionConfig, batch: FlightBatch, rngs: list[np.random.Generator]
 ) -> TeamMotion:
     """The motion of a batch."""
-    team, ranges, step = parse_team(batch.team), config.motion, TIME_STEP
+    team, ranges = parse_team(batch.team), config.motion
     low = batch.kind.startswith("low")
     if batch.kind.endswith("walk"):
-        return RandomWalk(team, rngs, ranges, low, config.duration_s, step)
+        return RandomWalk(team, rngs, ranges, low, config.duration_s)
     lowest = ranges.low_lowest_m if low else ranges.lowest_m
-    return StackedSwaps(team, rngs, ranges, lowest, config.duration_s, step)
+    return StackedSwaps(team, rngs, ranges, lowest, config.duration_s)
 
 
 def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[CollectedFlight]:

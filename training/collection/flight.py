@@ -153,7 +153,9 @@ def fly_motion(
                 part[...] = value
             commands = tracker.commands(state, setpoint)
             if step == 0:
-                _record(log, k, state, target.position, commands)
+                log.position[k], log.velocity[k] = state.position, state.velocity
+                log.quaternion[k], log.commands[k] = state.quaternion, commands
+                log.setpoint[k] = target.position
             now = physics.state.velocity.copy()
             physics.step(thrust_factor * commands)
             state = _seen(physics)
@@ -178,11 +180,3 @@ def _seen(physics: BatchPhysics) -> SwarmState:
     seen = np.zeros(drones.shape, SENSED_TYPE)
     sense_in_hall(0, len(drones), drones, np.ones(len(drones), np.bool_), seen)
     return state_of(seen)
-
-
-def _record(
-    log: FlightLog, k: int, state: SwarmState, setpoint: FloatArray, commands: FloatArray
-) -> None:
-    """Write entry k of a batch's log (T, E, N, ...), but for its specific force."""
-    log.position[k], log.velocity[k] = state.position, state.velocity
-    log.quaternion[k], log.setpoint[k], log.commands[k] = state.quaternion, setpoint, commands

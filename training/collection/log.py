@@ -67,14 +67,6 @@ def resampled(log: FlightLog, rate_hz: int) -> FlightLog:
     return FlightLog(**arrays)
 
 
-def world_acceleration(log: FlightLog) -> FloatArray:
-    """Specific force turned into the world by the logged attitude, (T, N, 3) m/s^2.
-
-    With gravity: (0, 0, 9.81) in hover.
-    """
-    return rotate(log.quaternion, log.specific_force)
-
-
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     """Turn body vectors (..., 3) into the world by attitudes (..., 4)."""
     axis, scalar = quaternion[..., :3], quaternion[..., 3:]
@@ -205,7 +197,7 @@ def interaction_force(
     NaN near both ends, where it is unknown. A differentiated label is averaged over a Hann window
     of `smoothing_s`, less than two entries for none; an accelerometer's is taken as it is.
     """
-    acceleration = world_acceleration(log) if label == "imu" else None
+    acceleration = rotate(log.quaternion, log.specific_force) if label == "imu" else None
     return force_from_motion(
         log.velocity, acceleration, log.quaternion, log.commands, team, rate_hz, smoothing_s
     )

@@ -19,6 +19,7 @@ import numpy as np
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, Interval, typed_options
 from swarm_envs.compiled import kernel
+from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference, ramped_line
 from swarm_envs.vehicles import Team
@@ -147,7 +148,7 @@ def push_apart(
 class RandomWalk:
     """Random walks of E teams in a small box, one per generator, near the ground or aloft.
 
-    `duration` is the length of the flights, `step` the time between calls of `target`, s.
+    `duration` is the length of the flights, s.
     """
 
     def __init__(
@@ -157,9 +158,8 @@ class RandomWalk:
         ranges: MotionRanges,
         low: bool,
         duration: float,
-        step: float,
     ) -> None:
-        self.ranges, self.step = ranges, step
+        self.ranges = ranges
         self.radius = np.array([vehicle.radius for vehicle in team])
         count = int(duration / ranges.goal_period_s) + 2
         goals = [draw_goals(self.radius, rng, ranges, low, count) for rng in rngs]
@@ -174,18 +174,18 @@ class RandomWalk:
         self._push = np.zeros_like(self.start)
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
-        """Set-points after one more step; see `Motion`."""
+        """Set-points after one more step; see `TeamMotion`."""
         wanted = self.goals[:, int(time / self.ranges.goal_period_s)]
         # Goals jump; a low-pass of the time constant 1 / frequency keeps the acceleration smooth.
-        self._goal += self.step * self.frequency * (wanted - self._goal)
+        self._goal += TIME_STEP * self.frequency * (wanted - self._goal)
         w = self.frequency
         pull = w * w * (self._goal - self._position) - 2.0 * w * self._velocity
         size = np.sqrt((pull * pull).sum(axis=-1, keepdims=True))
         pull *= self.ranges.acceleration_limit / np.maximum(size, self.ranges.acceleration_limit)
         push_apart(position, self.radius, self._neighbor, self._floor, self._push)
         acceleration = pull + self._push
-        self._velocity = self._velocity + self.step * acceleration
-        self._position = self._position + self.step * self._velocity
+        self._velocity = self._velocity + TIME_STEP * acceleration
+        self._position = self._position + TIME_STEP * self._velocity
         return MotionTarget(self._position, self._velocity, acceleration)
 
 
@@ -222,7 +222,7 @@ class StackedSwaps:
     """Swaps of E teams on cylinders, there and back, each drone in its own plane.
 
     The order of the team from top to bottom is drawn per flight, and its lowest plane, m.
-    `duration` is the length of the flights, `step` the time between calls of `target`, s.
+    `duration` is the length of the flights, s.
     """
 
     def __init__(
@@ -232,18 +232,16 @@ class StackedSwaps:
         ranges: MotionRanges,
         lowest: Pair,
         duration: float,
-        step: float,
     ) -> None:
-        self.step = step
         radius = np.array([vehicle.radius for vehicle in team])
-        flights = [draw_swaps(radius, rng, ranges, lowest, duration, step) for rng in rngs]
+        flights = [draw_swaps(radius, rng, ranges, lowest, duration) for rng in rngs]
         parts = zip(*flights, strict=True)
         self.reference = Reference(*(np.stack(part) for part in parts))
         self.start = self.reference.position[:, 0].copy()
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
-        """Set-points at a time; the measured positions change nothing; see `Motion`."""
-        index = round(time / self.step)
+        """Set-points at a time; the measured positions change nothing; see `TeamMotion`."""
+        index = round(time / TIME_STEP)
         p, v, a, _ = (part[:, index] for part in self.reference)
         return MotionTarget(p, v, a)
 
@@ -254,7 +252,6 @@ def draw_swaps(
     ranges: MotionRanges,
     lowest: Pair,
     duration: float,
-    step: float,
 ) -> Reference:
     """References (T, N, 3) of one flight of swaps; see `StackedSwaps`."""
     n = len(radius)
@@ -262,7 +259,7 @@ def draw_swaps(
     angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(n) / n
     size = rng.uniform(*ranges.radius_m)
     ends = size * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    time, begin = np.arange(round(duration / step) + 1) * step, 0.0
+    time, begin = np.arange(round(duration / TIME_STEP) + 1) * TIME_STEP, 0.0
     here = np.column_stack([ends, height])
     pieces = []
     while begin <= time[-1]:

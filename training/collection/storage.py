@@ -17,8 +17,8 @@ from swarm_envs.training.collection.flight import vehicle_names
 from swarm_envs.training.collection.log import (
     FlightLog,
     lagged_thrust,
+    rotate,
     rotate_to_body,
-    world_acceleration,
 )
 from swarm_envs.training.flight_table import FlightTable, read_table, write_flight_table
 from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle
@@ -118,7 +118,7 @@ def to_table(log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = T
     """
     count, drones = log.position.shape[:2]
     pwm, voltage = motor_signals(log.commands, team, rate_hz)
-    acceleration = _lines(world_acceleration(log)) if accelerometer else None
+    acceleration = rotate(log.quaternion, log.specific_force)
     return FlightTable(
         drone=np.tile(np.array(vehicle_names(team)), count),
         type=np.tile(np.array([vehicle.token for vehicle in team]), count),
@@ -126,7 +126,7 @@ def to_table(log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = T
         position=_lines(log.position),
         velocity=_lines(log.velocity),
         quaternion=_lines(log.quaternion),
-        acceleration=acceleration,
+        acceleration=_lines(acceleration) if accelerometer else None,
         pwm=_lines(pwm),
         voltage=_lines(voltage),
     )

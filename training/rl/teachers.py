@@ -146,12 +146,6 @@ def _all_force(core: SwarmCore) -> FloatArray:
     return force
 
 
-class Sprinter(AirLine):
-    """The same with less overshoot where the reference asks for more than set-points can."""
-
-    approach = 3.0
-
-
 class AirInTime(AirLine):
     """Leads set-points to places by minimum-jerk ways that take a time, and holds them there.
 
@@ -193,12 +187,6 @@ class AirOracle(AirLine):
     """The same with a controller that knows no force model; it reads the true force instead."""
 
     controller, compensates = "air-blind", True
-
-
-class AirAdaptiveOracle(AirOracle):
-    """The same with a controller that estimates the force in flight."""
-
-    controller = "air-blind-adaptive"
 
 
 class Carousel(CoreAgent):
