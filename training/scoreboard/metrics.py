@@ -206,14 +206,12 @@ def _fastest(view: View) -> float:
     if not view.reference_moves:
         return alone
     times = np.arange(0.0, view.horizon_s, _SAMPLES_S)
-    late = [t for t in times.tolist() if _off(view, t) >= Success().radius]
-    return max(alone, late[-1] + _SAMPLES_S if late else 0.0)
-
-
-def _off(view: View, time: float) -> float:
-    """How far the reference is from the goals at most at a time, m."""
-    apart: float = np.linalg.norm(view.reference(time).position - view.goals, axis=1).max()
-    return apart
+    late = 0.0
+    for time in times.tolist():
+        off = np.linalg.norm(view.reference(time).position - view.goals, axis=1)
+        if off.max() >= Success().radius:
+            late = time + _SAMPLES_S
+    return max(alone, late)
 
 
 def score_of(task: ScoredTask, metrics: Mapping[str, Any], fastest_s: float | None = None) -> float:

@@ -7,7 +7,7 @@ agents on all tasks take less than an hour on two processors.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import MappingProxyType
@@ -100,19 +100,15 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
 )
 """Agents by name, in the order in which they are shown."""
 
-_OTHERS = Place("", "Given by its file.", 4, 0.003)
-
 
 def place_of(name: str) -> Place:
     """An agent's place; one that does not ship has that of the slow ones."""
     if name in ROSTER:
         return ROSTER[name]
-    if name.removesuffix(FILTER) in ROSTER:
-        inner = ROSTER[name.removesuffix(FILTER)]
-        return Place(f"{inner.label} + filter", _FILTERED, inner.share, inner.cost)
+    if inner := ROSTER.get(name.removesuffix(FILTER)):
+        return replace(inner, label=f"{inner.label} + filter", help=_FILTERED)
     path, _, part = name.rpartition(":")
-    label = part if path else Path(name).name
-    return Place(label, _OTHERS.help, _OTHERS.share, _OTHERS.cost)
+    return Place(part if path else Path(name).name, "Given by its file.", 4, 0.003)
 
 
 def episodes_of(name: str, task: ScoredTask) -> int:

@@ -114,10 +114,14 @@ def scores_of(
     """What `scores.json` holds, out of each evaluation and the rows of its episodes."""
     tasks = list({cell.task.id: cell.task for cell in cells}.values())
     agents = list({cell.loaded.name: cell.loaded for cell in cells}.values())
-    reached = [_reached(cell, part) for cell, part in zip(cells, rows, strict=True)]
-    standings, profiles = families_of(reached)
-    shown = zip(cells, rows, strict=True)
-    bar = tqdm(shown, total=len(cells), desc="intervals", unit="cell", mininterval=0.5)
+    flown = list(zip(cells, rows, strict=True))
+    standings, profiles = families_of(
+        [
+            Reached(cell.task, cell.loaded.name, cell.outcome[0], [row["score"] for row in part])
+            for cell, part in flown
+        ]
+    )
+    bar = tqdm(flown, desc="intervals", unit="cell", mininterval=0.5)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -168,11 +172,6 @@ class Reached(NamedTuple):
     agent: str  # Its name
     status: str  # `flown`, `failed` or `unsupported`
     scores: Sequence[float]  # Of its episodes
-
-
-def _reached(cell: Evaluation, rows: Sequence[EpisodeRow]) -> Reached:
-    scores = [row["score"] for row in rows]
-    return Reached(cell.task, cell.loaded.name, cell.outcome[0], scores)
 
 
 def families_of(cells: Sequence[Reached]) -> tuple[dict[str, Any], dict[str, Any]]:
