@@ -61,11 +61,12 @@ SHORT = CollectionConfig(
 )
 
 
-def noiseless(team, kind, duration_s, motion=SHORT.motion, count=1):
-    config = dataclasses.replace(SHORT, motion=motion, duration_s=duration_s)
+def noiseless(team, kind, duration_s, ranges=SHORT.motion, count=1, feedforward=None):
+    config = dataclasses.replace(SHORT, motion=ranges, duration_s=duration_s)
     batch = FlightBatch(team, kind, count)
     rngs = [flight_generator(config, name) for name in batch.names]
-    return fly_motion(parse_team(team), make_motion(config, batch, rngs), "learned", duration_s)
+    motion = make_motion(config, batch, rngs)
+    return fly_motion(parse_team(team), motion, "learned", duration_s, feedforward)
 
 
 def test_noisy_labels_are_unbiased_and_smoothing_calms_them():
@@ -147,10 +148,10 @@ def collection(tmp_path_factory):
 
 def test_a_folder_of_another_configuration_is_refused(collection):
     out, _ = collection
-    with pytest.raises(ValueError, match=r": config.(seed is 0|interactions is learned) there, "):
-        collect(dataclasses.replace(SHORT, seed=1), out, progress=False)
-    with pytest.raises(ValueError, match=r": config.(seed is 0|interactions is learned) there, "):
-        collect(dataclasses.replace(SHORT, interactions="wake"), out, progress=False)
+    for change in ({"seed": 1}, {"interactions": "wake"}):
+        said = r": config.(seed is 0|interactions is learned) there, "
+        with pytest.raises(ValueError, match=said):
+            collect(dataclasses.replace(SHORT, **change), out, progress=False)
 
 
 def test_manifest_and_files_agree(collection):
@@ -166,10 +167,8 @@ def test_manifest_and_files_agree(collection):
 
 def test_of_single_flights_the_last_is_held_out(tmp_path):
     alone = dataclasses.replace(SHORT, walks=1, low_walks=0, swaps=0, duration_s=3.0)
-    assert [flight.validation for flight in collect(alone, tmp_path, progress=False)] == [
-        False,
-        True,
-    ]
+    flown = collect(alone, tmp_path, progress=False)
+    assert [flight.validation for flight in flown] == [False, True]
 
 
 def test_rows_say_what_the_logs_say(collection):
@@ -238,11 +237,6 @@ def flights(tmp_path_factory):
     return collect(CONFIG, tmp_path_factory.mktemp("npz"), progress=False)
 
 
-def parquet(config, out):
-    pytest.importorskip("pyarrow")
-    return collect(dataclasses.replace(config, format="parquet"), out, progress=False)
-
-
 def test_signals_are_those_that_psi1_makes_the_thrust_of():
     team = (SMALL, LARGE)
     hover = np.array([v.hover_rotor_thrust for v in team])[:, None]
@@ -283,7 +277,9 @@ def test_a_table_holds_what_the_log_holds(flights, accelerometer):
 
 @pytest.mark.parametrize("label", ["imu", "differentiated"])
 def test_parquet_flights_are_read_as_if_they_were_real(flights, label, tmp_path):
-    flown = parquet(dataclasses.replace(CONFIG, label=label), tmp_path)
+    pytest.importorskip("pyarrow")
+    config = dataclasses.replace(CONFIG, label=label, format="parquet")
+    flown = collect(config, tmp_path, progress=False)
     rows, report = read_logs(tmp_path, LogOptions(guard_s=0.0, keep_every=4, rate_hz=120.0))
     assert all(file.refused is None for file in report.files)
     wanted = "logged" if label == "imu" else "differentiated"
@@ -503,10 +499,7 @@ def test_a_pilot_that_knows_the_force_flies_closer_to_its_set_point():
     """A pilot that knows the force holds its height in a wake in which another falls."""
     errors = {}
     for believed in (None, load("learned")):
-        batch = FlightBatch("SL", "swap", 4)
-        rngs = [flight_generator(EXACT, name) for name in batch.names]
-        motion = make_motion(EXACT, batch, rngs)
-        flown = fly_motion(parse_team("SL"), motion, "learned", 6.0, believed)
+        flown = noiseless("SL", "swap", 6.0, count=4, feedforward=believed)
         errors[believed is None] = max(
             float(np.abs(log.position - log.setpoint)[..., 2].max()) for log in flown
         )

@@ -9,15 +9,12 @@ import pytest
 
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
-from swarm_envs.training.collection.collect import FlightBatch
+from swarm_envs.training.collection.collect import FlightBatch, flight_generator, make_motion
 from swarm_envs.training.collection.log import FlightLog
 from swarm_envs.training.collection.table import CollectedFlight as Flight
 from swarm_envs.training.curriculum import CurriculumConfig
 from swarm_envs.training.curriculum import run as run_module
-from swarm_envs.training.curriculum.curriculum_config import (
-    Stage,
-    collection_config,
-)
+from swarm_envs.training.curriculum.curriculum_config import Stage, collection_config
 from swarm_envs.training.curriculum.curriculum_report import (
     evaluate_unseen,
     goals_reached,
@@ -106,8 +103,6 @@ def test_gap_errors_are_a_quantile_of_the_swaps():
 
 
 def test_swaps_keep_the_clearance_that_was_planned():
-    from swarm_envs.training.collection.collect import flight_generator, make_motion
-
     for clearance in (0.25, 0.02):
         config = collection_config(TINY, 1, clearance, None)
         for kind in ("swap", "low-swap"):

@@ -6,12 +6,14 @@ import csv
 import dataclasses
 import json
 import re
+import shlex
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import tyro
 
 from docs.model_card import REPORTS, CardConfig, write_card
 from swarm_envs.training.force_model import pipeline
@@ -150,7 +152,6 @@ def test_slope_penalty_lowers_the_steepest_slope():
     free = dataclasses.replace(SMALL, steps=150, learning_rate=1e-2, slope_limit=None)
     held = dataclasses.replace(free, slope_limit=5.0, slope_weight=10.0, slope_inputs=64)
     spec = dataclasses.replace(SPEC, input_range=measured_range(rows))
-    from swarm_envs.training.force_model.lipschitz import measure_lipschitz
 
     def steepest(config):
         network = train(rows, spec, config, progress=False).network.double()
@@ -179,10 +180,6 @@ def test_measured_fit_is_the_papers_form(tmp_path):
 
 
 def test_command_line_makes_the_same_configuration():
-    import shlex
-
-    import tyro
-
     config = FitConfig(data=Path("rows.npz"), out=Path("DIR"), seed=5, steps=70)
     words = shlex.split(pipeline.fit_command(config))
     assert words[:3] == ["python", "-m", "swarm_envs.training.force_model"]

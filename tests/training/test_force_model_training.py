@@ -98,7 +98,6 @@ def test_average_of_the_last_steps_is_within_the_clip():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_average_is_nearer_the_truth_than_a_noisy_last_step(seed, monkeypatch):
     """Of steps that jump about the truth, each by itself, a share s of each leaves s / (2 - s)."""
-    from swarm_envs.training.force_model import train as module
 
     class Jumping(torch.optim.Optimizer):
         def __init__(self, parameters, lr):

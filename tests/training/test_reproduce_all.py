@@ -115,12 +115,8 @@ def test_a_reason_explains_in_its_direction_alone():
 def test_ranges_and_numbers_read_well():
     said = [str(Between(5.0)), str(Between(most=1.0)), str(Between(12, 12)), str(about(-10.0, 0.2))]
     assert said == ["at least 5", "at most 1", "12", "-12 to -8"]
-    assert [format_quantity(x) for x in (0.12345, 12.0, 124416, 1234.5)] == [
-        "0.123",
-        "12",
-        "124416",
-        "1234",
-    ]
+    numbers = [format_quantity(x) for x in (0.12345, 12.0, 124416, 1234.5)]
+    assert numbers == ["0.123", "12", "124416", "1234"]
 
 
 def test_a_spread_has_a_name():
