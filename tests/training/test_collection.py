@@ -55,6 +55,7 @@ from swarm_envs.training.collection.storage import (
 from swarm_envs.training.collection.table import SCENARIOS, CollectedFlight, scenario_counts
 from swarm_envs.training.flight_logs import LogOptions, read_logs
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, parse_team
+from tests.helpers.interrupts import calls_of
 
 SHORT = CollectionConfig(
     teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
@@ -295,30 +296,20 @@ def test_parquet_flights_are_read_as_if_they_were_real(flights, label, tmp_path)
 
 
 @pytest.mark.parametrize("form", ["npz", "parquet"])
-def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(form, tmp_path, monkeypatch):
+def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(form, tmp_path):
     pytest.importorskip("pyarrow")
     config = dataclasses.replace(CONFIG, format=form, duration_s=1.5, log_rate=100)
     whole = tmp_path / "whole"
     collect(config, whole, progress=False)
-    module = sys.modules[collect.__module__]
-    saved: list[str] = []
-    save = module.save_log
-
-    def killed(*arguments):
-        if len(saved) == 3:
-            raise KeyboardInterrupt
-        saved.append(arguments[0].name)
-        save(*arguments)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(module, "save_log", killed)
-        with pytest.raises(KeyboardInterrupt):
-            collect(config, tmp_path / "cut", progress=False)
-    first = (tmp_path / "cut" / saved[0]).stat().st_mtime_ns
-    collect(config, tmp_path / "cut", progress=False)
-    assert (tmp_path / "cut" / saved[0]).stat().st_mtime_ns == first  # not flown again
+    cut, module = tmp_path / "cut", sys.modules[collect.__module__]
+    with calls_of(module, "save_log", killed_at=4) as calls, pytest.raises(KeyboardInterrupt):
+        collect(config, cut, progress=False)
+    saved = cut / calls[0][0].name
+    first = saved.stat().st_mtime_ns
+    collect(config, cut, progress=False)
+    assert saved.stat().st_mtime_ns == first  # not flown again
     for file in whole.iterdir():
-        assert (tmp_path / "cut" / file.name).read_bytes() == file.read_bytes()
+        assert (cut / file.name).read_bytes() == file.read_bytes()
 
 
 def test_a_parquet_flight_cannot_be_read_without_its_team(tmp_path):

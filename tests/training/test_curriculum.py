@@ -36,6 +36,7 @@ from swarm_envs.training.force_model.explained import (
 )
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import SMALL, parse_team
+from tests.helpers.interrupts import calls_of
 from tests.training.test_controller_studies import planted
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
@@ -148,27 +149,12 @@ def test_a_run_reports_every_round(tiny):
     assert (out / "curriculum.png").read_bytes().startswith(b"\x89PNG")
 
 
-def kill(monkeypatch, module, name, call, config):
-    """Run until the given call of a function of a module, and die there."""
-    original, calls = getattr(module, name), []
-
-    def dying(*arguments):
-        calls.append(name)
-        if len(calls) == call:
-            raise KeyboardInterrupt
-        return original(*arguments)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(module, name, dying)
-        with pytest.raises(KeyboardInterrupt):
-            run_curriculum(config)
-
-
-def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path, monkeypatch):
+def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path):
     config = dataclasses.replace(TINY, out=tmp_path)
-    kill(monkeypatch, run_module, "fit", 2, config)  # of the second round, after its flights
-    kill(monkeypatch, run_module, "measure_closeness", 1, config)  # after its fit
-    kill(monkeypatch, run_module, "evaluate_unseen", 2, config)
+    # In the second round, after its flights; after its fit; at the end.
+    for name, call in (("fit", 2), ("measure_closeness", 1), ("evaluate_unseen", 2)):
+        with calls_of(run_module, name, killed_at=call), pytest.raises(KeyboardInterrupt):
+            run_curriculum(config)
     assert not (tmp_path / "curriculum.json").exists()
     run_curriculum(config)
     assert contents(tmp_path) == contents(tiny[0])

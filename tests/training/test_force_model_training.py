@@ -34,6 +34,7 @@ from swarm_envs.training.force_model.train import (
 )
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import scalar_writer
+from tests.helpers.interrupts import calls_of
 from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
 
 
@@ -265,26 +266,18 @@ def test_held_out_rows_teach_nobody() -> None:
 
 @pytest.mark.parametrize(("killed_at", "left"), [(5, 78), (40, 42), (65, 16)])
 def test_killed_run_goes_on_with_the_network_it_was_at(
-    killed_at: int, left: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    killed_at: int, left: int, tmp_path: Path
 ) -> None:
     rows, path = rows_of(1000, flights=1), tmp_path / "checkpoint.safetensors"
     config = dataclasses.replace(TAUGHT, slope_limit=50.0, slope_inputs=16, position_jitter_m=0.02)
     whole = train_taught(rows, SPEC, config, progress=False)
-    step, calls = module._step, []
-
-    def dying_step(*arguments: object) -> float:
-        calls.append(1)
-        if len(calls) == killed_at:
-            raise KeyboardInterrupt
-        return step(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(module, "_step", dying_step)
-    with pytest.raises(KeyboardInterrupt):
+    with calls_of(module, "_step", killed_at), pytest.raises(KeyboardInterrupt):
         train_taught(rows, SPEC, config, path, progress=False)
-    resumed = train_taught(rows, SPEC, config, path, progress=False)
+    with calls_of(module, "_step") as calls:
+        resumed = train_taught(rows, SPEC, config, path, progress=False)
     assert torch.equal(vector(whole), vector(resumed))
     assert resumed.history == whole.history
-    assert len(calls) == killed_at + left  # of 26 steps for each of three networks
+    assert len(calls) == left  # of 26 steps for each of three networks
     assert teacher_checkpoint(path, 1).exists()
 
 

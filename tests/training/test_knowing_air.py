@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,29 +15,19 @@ from examples import knowing_air
 from examples.knowing_air import AIRS, AirStudy, run_study, summary_of, table_of
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
-from swarm_envs.training.rl.run import train_policy
 from swarm_envs.training.rl.teachers import SprintOracle, StackOracle
+from tests.helpers.interrupts import calls_of
 
 
 def test_an_interrupted_study_resumes_with_the_same_results(tmp_path, monkeypatch):
     monkeypatch.setattr(knowing_air, "AIRS", {name: AIRS[name] for name in ("none", "hall")})
     small = {"environments": 2, "judge_episodes": 1, "hidden": (8,), "set_hidden": (8,)}
     monkeypatch.setattr(knowing_air, "RECIPE", {**knowing_air.RECIPE, **small})
-    trained: list[Path] = []
-
-    def count(config, task):
-        if len(trained) == 2:
-            raise KeyboardInterrupt
-        trained.append(config.out)
-        return train_policy(config, task)
-
     study = AirStudy(out=tmp_path / "study", task=["sprint"], seeds=[0], steps=120, episodes=2)
-    monkeypatch.setattr(knowing_air, "train_policy", count)
-    with pytest.raises(KeyboardInterrupt):
+    with calls_of(knowing_air, "train_policy", killed_at=3), pytest.raises(KeyboardInterrupt):
         run_study(study)
     flown = {path: path.read_bytes() for path in study.out.rglob("flown-*.jsonl")}
     assert len(flown) == 4
-    monkeypatch.setattr(knowing_air, "train_policy", train_policy)
     results = run_study(study)
     assert len({path.parent for path in study.out.rglob("report.json")}) == 4
     assert all(path.read_bytes() == content for path, content in flown.items())

@@ -5,21 +5,20 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from swarm_envs.training.force_model import pipeline
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers
-from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import read_rows, save_rows
 from swarm_envs.training.reproduce import ablation
 from swarm_envs.training.reproduce.ablation import ABLATIONS, TABLE_3, ablation_fit
 from swarm_envs.training.reproduce.study import run_study
+from tests.helpers.interrupts import calls_of
 from tests.helpers.tiny_fits import rows_of
 
-FIT = "swarm_envs.training.force_model.pipeline.fit"
 SOME = ("H=10", "no-spectral-norm")
 
 
@@ -78,24 +77,14 @@ def test_velocity_counts_where_the_force_depends_on_it(rows, tmp_path, monkeypat
 
 
 def test_an_interrupted_table_goes_on(rows, tmp_path, monkeypatch):
-    fits: list[Path] = []
-
-    def counted(config):
-        if len(fits) == 3:
-            raise KeyboardInterrupt
-        fits.append(config.out)
-        return fit(config)
-
-    monkeypatch.setattr(FIT, counted)
     options = asked(rows, tmp_path, SOME, seed=4, seeds=2)
-    with pytest.raises(KeyboardInterrupt):
+    with calls_of(pipeline, "fit", killed_at=4), pytest.raises(KeyboardInterrupt):
         run_table(options)
     partial = json.loads((tmp_path / "table_3.json").read_text())
     assert (partial["runs_done"], partial["runs_wanted"]) == (3, 4)
-    monkeypatch.setattr(FIT, fit)
     table = run_table(options)
     assert json.loads((tmp_path / "table_3.json").read_text()) == table
-    monkeypatch.setattr(FIT, None)  # nothing is left to be fitted
+    monkeypatch.setattr(pipeline, "fit", None)  # nothing is left to be fitted
     assert run_table(options) == table
     for cell, row in zip(SOME, table["rows"], strict=True):
         runs = [ablation_fit(options, cell, seed).out / "learned.json" for seed in (4, 5)]

@@ -40,6 +40,7 @@ from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig, SacConfig
 from swarm_envs.training.rl.run import policy_note
 from swarm_envs.training.rl.sac import SacLearner, SoftActorCritic, TwinCritic
+from tests.helpers.interrupts import calls_of
 
 COMMON = (
     "--drones 2 --environments 8 --hidden 8 8 --num-neighbors 1 --judge-every 2 --judge-episodes 4 "
@@ -101,20 +102,11 @@ def test_a_run_is_written_and_its_policy_flies(algo, whole, capsys):
 @every_algorithm
 @pytest.mark.parametrize("segments", [1, 3])
 def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
-    algo, segments, whole, tmp_path, monkeypatch, capsys
+    algo, segments, whole, tmp_path, capsys
 ):
     """A run that ends after some checkpoints, with another's random numbers in between."""
-    fly, flown = LEARNERS[algo].fly, list[range]()
-
-    def stopped(learner, segment, watch=None):
-        if len(flown) == segments:
-            raise KeyboardInterrupt
-        flown.append(segment)
-        return fly(learner, segment, watch)
-
-    monkeypatch.setattr(LEARNERS[algo], "fly", stopped)
-    assert main(command(algo, tmp_path)) == 130
-    monkeypatch.undo()
+    with calls_of(LEARNERS[algo], "fly", killed_at=segments + 1):
+        assert main(command(algo, tmp_path)) == 130
     steps = [row["step"] for row in curve(tmp_path)]
     assert steps == [row["step"] for row in curve(whole[algo])][:segments]
     np.random.seed(99)  # noqa: NPY002  # what Stable-Baselines3 draws from
