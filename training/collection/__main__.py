@@ -77,7 +77,6 @@ def _summary(
 
 
 def _lines(summary: Mapping[str, Any]) -> list[str]:
-    """What the command prints of it."""
     said = [*_scenario_table(summary["scenarios"]), ""]
     if summary["missing"]:
         said.append(f"of Table II no row of {', '.join(summary['missing'])}")

@@ -105,7 +105,6 @@ def _first_flight(fly: _Fly, **options: Any) -> ReferenceFlight:
 
 
 def _measure(fly: _Fly, setups: Sequence[dict[str, Any]]) -> Cell:
-    """What one cell's flights measured."""
     flights = [_first_flight(fly, **setups[0]), *(fly(**options) for options in setups[1:])]
     totals = [flight.total_s for flight in flights]
     least = [float(flight.scaled_distance.min()) for flight in flights]
@@ -165,7 +164,6 @@ def _text(cells: Mapping[str, Cell]) -> str:
 
 
 def _table(cells: Mapping[str, Cell]) -> list[dict[str, object]]:
-    """One row for each run."""
     columns = ("seeds", "total_s", "legs_s", "least_scaled_distance_m")
     return [
         {

@@ -233,7 +233,6 @@ def format_summary(summary: dict[str, Any]) -> str:
 
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:
-    """The three numbers that the text reads off the figure."""
     found = []
     for reading in numbers["readings"]:
         paper, authors = reading["paper_g"], reading["published_weights_g"]

@@ -53,7 +53,6 @@ _PARTS = {
 
 
 def _without(*parts: str) -> Hall:
-    """The hall without some of its parts."""
     names = [name for part in parts for name in _PARTS[part]]
     zero: Any = {
         name: 0.0 if isinstance(getattr(_WHOLE, name), float) else (0.0, 0.0) for name in names
@@ -70,8 +69,6 @@ def hall_worlds() -> dict[str, str | Hall]:
 
 @dataclass(frozen=True)
 class _Side:
-    """A controller of the study."""
-
     believes: bool
     adapts: bool
     exact: bool = False

@@ -39,8 +39,6 @@ class _MapNeighbour(NamedTuple):
 
 @dataclass(frozen=True)
 class _MapCase:
-    """One heat map."""
-
     letter: str  # of the panel in the figure
     title: str  # what flies
     neighbours: tuple[_MapNeighbour, ...]  # whose wakes are felt

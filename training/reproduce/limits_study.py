@@ -49,8 +49,6 @@ learned from flights in it."""
 
 
 class _SweepPoint(NamedTuple):
-    """One set of flights."""
-
     cell: str  # its name; points of one name are the same flights
     case: str  # what flies, for people
     value: float  # what the sweep varies, in its unit

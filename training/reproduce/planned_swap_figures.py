@@ -353,7 +353,6 @@ def _dots(axis: Axes, values: Mapping[str, Sequence[float]], planner: str) -> No
 
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:
-    """What the text says of the figure."""
     rows = numbers["rows"]["model_plant"]
     unaware, aware = ([r for r in rows if r["planner"] == planner] for planner in swaps.PLANNERS)
     own = {row["scenario"]: row for row in unaware}

@@ -181,7 +181,6 @@ def _words_of(options: StudyOptions) -> list[str]:
 
 
 def _shell(words: Sequence[str]) -> str:
-    """A command as one types it."""
     return shlex.join(["swarm-envs", *words])
 
 

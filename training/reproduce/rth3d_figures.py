@@ -290,7 +290,6 @@ def _report(options: Rth3dOptions, cells: Mapping[str, Cell]) -> Report:
 
 
 def _rows(curves: Curves) -> list[dict[str, Any]]:
-    """One row for each point of each curve."""
     return [
         {
             "series": name,
