@@ -124,24 +124,18 @@ HELD_OUT_EVERY = 5  # Of the flights of a team and kind one in so many is for va
 
 
 @typed
-def collect(
-    config: CollectionConfig,
-    out: Path,
-    progress: bool = True,
-    environment: InteractionModel | None = None,
-) -> list[CollectedFlight]:
+def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[CollectedFlight]:
     """Fly what is not yet there, and read everything.
 
     Writes one file for each flight, and `manifest.json` with the configuration, the force model's
     fingerprint, every flight's length, and how much was flown of each scenario. After an
-    interruption it resumes with the first missing file; the result is identical. `environment`
-    takes the place of the force that the configuration names.
+    interruption it resumes with the first missing file; the result is identical.
 
     Raises:
         ImportError: flights are to be Parquet, and pyarrow is not installed.
         ValueError: the folder holds flights of another configuration or force model.
     """
-    model = load(config.interactions) if environment is None else environment
+    model = load(config.interactions)
     compensated = None if config.feedforward is None else load(config.feedforward)
     origin: dict[str, object] = {
         "config": json_ready(config),

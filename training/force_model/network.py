@@ -252,20 +252,16 @@ class ForceNetwork(nn.Module, ABC):
         """Inputs of the environment (R, 4) moved into the measured range."""
         return environment.clamp(self.environment_low, self.environment_high)
 
-    def force_g(
-        self, position: Tensor, velocity: Tensor, type_names: Sequence[str], drag: bool = True
-    ) -> Tensor:
+    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
         """Vertical interaction force (E, N) of every drone of every swarm, in gram-force.
 
         Positions and velocities (E, N, 3), m and m/s, are of E swarms of N drones of these types.
-        `drag` adds the vertical drag -c v_z of the drone's type, as the shipped model does.
+        With the vertical drag -c v_z of the drone's type, as the shipped model has it.
         """
         batch = swarm_batch(position, velocity, [self.spec.types.index(n) for n in type_names])
         force: Tensor = self(batch).reshape(position.shape[:2])
-        if drag:
-            coefficient = self.drag[batch.ego_type, 2].reshape(force.shape)
-            force = force - coefficient * velocity[..., 2] / GRAM_FORCE
-        return force
+        coefficient = self.drag[batch.ego_type, 2].reshape(force.shape)
+        return force - coefficient * velocity[..., 2] / GRAM_FORCE
 
 
 class DeepSet(ForceNetwork):

@@ -321,14 +321,12 @@ def _flown(number: int, shows: str, claims: Any, takes: tuple[str, ...] = _TAKES
     return Study(
         paper="neural-swarm2",
         name=f"figure-{number}",
-        label=f"Fig. {number}",
         shows=shows,
         takes=takes,
         check=_check,
         grid=_grid,
         report=_report,
         claims=claims,
-        pictures=(f"figure_{number}.png",),
         quick={"episodes": 6, "engine": "batch"},
     )
 

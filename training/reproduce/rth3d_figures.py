@@ -338,7 +338,6 @@ def _planned(number: str, shows: str, largest: int, claims: Any) -> Study:
     return Study(
         paper=_PAPER,
         name=f"figure-{number}",
-        label=f"Fig. {number}",
         shows=shows,
         check=_check_curves,
         grid=_grid,
@@ -347,7 +346,6 @@ def _planned(number: str, shows: str, largest: int, claims: Any) -> Study:
         report=_report,
         claims=claims,
         numbers="points.json",
-        pictures=(f"figure_{number}.png",),
         quick={"runs": 3, "budget": 80_000, "largest": largest},
     )
 
@@ -383,12 +381,10 @@ STUDIES = (
     Study(
         paper=_PAPER,
         name="figure-11",
-        label="Fig. 11",
         shows="ten Crazyflies write A-R-C-R-U on 6 x 6 x 6 grids",
         report=letter_report,
         claims=letter_claims,
         numbers="points.json",
-        pictures=("figure_11.png",),
         note="Flown in simulation, in learned downwash; theirs is a photograph of real drones.",
     ),
 )

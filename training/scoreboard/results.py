@@ -29,6 +29,7 @@ __all__ = ["join_results", "verify_results"]
 
 Content = dict[str, Any]  # What a `scores.json` holds
 _CLOSE = 1e-6  # By how much a number may differ that is computed again
+_AGAIN = 2  # Episodes of every agent that ships and every task that are flown again
 
 
 def read_results(path: Path) -> Content:
@@ -46,12 +47,10 @@ def read_results(path: Path) -> Content:
     return content
 
 
-def verify_results(path: Path, again: int = 2) -> Iterator[str]:
+def verify_results(path: Path) -> Iterator[str]:
     """What is wrong with a results file, a sentence each; nothing, if it can be trusted.
 
-    Args:
-        path: of the file, or of the folder that holds it.
-        again: episodes of every agent that ships and every task that are flown again.
+    The path is of the file, or of the folder that holds it.
 
     Raises:
         FileNotFoundError: there is none.
@@ -71,7 +70,7 @@ def verify_results(path: Path, again: int = 2) -> Iterator[str]:
     for cell in tqdm(content["cells"], desc="verify", unit="cell"):
         if cell["status"] == "flown":
             where = f"{cell['agent']} on {cell['task']}: "
-            wrong = [*_inside(cell)] or [*_flown_again(cell, agents[cell["agent"]], again, rng)]
+            wrong = [*_inside(cell)] or [*_flown_again(cell, agents[cell["agent"]], rng)]
             yield from (where + each for each in wrong)
     standings, _ = families_of(_reached_in(content))
     if not _same(standings, content["aggregates"]):
@@ -120,11 +119,11 @@ def _inside(cell: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _flown_again(
-    cell: Mapping[str, Any], about: Mapping[str, Any], again: int, rng: np.random.Generator
+    cell: Mapping[str, Any], about: Mapping[str, Any], rng: np.random.Generator
 ) -> Iterator[str]:
     """Episodes of an agent that ships which come out otherwise here."""
     name, task, rows = cell["agent"], TASKS[cell["task"]], _rows(cell["results"])
-    if name.removesuffix(FILTER) not in SHIPPED or not again:
+    if name.removesuffix(FILTER) not in SHIPPED:
         return
     agent = load(name)
     if about.get("digest") != source_digest(agent):
@@ -132,7 +131,7 @@ def _flown_again(
         return
     env = make_scored(task.environment, {**task.setting, **agent.requires})
     seeds = frozen_seeds(SEED, len(rows))
-    chosen = rng.choice(len(rows), min(again, len(rows)), replace=False).tolist()
+    chosen = rng.choice(len(rows), min(_AGAIN, len(rows)), replace=False).tolist()
     flown = evaluate_agent(env, agent, [seeds[k] for k in chosen], refusals=True)
     for k, episode in zip(chosen, flown, strict=True):
         best = fastest_times(task, [seeds[k]])[seeds[k]] if task.score == "time" else None
