@@ -25,7 +25,12 @@ from swarm_envs.files import write_json, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.force_model.force_fit_config import FitConfig, Model, with_mode_defaults
+from swarm_envs.training.force_model.force_fit_config import (
+    FitConfig,
+    Model,
+    ResidualConfig,
+    with_mode_defaults,
+)
 from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
 from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
 from swarm_envs.training.force_model.train import predict, to_batch, train_taught
@@ -143,12 +148,12 @@ def compare(config: CompareConfig) -> ModelComparison:
     label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
     parts = [(model, k) for model in config.models for k in range(fold.max() + 1)]
     for model, k in tqdm(parts, disable=not config.progress, unit="fit"):
-        target, held_out = treat(rows, _fit_config(model, config)).target, fold == k
+        target, held_out = treat(rows, default_fit(model, config)).target, fold == k
         label = target.force_g[:, 2]
         path = config.out / f"{model}-{k}.npy"
         if not path.is_file():
             own = dataclasses.replace(target, validation=held_out)
-            said = fitted_force_g(own, _fit_config(model, config))[:, 2]
+            said = fitted_force_g(own, default_fit(model, config))[:, 2]
             with written_whole(path) as partial, partial.open("wb") as stream:
                 np.save(stream, said[held_out])
         squared[model][held_out] = (np.load(path) - label[held_out]) ** 2
@@ -164,7 +169,8 @@ def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
     return (rows.neighbor_type >= 0).sum(axis=1, dtype=np.int64).clip(1, 2) - 2
 
 
-def _fit_config(model: Model, config: CompareConfig) -> FitConfig:
+def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:
+    """A fit of a model to the same data with the defaults of its mode."""
     given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
     return with_mode_defaults(given, given.mode, model)
 

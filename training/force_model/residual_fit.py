@@ -33,13 +33,8 @@ from swarm_envs.files import write_json
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
-from swarm_envs.training.force_model.compare import fitted_force_g, flight_folds
-from swarm_envs.training.force_model.force_fit_config import (
-    FITTED,
-    FitConfig,
-    ResidualConfig,
-    with_mode_defaults,
-)
+from swarm_envs.training.force_model.compare import default_fit, fitted_force_g, flight_folds
+from swarm_envs.training.force_model.force_fit_config import FITTED, ResidualConfig
 from swarm_envs.training.force_model.labels import flown, treat
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
@@ -142,8 +137,7 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
     if config.force not in FITTED:
         return modelled_force_g(rows, config.force)
     model: Any = config.force
-    given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
-    options = with_mode_defaults(given, given.mode, model)
+    options = default_fit(model, config)
     fold, found = flight_folds(rows, config.folds, config.seed), np.zeros((len(rows), 3))
     for k in tqdm(range(config.folds), disable=not config.progress, unit="fit"):
         held = fold == k

@@ -37,8 +37,6 @@ from swarm_envs.viewing.style import picture
 TEAM, RING = "L2S", "ring of 5"
 """What is flown; errors are those of the small drone, and of the worst of each flight."""
 _EPISODES = 40
-_TRUTHS = ("learned", "wake")
-"""The forces that are flown in if none is named: those for which a belief ships."""
 _WHOLE = Hall()
 _PARTS = {
     "random force": ("residual_quiet", "residual_wake", "residual_alone"),
@@ -102,8 +100,8 @@ def _settings(options: Any) -> dict[str, Any]:
 
 def _rows(options: Any) -> Iterator[tuple[str, str, str, _Side]]:
     """Motion, force model, world and controller of every cell."""
-    truths = _TRUTHS if options.truth is None else (options.truth,)
-    for motion, truth in [*((TEAM, t) for t in truths), *((RING, t) for t in (*truths, "none"))]:
+    rings = (*options.truths, "none")
+    for motion, truth in [*((TEAM, t) for t in options.truths), *((RING, t) for t in rings)]:
         for world in hall_worlds():
             for side in _SIDES if motion == TEAM else _RING_SIDES:
                 if truth != "none" or not (side.believes or side.exact):

@@ -86,6 +86,11 @@ class NeuralSwarmOptions(StudyOptions):
     steps: Count | None = None
     """table: optimiser steps of each fit; the trainer's default if not given"""
 
+    @property
+    def truths(self) -> tuple[str, ...]:
+        """The forces that are flown in: if none is named, those for which a belief ships."""
+        return ("learned", "wake") if self.truth is None else (self.truth,)
+
 
 OPTIONS = NeuralSwarmOptions  # What `swarm-envs reproduce neural-swarm2` takes
 

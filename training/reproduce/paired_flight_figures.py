@@ -41,17 +41,14 @@ from swarm_envs.training.reproduce.paired_flights import (
 )
 from swarm_envs.training.reproduce.study import Cells, Report, Study
 
-_TRUTHS = ("learned", "wake")
-"""The forces that are flown in if none is named: those for which a belief ships."""
 _WORST = "worst of each flight"  # name of the row of rings that is judged
 _MOST_EPISODES = 1000
 _EPISODES = 40
 
 
 def _airs(options: Any) -> tuple[Air, ...]:
-    truths = _TRUTHS if options.truth is None else (options.truth,)
     worlds = WORLDS if options.world is None else (options.world,)
-    return tuple(Air(truth, world) for world in worlds for truth in truths)
+    return tuple(Air(truth, world) for world in worlds for truth in options.truths)
 
 
 def _belief(options: Any, truth: str) -> InteractionModel:
