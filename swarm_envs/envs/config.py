@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -203,30 +203,25 @@ def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
         raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
 
 
-class ResetOptions(NamedTuple):
-    """The options of a reset, checked."""
-
-    team: Team | None
-    """The team of the episode; None for the constructor's team."""
-    placement: dict[str, FloatArray]
-    """What of `start` and `goal`, (N, 3) m, was given."""
-
-
-def check_reset_options(options: Mapping[str, Any] | None, num_drones: int) -> ResetOptions:
+def check_reset_options(
+    options: Mapping[str, Any] | None, num_drones: int
+) -> tuple[Team | None, dict[str, FloatArray]]:
     """Reset options in the form that environments take.
+
+    Returns:
+        The team of the episode, None for the constructor's; and what of `start` and `goal`,
+        (N, 3) m, was given.
 
     Raises:
         TypeError: the options are no mapping.
         ValueError: an option is unknown, an array of wrong shape or not finite, or a team unknown.
     """
     if options is None:
-        return ResetOptions(None, {})
+        return None, {}
     check_value("options", options, Mapping[str, Any])
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:
         check_name("reset option", name, _RESET_OPTIONS)
     team = given.pop("team", None)
-    return ResetOptions(
-        None if team is None else parse_team(team),
-        {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()},
-    )
+    placement = {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()}
+    return None if team is None else parse_team(team), placement

@@ -83,7 +83,7 @@ class SwarmJointEnv(_SwarmEnv):
             RuntimeError: there is no episode.
             ValueError: the action has a wrong shape, or a number that cannot be.
         """
-        self.parallel.check_running("step")
+        self.parallel.check_running()
         result = self.core.step(split_teams(action, self.action_space.shape, self.core))
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
         info: dict[str, Any] = {"rewards": result.rewards[0].copy(), "active": result.active[0]}

@@ -164,16 +164,17 @@ def shaper(
     layout = observation_layout(num_neighbors, num_obstacles, load, force)
     own, task = _span("self.", layout), _span("task.", layout)
     counts = {"neighbors": num_neighbors, "obstacles": num_obstacles}
-    full = observation_layout(1, 1, load, force)
+    one = observation_layout(1, 1, load, force)
     places = {
-        name: (_span(_SETS[name][0], layout), _set_width(name, full))
+        name: (_span(_SETS[name][0], layout), _span(_SETS[name][0], one))
         for name, count in counts.items()
         if count or name == "neighbors"
     }
 
     def shape(rows: Float32Array) -> Observation:
         parts = {"self": rows[..., own], "task": rows[..., task]}
-        for name, (where, width) in places.items():
+        for name, (where, member) in places.items():
+            width = member.stop - member.start - 1  # its mask aside, which stands last
             group = rows[..., where].reshape(*rows.shape[:-1], counts[name], width + 1)
             parts[name], parts[_SETS[name][1]] = group[..., :width], group[..., width]
         return parts
@@ -185,12 +186,6 @@ def _span(prefix: str, layout: tuple[ObservationField, ...]) -> slice:
     """Columns of the fields of a prefix in a row; empty if there are none."""
     places = [field.where for field in layout if field.name.startswith(prefix)]
     return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
-
-
-def _set_width(name: str, layout: tuple[ObservationField, ...]) -> int:
-    """Numbers of one member of a group, its mask aside, which stands last."""
-    where = _span(_SETS[name][0], layout)
-    return where.stop - where.start - 1
 
 
 def _box(part: Float32Array, mask: bool = False) -> spaces.Box:

@@ -8,7 +8,7 @@ import textwrap
 from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, ParamSpec
+from typing import Annotated, Any, ClassVar, NamedTuple, ParamSpec
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
@@ -144,17 +144,12 @@ class AirTaskOptions(TaskOptions):
     """`hall`, `ideal` or a custom `swarm_envs.hall.Hall`; see `EnvConfig`."""
 
 
-class TaskViews(NamedTuple, Generic[P]):
-    """The functions that make a task's environment, all with the same options."""
-
-    blueprint: Callable[P, Blueprint]  # Makes what every interface is made from
-    parallel_env: Callable[P, SwarmParallelEnv]
-    """Makes the environment with PettingZoo's parallel interface."""
-    env: Callable[P, AECEnv[str, Any, Any]]  # Makes it with PettingZoo's AEC interface
-
-
-def task_views(options: Callable[P, TaskOptions]) -> TaskViews[P]:
-    """The functions of a task whose options are of a class."""
+def task_views(
+    options: Callable[P, TaskOptions],
+) -> tuple[
+    Callable[P, Blueprint], Callable[P, SwarmParallelEnv], Callable[P, AECEnv[str, Any, Any]]
+]:
+    """The functions of a task whose options are of a class: `blueprint`, `parallel_env`, `env`."""
 
     def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
         """Make what every interface to the task is made from."""
@@ -170,7 +165,9 @@ def task_views(options: Callable[P, TaskOptions]) -> TaskViews[P]:
         """Make the environment with PettingZoo's AEC interface."""
         return OrderEnforcingWrapper(SwarmTurnEnv(parallel_env(*args, **given)))
 
-    return TaskViews(*(_documented(view, options) for view in (blueprint, parallel_env, env)))
+    for view in (blueprint, parallel_env, env):
+        _document(view, options)
+    return blueprint, parallel_env, env
 
 
 _RAISES = """\
@@ -180,7 +177,7 @@ Raises:
     ImportError: `physics="bullet"` without pybullet."""
 
 
-def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> Any:
+def _document(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> None:
     """Give a view the options as its signature, and a docstring that explains each of them.
 
     The reward terms come first, then the task's own options. Types are in the docstring, in words,
@@ -199,7 +196,6 @@ def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> An
     entries = [_entry(table[name]) for name in names]
     parts = [made.__doc__, *_reward_list(options), "", "Args:", *entries, "", _RAISES]
     made.__doc__ = "\n".join(parts)
-    return view
 
 
 def _reward_list(options: object) -> list[str]:

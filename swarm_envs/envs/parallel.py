@@ -143,7 +143,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
                 its bounds. Nothing has changed then.
         """
         if not self.agents:
-            self.check_running("step")
+            self.check_running()
         result, agents = self.core.step(self.join(actions)), self.agents
         over, cut = bool(result.terminated[0] | result.truncated[0]), bool(result.truncated[0])
         infos = infos_by_agent(self.core, self.possible_agents, result, over)
@@ -229,16 +229,16 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         options = (type(self), self.core.task, self.core.config, self.render_mode)
         return _rebuilt, (*options, self.core.get_state())
 
-    def check_running(self, what: str) -> None:
-        """Refuse a call that needs an episode.
+    def check_running(self) -> None:
+        """Refuse a step that needs an episode.
 
         Raises:
             RuntimeError: the environment is closed, or no episode is on.
         """
-        self._check_open(what)
+        self._check_open("step")
         if not self.agents:
             why = "the episode has ended" if self.core.time[0] > 0 else "no episode has begun"
-            raise RuntimeError(f"{what}() was called, but {why}; call reset() first")
+            raise RuntimeError(f"step() was called, but {why}; call reset() first")
 
     def _check_open(self, what: str) -> None:
         if self._closed:
@@ -408,7 +408,7 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
         super().step(action)
 
     def _check(self, agent: str, action: npt.ArrayLike | None) -> None:
-        self.env.check_running("step")
+        self.env.check_running()
         core = self.env.core
         others = np.zeros(core.mode.width, dtype=np.bool_)  # the joined type is the action's own
         actions: dict[str, Any] = dict.fromkeys(self.env.agents, others)

@@ -357,7 +357,7 @@ class Screen:
         task = core.task
         self._camera = Camera(task.team, *_SCREEN)
         self._arena = task.arena
-        self._solids = solids(getattr(task, "obstacles", ()), float(task.arena[1, 2]))
+        self._solids = solids(task.obstacles, float(task.arena[1, 2]))
         self._past: deque[tuple[float, FloatArray]] = deque()
 
     def render(self, view: View) -> npt.NDArray[np.uint8]:

@@ -99,7 +99,7 @@ class LiveViewer:
             "speeds": SPEEDS,
             "solids": [
                 np.round(solid.rings(), 3).tolist()
-                for solid in solids(getattr(core.task, "obstacles", ()), float(arena[1, 2]))
+                for solid in solids(core.task.obstacles, float(arena[1, 2]))
             ],
         }
 

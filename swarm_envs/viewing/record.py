@@ -192,7 +192,7 @@ class Recorder:
             physics=env.physics_name,
             decision_rate=env.core.config.decision_rate,
             arena=tuple(map(tuple, task.arena.tolist())),
-            solids=solids(getattr(task, "obstacles", ()), float(task.arena[1, 2])),
+            solids=solids(task.obstacles, float(task.arena[1, 2])),
             metrics=next((i["episode_metrics"] for i in by_drone if "episode_metrics" in i), {}),
         )
         row = _sample(env)
@@ -216,7 +216,6 @@ class Recorder:
 def _sample(env: SwarmParallelEnv) -> dict[str, Any]:
     view = env.view
     state, contacts = view.state, view.contacts
-    nothing = np.full(len(view.team), -1, dtype=np.int64)
     row = {
         "time": np.float64(view.time),
         "position": state.position,
@@ -230,7 +229,7 @@ def _sample(env: SwarmParallelEnv) -> dict[str, Any]:
         "contact_drone": contacts.drone,
         "contact_floor": contacts.floor,
         "contact_wall": contacts.wall,
-        "contact_obstacle": getattr(contacts, "obstacle", nothing),
+        "contact_obstacle": contacts.obstacle,
         "tumbling": contacts.tumbling,
     }
     return {name: np.array(value) for name, value in row.items()}
