@@ -45,6 +45,11 @@ class Orbit(NamedTuple):
     rate: FloatArray  # (N,) angular rates, rad/s
     phase: FloatArray  # (N,) angles at time zero, rad
 
+    def at(self, angle: FloatArray) -> FloatArray:
+        """Points (N, 3), m, of the ellipses at angles (N,), rad."""
+        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        return np.asarray(self.center + self.first * c + self.second * s)
+
 
 class Placement(NamedTuple):
     """One episode of one environment, as a task draws it."""

@@ -23,13 +23,7 @@ from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Placement, Task
 from swarm_envs.tasks.motion import Motion
 from swarm_envs.tasks.obstacles import Column, Obstacle, buildings
-from swarm_envs.tasks.placing import (
-    ARENA_HEIGHT,
-    OBSTACLE_MARGIN,
-    WALL_MARGIN,
-    arena_of,
-    draw_apart,
-)
+from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, draw_apart, drawing_box
 from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score, send_to
 
@@ -193,10 +187,8 @@ class CrowdTask(Task):
     @cached_property
     def _room(self) -> tuple[FloatArray, FloatArray, float]:
         """Corners of the box of sites, and how far to keep from obstacles, m."""
-        arena = self.arena
-        edge, high = arena[1, 0] - WALL_MARGIN, _HIGHEST * arena[1, 2] / ARENA_HEIGHT
-        low, top = np.array([-edge, -edge, _LOWEST]), np.array([edge, edge, high])
-        return low, top, OBSTACLE_MARGIN + float(self.radius.max())
+        box = drawing_box(self.arena, _LOWEST, _HIGHEST)
+        return *box, OBSTACLE_MARGIN + float(self.radius.max())
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw sites, of which the first goals and the starts are some; what is given is kept.

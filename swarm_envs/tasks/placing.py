@@ -33,6 +33,19 @@ def arena_of(num_drones: int) -> FloatArray:
     return np.array([[-half, -half, 0.0], [half, half, ARENA_HEIGHT]]) * grown
 
 
+def drawing_box(arena: FloatArray, lowest: float, highest: float) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper corner (3,) of the box in which starts and goals are drawn, m.
+
+    Args:
+        arena: (2, 3) corners, m.
+        lowest: least height, m.
+        highest: largest height in an arena 2.5 m high, m; it grows with the arena.
+    """
+    edge = arena[1, 0] - WALL_MARGIN
+    top = highest * arena[1, 2] / ARENA_HEIGHT
+    return np.array([-edge, -edge, lowest]), np.array([edge, edge, top])
+
+
 def check_points(
     name: str,
     points: FloatArray,

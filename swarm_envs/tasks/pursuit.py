@@ -21,7 +21,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Orbit, Placement, Task
 from swarm_envs.tasks.motion import PURSUIT, REST, Motion
-from swarm_envs.tasks.placing import ARENA_HEIGHT, WALL_MARGIN, derangement, draw_apart
+from swarm_envs.tasks.placing import derangement, draw_apart, drawing_box
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score
 
 __all__ = ["PURSUIT_LAYOUTS", "REWARD_WEIGHTS", "Layout", "PursuitTask"]
@@ -124,8 +124,7 @@ class PursuitTask(Task):
         n = len(self.team)
         places = self._places(rng, _ACROSS + _SPARE * (self.layout == "chase"), _UPWARDS)
         orbit = self._orbit(rng, places)
-        first = orbit.center + orbit.first * np.cos(orbit.phase[0])
-        first = first + orbit.second * np.sin(orbit.phase[0])
+        first = orbit.at(orbit.phase)
         start = first if start is None else start
         if self.layout == "moving":
             return Placement(start, first[None], orbit=orbit)
@@ -161,10 +160,8 @@ class PursuitTask(Task):
         """Points (N, 3) that stay in the arena when they are moved so far, m."""
         if given is not None:
             return given
-        edge = float(self.arena[1, 0]) - WALL_MARGIN - across
-        top = _HIGHEST * float(self.arena[1, 2]) / ARENA_HEIGHT - upwards
-        low, high = (-edge, -edge, _LOWEST + upwards), (edge, edge, top)
-        return draw_apart(rng, low, high, len(self.team), self.spacing_m)
+        (low, high), moved = drawing_box(self.arena, _LOWEST, _HIGHEST), (across, across, upwards)
+        return draw_apart(rng, low + moved, high - moved, len(self.team), self.spacing_m)
 
     def _orbit(self, rng: np.random.Generator, places: FloatArray) -> Orbit:
         """The same ellipse for all, about their places, at a drawn speed and either way round."""

@@ -262,21 +262,15 @@ class RingTask(Task):
         """Draw how far the team is ahead; a start that is given is flown from to the rings."""
         lead = rng.uniform(*self.layout.lead_s)
         orbit = self.orbit._replace(phase=self.orbit.phase + self.orbit.rate * lead)
-        on_ring = points_at(orbit, orbit.phase)
+        on_ring = orbit.at(orbit.phase)
         return Placement(on_ring if start is None else start, on_ring[None], 0.0, orbit)
 
     def _check_arena(self) -> None:
         for angle in np.linspace(0.0, 2 * np.pi, 24, endpoint=False):
-            points = points_at(self.orbit, np.full(len(self.team), angle))
+            points = self.orbit.at(np.full(len(self.team), angle))
             low, high = points - self.radius[:, None], points + self.radius[:, None]
             if (low < self.arena[0]).any() or (high > self.arena[1]).any():
                 raise ValueError(
                     f"rings of {self.layout} reach out of the arena of {self.arena[1]} m; make "
                     "them smaller or change height_m"
                 )
-
-
-def points_at(orbit: Orbit, angle: FloatArray) -> FloatArray:
-    """Points (N, 3), m, of the ellipses at angles (N,), rad."""
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    return np.asarray(orbit.center + orbit.first * c + orbit.second * s)

@@ -28,11 +28,11 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.placing import (
-    ARENA_HEIGHT,
     OBSTACLE_MARGIN,
     WALL_MARGIN,
     derangement,
     draw_apart,
+    drawing_box,
 )
 from swarm_envs.vehicles import Team
 
@@ -205,9 +205,8 @@ class SwapTask(Task):
     def _box(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """Corners of the box of random starts, m; the obstacles, how far to keep from them, m."""
         rows, radius, arena = self._kept
-        edge, ceiling = arena[1, 0] - WALL_MARGIN, self.heights_m[1] * arena[1, 2] / ARENA_HEIGHT
-        low, high = np.array([-edge, -edge, self.heights_m[0]]), np.array([edge, edge, ceiling])
-        return low, high, rows, OBSTACLE_MARGIN + float(radius.max())
+        box = drawing_box(arena, *self.heights_m)
+        return *box, rows, OBSTACLE_MARGIN + float(radius.max())
 
 
 def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -> FloatArray:
