@@ -36,9 +36,9 @@ if sys.platform == "linux":
     from swarm_envs.commands.grading import confinement, remote
     from swarm_envs.commands.grading.confinement import Protections
     from swarm_envs.commands.grading.copies import copied_acts, copied_forces
+    from swarm_envs.commands.grading.grades import cell, printable
     from swarm_envs.commands.grading.messages import BadMessage, Channel, TooLate
     from swarm_envs.commands.grading.remote import opened
-    from swarm_envs.commands.grading.text import cell, printable
 
 PACKAGE = Path(swarm_envs.__file__).parent
 STARTERS = PACKAGE / "assignments"

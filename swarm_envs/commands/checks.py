@@ -167,11 +167,11 @@ def check_inputs(options: Any) -> None:
                 read(value)
 
 
-def need_torch(extra: str = "train") -> None:
+def need_torch() -> None:
     """Refuse to train where torch is not installed."""
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
-            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
+            "training needs torch; install it by: pip install 'swarm-envs[train]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
 

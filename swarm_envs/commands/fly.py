@@ -122,6 +122,8 @@ class FlyOptions(EpisodeOptions):
 
 def run_fly(options: FlyOptions) -> None:
     """Fly, print and write."""
+    from swarm_envs.agents.recommendation import AVOIDS
+
     files = output_files(options, _FILES)
     for option in [name for name in files if getattr(options, name) is None]:  # of --out
         try:
@@ -142,8 +144,8 @@ def run_fly(options: FlyOptions) -> None:
     with closing(env):
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
-    if options.obstacles and options.agent is None:
-        _note_obstacles(name)
+    if options.obstacles and options.agent is None and name not in AVOIDS:
+        print(f"note: {name} was measured without obstacles, and may fly into them")
     _write_files(files, recording)
 
 
@@ -299,14 +301,6 @@ def _print_summary(recording: Recording, agent: Agent) -> None:
         print("note: this agent sees the true state")
     if others := _unmeasured(recording, agent):
         print(f"note: {about.agent} was not trained with vehicles {', '.join(others)}")
-
-
-def _note_obstacles(best: str) -> None:
-    """Say so if the best agent for a task does not avoid obstacles."""
-    from swarm_envs.agents.recommendation import AVOIDS
-
-    if best not in AVOIDS:
-        print(f"note: {best} was measured without obstacles, and may fly into them")
 
 
 def _unmeasured(recording: Recording, agent: Agent) -> list[str]:

@@ -19,7 +19,13 @@ from typing import Annotated, Any
 from swarm_envs.arguments import POSITIVE_S, Count, Seed
 from swarm_envs.assignments import ASSIGNMENTS, Assignment, AssignmentName
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
-from swarm_envs.commands.grading.grades import Grade, grade_table, write_feedback, write_grades
+from swarm_envs.commands.grading.grades import (
+    Grade,
+    grade_table,
+    printable,
+    write_feedback,
+    write_grades,
+)
 
 
 @command_options
@@ -147,8 +153,6 @@ def _write(options: GradeOptions, grades: list[Grade]) -> None:
 
 def _grade(work: str, works: list[str], options: GradeOptions, assignment: Assignment) -> Grade:
     """Grade one work; whatever goes wrong with it is its own."""
-    from swarm_envs.commands.grading.text import printable
-
     name, report = printable(work), _report(work, works, options, assignment)
     error, value = printable(report.get("error", "")), report.get(assignment.metric)
     points = 0.0 if error else assignment.points(report)

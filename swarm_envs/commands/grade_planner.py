@@ -86,7 +86,8 @@ def fly_scenario(
         plans = np.stack([_plan(planner, *given) for planner, *given in asked])
         ages[ages >= 0.0] += 1.0
         reaches = rng.random((DRONES, DRONES)) >= scenario.loss
-        heard[reaches] = np.broadcast_to(_announced(state, plans), heard.shape)[reaches]
+        announced = [positions_of(own, plan) for own, plan in zip(state, plans, strict=True)]
+        heard[reaches] = np.broadcast_to(announced, heard.shape)[reaches]
         ages[reaches] = 1.0
         least = min(least, _least_distance(state, plans[:, 0]))
         state = _after(state, plans[:, 0], ROUND_S)
@@ -119,11 +120,6 @@ def _plan(planner: RemoteWork, *given: FloatArray) -> FloatArray:
             f"most {MAX_ACCELERATION:g}"
         )
     return plan
-
-
-def _announced(state: FloatArray, plans: FloatArray) -> FloatArray:
-    """(N, HORIZON, 3) positions that the drones' plans lead through."""
-    return np.stack([positions_of(own, plan) for own, plan in zip(state, plans, strict=True)])
 
 
 def _after(state: FloatArray, acceleration: FloatArray, seconds: float) -> FloatArray:

@@ -130,8 +130,10 @@ def _fly_parts(
         )
     write_json(note, about)
     seeds = frozen_seeds(options.seed, options.flights)
-    size = min(_at_once(env), len(seeds)) if flies_batches(env, agent) else 1
-    files, core = [], env.core
+    files, core, size = [], env.core, 1
+    if flies_batches(env, agent):
+        rows = env.view.horizon_s * core.config.decision_rate * core.num_drones
+        size = min(int(np.clip(_ROWS_AT_ONCE // rows, 1, _MOST_AT_ONCE)), len(seeds))
     with tqdm(total=len(seeds), desc=options.agent[-30:], unit="flight", mininterval=0.5) as bar:
         for first in range(0, len(seeds), size):
             chunk = seeds[first : first + size]
@@ -143,12 +145,6 @@ def _fly_parts(
                     np.savez(partial, **_fly(env, agent, core, chunk))
             bar.update(len(chunk))
     return files
-
-
-def _at_once(env: SwarmParallelEnv) -> int:
-    """How many flights a part has."""
-    decisions = env.view.horizon_s * env.core.config.decision_rate
-    return int(np.clip(_ROWS_AT_ONCE // (decisions * env.core.num_drones), 1, _MOST_AT_ONCE))
 
 
 def _fly(env: SwarmParallelEnv, agent: Any, core: SwarmCore, seeds: Sequence[int]) -> Part:

@@ -2,5 +2,5 @@
 
 Order of reading: `messages` (what passes between grader and work), `confinement` (what the work's
 process may do), `child` (what runs there), `remote` (the work as an agent of the grader), `copies`
-(included agents, recognised), `text` (what is printed of submissions' messages).
+(included agents, recognised), `grades` (the table and its files).
 """

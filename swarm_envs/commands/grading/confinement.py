@@ -38,9 +38,8 @@ _ON_FILES = (1 << 0) | (1 << 1) | (1 << 2) | (1 << 14)
 _SIGNALS_STAY = 6  # the version of Landlock from which on signals do not leave it
 _MANY_PIDS = 301  # the system itself keeps the first 300
 _NOBODY = 65534
-_PIPE = (
-    1 << 20
-)  # bytes that a pipe holds: with fewer, grader and work wait for each other more often
+_PIPE = 1 << 20
+"""Bytes that a pipe holds: with fewer, grader and work wait for each other more often."""
 _MOUNT_SETATTR, _BIND, _WITH_ALL_BELOW = 442, 4096, 16384  # of mount_setattr(2) and mount(2)
 _SECCOMP = 22  # of prctl(2)
 _MACHINES = {
@@ -97,15 +96,12 @@ class Protections(NamedTuple):
             found.append(f"it can read {whose}")
         if self.can_rename:
             found.append("it can rename and remove this user's files, and so ruin the system")
-        if LINUX and os.getuid() == 0 and self.user is None and not self._few_processes:
+        few_processes = self.own_processes and _pids_can_be_few()
+        if LINUX and os.getuid() == 0 and self.user is None and not few_processes:
             found.append("it can start any number of processes, as root")
         if not LINUX:
             found.append("what it began may outlive it in a session of its own")
         return found
-
-    @property
-    def _few_processes(self) -> bool:
-        return self.own_processes and _pids_can_be_few()
 
 
 @cache

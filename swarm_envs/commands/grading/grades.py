@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import statistics
 from collections.abc import Sequence
@@ -10,11 +9,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarm_envs.assignments import Assignment
-from swarm_envs.commands.grading.text import cell
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.files import write_json, write_table
 
 if TYPE_CHECKING:
     from swarm_envs.viewing import Recording
+
+LONGEST = 500  # Characters that are kept of a submission's message
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+
+
+def printable(words: str) -> str:
+    """Words on one line: control characters as escapes, and no more of them than `LONGEST`."""
+    letters = [c if c.isprintable() else ascii(c)[1:-1] for c in words[: LONGEST + 1]]
+    shown = "".join(letters)
+    return shown if len(shown) <= LONGEST else shown[: LONGEST - 1] + "…"
+
+
+def cell(words: str) -> str:
+    """Words that no spreadsheet takes for a formula, as OWASP says of CSV injection."""
+    return f"'{words}" if words.startswith(_FORMULAS) else words
 
 
 class Grade(NamedTuple):
@@ -57,11 +70,18 @@ def write_grades(path: Path, name: str, assignment: Assignment, grades: Sequence
     if path.suffix == ".json":
         write_json(path, [_nbgrader_row(name, grade) for grade in grades])
         return
-    with written_whole(path) as whole, whole.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["work", "points", assignment.metric, "error", "privileged", "copied"])
-        for work, points, value, error, privileged, copied, _ in grades:
-            writer.writerow([cell(work), points, value, cell(error), privileged, copied])
+    write_table(path, [_table_row(assignment, grade) for grade in grades])
+
+
+def _table_row(assignment: Assignment, grade: Grade) -> dict[str, Any]:
+    return {
+        "work": cell(grade.work),
+        "points": grade.points,
+        assignment.metric: grade.value,
+        "error": cell(grade.error),
+        "privileged": grade.privileged,
+        "copied": grade.copied,
+    }
 
 
 def _nbgrader_row(name: str, grade: Grade) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from swarm_envs.commands.grading.confinement import (
     probe,
     tasks_of,
 )
+from swarm_envs.commands.grading.grades import printable
 from swarm_envs.commands.grading.messages import Array, BadMessage, Channel, TooLate
-from swarm_envs.commands.grading.text import printable
 from swarm_envs.compiled import kernel_folder
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
