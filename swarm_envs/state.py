@@ -90,12 +90,11 @@ class Parameters(NamedTuple):
         return Parameters(*(array.copy() for array in self))
 
 
-def parameters(team: Sequence[Vehicle], num_envs: int = 1) -> Parameters:
-    """Nominal parameters of a team, the same in every environment."""
+def parameters(team: Sequence[Vehicle]) -> Parameters:
+    """Nominal parameters of a team, (N, ...) each."""
 
     def table(values: Sequence[object]) -> FloatArray:
-        row = np.array(values, dtype=np.float64)
-        return np.repeat(row[None], num_envs, axis=0)
+        return np.array(values, dtype=np.float64)
 
     return Parameters(
         mass=table([v.mass for v in team]),

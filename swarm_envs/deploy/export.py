@@ -231,8 +231,6 @@ def _notes(flight: Flight, drones: Sequence[DroneReport]) -> list[str]:
     return notes
 
 
-REPORT = "report.json"  # Name of the file with everything but the trajectories
-PICTURE = "paths.png"  # Name of the picture
 SAMPLE_COLUMNS = ("time", *"xyz", "vx", "vy", "vz", "ax", "ay", "az", "yaw")
 """Of the sampled files: s, m, m/s, m/s^2, rad."""
 Tolerance = Annotated[float, POSITIVE_M]
@@ -297,8 +295,8 @@ def export_flight(
         for name, pieces in zip(flight.names, fitted, strict=True):
             write_pieces(out / f"{name}.csv", pieces)
             _write_samples(out / f"{name}_samples.csv", pieces, rate)
-        _plot(out / PICTURE, flight, fitted, found)
-        write_json(out / REPORT, {"source": dict(source or {}), **report_content(found)})
+        _plot(out / "paths.png", flight, fitted, found)
+        write_json(out / "report.json", {"source": dict(source or {}), **report_content(found)})
     return found
 
 

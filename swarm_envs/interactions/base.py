@@ -137,7 +137,8 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
     if text == "wake":
         return InteractionModel("wake", *load_wake())
     if text in MODELS:
-        with resources.as_file(_shipped(f"{text}.safetensors")) as path:
+        weights = resources.files("swarm_envs.interactions").joinpath("weights")
+        with resources.as_file(weights.joinpath(f"{text}.safetensors")) as path:
             return InteractionModel(text, *load_weights(path))
     if text.endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
@@ -145,7 +146,3 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
         valid = (*MODELS, "a path that ends in .safetensors or .json")
         raise ValueError(unknown_name("interaction model", text, valid))
     return InteractionModel(text, *load_weights(Path(text)))
-
-
-def _shipped(file: str) -> Any:
-    return resources.files("swarm_envs.interactions").joinpath("weights").joinpath(file)

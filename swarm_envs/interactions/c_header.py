@@ -32,7 +32,7 @@ from swarm_envs.interactions.field import (
     ForceField,
 )
 from swarm_envs.interactions.forces import all_forces
-from swarm_envs.interactions.packed import layers_of, packed
+from swarm_envs.interactions.packed import layers_of, packed, widths_of
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -82,7 +82,7 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
 def _networks(name: str, field: ForceField) -> list[str]:
     """Initialisers of all networks, in the order of the field."""
     return [
-        f"{{{name}_weights_{n}, {name}_widths_{n}, {len(_widths(field, n)) - 1}}}"
+        f"{{{name}_weights_{n}, {name}_widths_{n}, {len(widths_of(field, n)) - 1}}}"
         for n in range(len(field.layout))
     ]
 
@@ -93,7 +93,7 @@ def _deep_set_words(name: str, field: ForceField) -> dict[str, str]:
         "phi": ",\n    ".join(networks[:kinds]),
         "environment": networks[kinds],
         "rho": ",\n    ".join(networks[kinds + 1 :]),
-        "hidden": str(_widths(field, 0)[-1]),
+        "hidden": str(widths_of(field, 0)[-1]),
     }
 
 
@@ -129,14 +129,14 @@ def _costs(field: ForceField) -> list[str]:
     """What an evaluation takes."""
     kinds = len(field.drag)
     products = [
-        sum(a * b for a, b in pairwise(_widths(field, n))) for n in range(len(field.layout))
+        sum(a * b for a, b in pairwise(widths_of(field, n))) for n in range(len(field.layout))
     ]
     if field.kind == COMPOSED:
         pair, own = max(products[: kinds * kinds]), max(products[kinds * kinds :])
         codes = 0
     else:
         pair, own = max(products[:kinds]), products[kinds] + max(products[kinds + 1 :])
-        codes = 2 * _widths(field, 0)[-1]
+        codes = 2 * widths_of(field, 0)[-1]
     once = f"{own} for the drone itself"
     if field.anchor_height > 0.0:
         where = f"none at {field.anchor_height:g} m and above"
@@ -149,12 +149,8 @@ def _costs(field: ForceField) -> list[str]:
     ]
 
 
-def _widths(field: ForceField, n: int) -> list[int]:
-    return [int(width) for width in field.layout[n, 1 : field.layout[n, 0] + 2]]
-
-
 def _widest(field: ForceField) -> int:
-    return max(max(_widths(field, n)) for n in range(len(field.layout)))
+    return max(max(widths_of(field, n)) for n in range(len(field.layout)))
 
 
 def _tables(name: str, field: ForceField) -> list[str]:
@@ -175,7 +171,7 @@ def _tables(name: str, field: ForceField) -> list[str]:
             array_definition(f"{name}_own_units", np.array(UNITS_OF_OWN)),
         ]
     for n in range(len(field.layout)):
-        widths = ", ".join(map(str, _widths(field, n)))
+        widths = ", ".join(map(str, widths_of(field, n)))
         tables.append(f"static const int {name}_widths_{n}[] = {{{widths}}};")
         tables.append(array_definition(f"{name}_weights_{n}", _by_output(field, n)))
     return tables

@@ -125,9 +125,15 @@ def _filled(count: int, multiple: int) -> int:
     return -(-count // multiple) * multiple
 
 
+def widths_of(field: ForceField, n: int) -> list[int]:
+    """Numbers of inputs of network `n`, then of outputs of each of its layers."""
+    widths: list[int] = field.layout[n, 1 : 2 + field.layout[n, 0]].tolist()
+    return widths
+
+
 def _shape(field: ForceField, n: int) -> tuple[list[int], list[int]]:
     """Numbers of inputs and outputs of each layer of network `n`, filled up."""
-    widths = [int(width) for width in field.layout[n, 1 : 2 + field.layout[n, 0]]]
+    widths = widths_of(field, n)
     inputs = [_filled(width, INPUTS) for width in widths]  # the last: as if a layer followed
     units = [_filled(max(w, i), OUTPUTS) for w, i in zip(widths[1:], inputs[1:], strict=True)]
     return inputs[:-1], units
@@ -198,11 +204,8 @@ def _sorted_layers(
 
 def layers_of(field: ForceField, n: int) -> list[tuple[Numbers, Numbers]]:
     """Matrix (inputs, outputs) and bias of each layer of network `n`, copied."""
-    depth, layers = int(field.layout[n, 0]), []
-    starts = field.layout[n, field.layout.shape[1] // 2 + 1 :]
-    for (inputs, outputs), start in zip(
-        pairwise(field.layout[n, 1 : 2 + depth].tolist()), starts.tolist(), strict=False
-    ):
+    starts, layers = field.layout[n, field.layout.shape[1] // 2 + 1 :], []
+    for (inputs, outputs), start in zip(pairwise(widths_of(field, n)), starts.tolist()):
         bias = start + inputs * outputs
         matrix = field.weights[start:bias].reshape(inputs, outputs)
         layers.append((matrix.copy(), field.weights[bias : bias + outputs].copy()))

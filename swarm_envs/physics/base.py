@@ -223,11 +223,10 @@ class Physics:
         areas = np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team])
         code = [[float(vehicle.token == token) for token in tokens] for vehicle in team]
         bound = [self._bounds_g.get(vehicle.token, np.inf) * GRAM_FORCE for vehicle in team]
-        nominal_values = {name: getattr(nominal, name)[0] for name in _NOMINAL}
         return {
-            **{name: array[0] for name, array in zip(nominal._fields, nominal, strict=True)},
-            **{f"nominal_{name}": array for name, array in nominal_values.items()},
-            "nominal_motor_decay": np.exp(-nominal.motor_rate[0] * self.settings["step"][0]),
+            **nominal._asdict(),
+            **{f"nominal_{name}": getattr(nominal, name) for name in _NOMINAL},
+            "nominal_motor_decay": np.exp(-nominal.motor_rate * self.settings["step"][0]),
             **self._battery.of_team(team),
             "type": self.interactions.type_indices(team),
             "feedforward_type": self.feedforward.type_indices(team),

@@ -68,6 +68,14 @@ class Choreography:
         return float(speeds), float(accelerations)
 
 
+def between(times: FloatArray, values: FloatArray, at: FloatArray | float) -> FloatArray:
+    """Values (L, ...) that are known at times (L,), s, at others: linear, constant outside."""
+    k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+    share = np.clip((at - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
+    share = np.reshape(share, np.shape(share) + (1,) * (values.ndim - 1))
+    return np.asarray((1.0 - share) * values[k] + share * values[k + 1])
+
+
 def joined(parts: Sequence[Choreography]) -> Choreography:
     """Paths one after another; each begins where the last one ends."""
     ends = np.cumsum([0.0, *(part.duration_s for part in parts)])

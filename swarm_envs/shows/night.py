@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, maximum_filter1d
 
+from swarm_envs.shows.choreography import between
 from swarm_envs.state import FloatArray
 
 __all__ = ["FPS", "count_show_frames", "film_lights"]
@@ -135,9 +136,9 @@ def film_lights(
     faded = np.zeros_like(sky)
     for k in range(count_show_frames(float(times[-1]))):
         now = k / FPS
-        place, light = (_between(times, array, now) for array in (positions, colors))
+        place, light = (between(times, array, now) for array in (positions, colors))
         sway = _SWAY * math.sin(2 * math.pi * now / _SWAY_S)
-        height, distance = _between(times, views, now)
+        height, distance = between(times, views, now)
         audience = Audience(float(height), float(distance), sway)
         pixels, depth = audience.project(place)
         light = light * np.clip(audience.distance / depth, 0.3, 2.0)[:, None] ** 1.5
@@ -147,13 +148,6 @@ def film_lights(
         soft = _HALO * _glow(pixels, light, (2.5, 2.5))
         soft += _WATER * _HALO * _glow(mirrored, light, (3.5, 0.9))
         yield _developed(sky + faded + _enlarged(soft))
-
-
-def _between(times: FloatArray, array: FloatArray, now: float) -> FloatArray:
-    """An array (T, ...) at a time, linear between samples."""
-    k = int(np.clip(np.searchsorted(times, now, side="right") - 1, 0, len(times) - 2))
-    share = min(max((now - times[k]) / (times[k + 1] - times[k]), 0.0), 1.0)
-    return np.asarray((1.0 - share) * array[k] + share * array[k + 1])
 
 
 def _developed(image: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:

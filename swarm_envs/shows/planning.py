@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from swarm_envs.shows.choreography import Choreography, hold, joined
+from swarm_envs.shows.choreography import Choreography, between, hold, joined
 from swarm_envs.shows.formations import Formation, Room
 from swarm_envs.shows.transitions import Pace, Transition, assigned, labelled
 from swarm_envs.state import FloatArray
@@ -35,10 +35,7 @@ class Show:
 
     def colors(self, times: FloatArray) -> FloatArray:
         """(T, N, 3) colours at times (T,), s."""
-        known = self.light_times
-        k = np.clip(np.searchsorted(known, times, side="right") - 1, 0, len(known) - 2)
-        share = np.clip((times - known[k]) / (known[k + 1] - known[k]), 0.0, 1.0)[:, None, None]
-        return np.asarray((1 - share) * self.light_colors[k] + share * self.light_colors[k + 1])
+        return between(self.light_times, self.light_colors, times)
 
     def facts(self) -> dict[str, Any]:
         """What was planned, as JSON has it."""
