@@ -304,7 +304,6 @@ def test_the_readme_s_first_program_succeeds(capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().out.startswith("True ")
 
 
-ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
 OUTPUTS = {"stream", "execute_result", "display_data"}
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.helpers.imports import ROOT
 from tests.helpers.scenarios import SCENARIOS
-
-ROOT = Path(__file__).parent.parent
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -187,11 +187,6 @@ def test_same_bytes_in_another_process():
     assert done.stdout.split("\n")[:-1] == digests()
 
 
-def good(step: int) -> list[np.ndarray]:
-    rng = np.random.default_rng(step)
-    return list(rng.uniform(-0.3, 0.3, (3, 3)).astype(np.float32))
-
-
 def check_refused(
     face: Face,
     call: Callable[[Any], object],
@@ -203,11 +198,11 @@ def check_refused(
     env, other = (face.begin(**options) for _ in range(2))
     with pytest.raises(error, match=message):
         call(env)
-    rows = good(0)
+    rows = actions_at(0)
     if face.name == "turns":  # those before the bad one have decided well
         rows = rows[env.agents.index(env.agent_selection) :]
     face.step(env, rows)
-    face.step(other, good(0))
+    face.step(other, actions_at(0))
     assert everything(env) == everything(other)
     states = [core_of(each).generators[0].bit_generator.state for each in (env, other)]
     assert states[0] == states[1]
@@ -225,7 +220,7 @@ def check_refused(
 )
 def test_bad_actions(face, row, message):
     """Refused, naming the drone, its environment and the rule."""
-    rows = good(0)
+    rows = actions_at(0)
     rows[1] = row
     message = message.format("drone_1" + face.place)
     check_refused(face, lambda env: face.step(env, rows), message)

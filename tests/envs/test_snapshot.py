@@ -28,31 +28,39 @@ from tests.helpers.frozen import EVERYTHING
 TEAM = "LS*S"  # Who flies the first episode; then the constructor's team does
 ACTIONS = ("acceleration", "velocity", "ctbr", "rotors", "setpoint")
 
+PLAIN: dict[str, Any] = {"end_on_success": False}
+LOADED: dict[str, Any] = PLAIN | {
+    "randomization": EVERYTHING,
+    "battery": BatteryModel(),
+    "controller": ControllerConfig(feedforward=load("wake")),
+    "force_bounds_g": {"S": 1.0, "L": 2.0},
+}
+
 
 def flying(engine: str, action: str = "acceleration", **options: object) -> SwarmParallelEnv:
     env = swap_v0.parallel_env(
         team="SLS",
         physics=engine,
         action=action,
-        randomization=EVERYTHING,
-        battery=BatteryModel(),
-        controller=ControllerConfig(feedforward=load("wake")),
-        end_on_success=False,
         horizon_s=1.0,
         force_rate=80,
-        **options,  # type: ignore[arg-type]
+        **(LOADED | options),
     )
     env.reset(seed=3, options={"team": TEAM})
     fly(env, np.random.default_rng(1), 20)
     return env
 
 
-def fly(env: SwarmParallelEnv, rng: np.random.Generator, steps: int) -> list[object]:
-    """Step at random, into a new episode where one ends; what came out, as bytes and numbers."""
+def fly(
+    env: SwarmParallelEnv, rng: np.random.Generator, steps: int, on: bool = True
+) -> list[object]:
+    """Step at random; what came out, as bytes and numbers. If `on`, new episodes are begun."""
     out: list[object] = []
     middle = {"ctbr": [-0.1, 0.0, 0.0, 0.0], "rotors": [0.05] * 4}.get(env.core.mode.name, [0.0])
     for _ in range(steps):
         if not env.agents:
+            if not on:
+                break
             env.reset()
         actions = {
             agent: np.clip(middle + 0.1 * rng.standard_normal(env.action_space(agent).shape), -1, 1)
@@ -63,7 +71,7 @@ def fly(env: SwarmParallelEnv, rng: np.random.Generator, steps: int) -> list[obj
                 actions[agent][:3] += env.view.state.position[i]
         observations, *rest = env.step(actions)
         out += [row.tobytes() for row in observations.values()] + [repr(rest)]
-    return [*out, env.state().tobytes()]
+    return [*out, env.state().tobytes(), env.core.metrics()]
 
 
 def restored(env: SwarmParallelEnv) -> SwarmParallelEnv:
@@ -140,13 +148,6 @@ def test_a_closed_environment_has_no_state():
             call()
 
 
-PLAIN: dict[str, Any] = {"end_on_success": False}
-LOADED: dict[str, Any] = PLAIN | {
-    "randomization": EVERYTHING,
-    "battery": BatteryModel(),
-    "controller": ControllerConfig(feedforward=load("wake")),
-    "force_bounds_g": {"S": 1.0, "L": 2.0},
-}
 FLOWN: list[tuple[str, dict[str, Any], str, str]] = [
     ("swap_v0", {"layout": "random"}, "SLSS*", "LSS*L"),
     ("swap_v0", {"layout": "stacked"}, "SSS", "LSL"),
@@ -160,16 +161,7 @@ FLOWN: list[tuple[str, dict[str, Any], str, str]] = [
 
 def flight(env: SwarmParallelEnv, steps: int = 40) -> list[object]:
     """What an environment that was just reset gives, in bytes and numbers, until it ends."""
-    rng, out = np.random.default_rng(0), []
-    hover = {"ctbr": [-0.1, 0, 0, 0], "rotors": [0.1] * 4}.get(env.core.mode.name, [0.0] * 3)
-    for _ in range(steps):
-        if not env.agents:
-            break
-        shape = env.core.mode.width
-        actions = {a: hover + 0.3 * rng.uniform(-1.0, 1.0, shape) for a in env.agents}
-        observations, *rest = env.step(actions)
-        out += [row.tobytes() for row in observations.values()] + [repr(rest)]
-    return [*out, env.state().tobytes(), env.core.metrics()]
+    return fly(env, np.random.default_rng(0), steps, on=False)
 
 
 @pytest.mark.parametrize("extra", [PLAIN, LOADED], ids=["plain", "everything"])

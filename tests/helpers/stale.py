@@ -107,26 +107,14 @@ PRODUCTS = {
         (LEARNED,),
         "the commands in agents/weights/MODEL_CARD.md",
     ),
-    "gates-dagger": Product(
-        ("agents/weights/gates-dagger.safetensors",),
-        (LEARNED, BELIEF),
-        "the command in agents/weights/MODEL_CARD.md",
-    ),
-    "stack-dagger": Product(
-        ("agents/weights/stack-dagger.safetensors",),
-        (LEARNED, BELIEF),
-        "the command in agents/weights/MODEL_CARD.md",
-    ),
-    "mixed-dagger": Product(
-        ("agents/weights/mixed-dagger.safetensors",),
-        (LEARNED, BELIEF),
-        "the command in agents/weights/MODEL_CARD.md",
-    ),
-    "sprint-dagger": Product(
-        ("agents/weights/sprint-dagger.safetensors",),
-        (LEARNED, BELIEF),
-        "the command in agents/weights/MODEL_CARD.md",
-    ),
+    **{
+        name: Product(
+            (f"agents/weights/{name}.safetensors",),
+            (LEARNED, BELIEF),
+            "the command in agents/weights/MODEL_CARD.md",
+        )
+        for name in ("gates-dagger", "stack-dagger", "mixed-dagger", "sprint-dagger")
+    },
     "delivery-dagger": Product(
         ("agents/weights/delivery-dagger.safetensors",),
         (LEARNED,),

@@ -26,9 +26,9 @@ from typing import Any
 from tqdm import tqdm
 
 from swarm_envs.files import write_json
-from tests.packaging.installation import Failed, Installation, ours
+from tests.packaging.installation import ROOT, Failed, Installation, ours
 from tests.packaging.rows import ROWS
-from tests.packaging.steps import ROOT, STEPS
+from tests.packaging.steps import STEPS
 
 Result = dict[str, Any]
 

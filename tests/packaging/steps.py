@@ -7,9 +7,8 @@ import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from tests.packaging.installation import Installation
+from tests.packaging.installation import ROOT, Installation
 
-ROOT = Path(__file__).parents[2]
 INSIDE = Path(__file__).parent / "inside"
 TESTS = (
     "physics/test_rigid_body.py",

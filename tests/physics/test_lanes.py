@@ -53,41 +53,26 @@ def blocks() -> Any:
     return memory
 
 
-@pytest.mark.parametrize("part", [spin_rotors, integrate, see])
-def test_the_body_is_vector_instructions(part):
-    packed, scalar = instructions(part, blocks(), 2)
-    assert packed >= 15
-    assert scalar <= 0.02 * packed
+SETTINGS, ONES = np.zeros(1, SETTINGS_TYPE), np.ones(1, SETTINGS_TYPE)
 
 
-@pytest.mark.parametrize("part", [hold_rates, touch])
-def test_rates_and_walls_are_vector_instructions(part):
-    packed, scalar = instructions(part, blocks(), 2, np.zeros(1, SETTINGS_TYPE))
-    assert packed >= 15
-    assert scalar <= 0.1 * packed
-
-
-@pytest.mark.parametrize("adaptive", [None, True])
-def test_the_tracking_loop_is_vector_instructions(adaptive):
-    """But for the yaw: sine and cosine, which are left out where no set-point yaws."""
-    packed, scalar = instructions(track, blocks(), 2, np.zeros(1, SETTINGS_TYPE), adaptive)
-    assert packed >= 15
-    assert scalar <= 0.1 * packed
-
-
-@pytest.mark.parametrize("part", [find_residual, filter_residual, learn_last_layer])
-def test_adaptation_is_vector_instructions(part):
-    packed, scalar = instructions(part, blocks(), 2, np.zeros(1, SETTINGS_TYPE))
-    assert packed >= 15
-    assert scalar <= 0.1 * packed
-
-
-def test_the_hall_is_vector_instructions_random_numbers_included():
-    settings = np.ones(1, SETTINGS_TYPE)
-    for part, given in ((disturb, (settings, True)), (estimate, (settings,))):
-        packed, scalar = instructions(part, blocks(), 2, *given)
-        assert packed >= 30
-        assert scalar <= 0.15 * packed
+@pytest.mark.parametrize(
+    ("part", "given", "least", "scalar_share"),
+    [
+        *((part, (), 15, 0.02) for part in (spin_rotors, integrate, see)),
+        *((part, (SETTINGS,), 15, 0.1) for part in (hold_rates, touch)),
+        # But for the yaw: sine and cosine, which are left out where no set-point yaws.
+        *((track, (SETTINGS, adaptive), 15, 0.1) for adaptive in (None, True)),
+        *((part, (SETTINGS,), 15, 0.1) for part in (find_residual, filter_residual)),
+        (learn_last_layer, (SETTINGS,), 15, 0.1),
+        (disturb, (ONES, True), 30, 0.15),  # random numbers included
+        (estimate, (ONES,), 30, 0.15),
+    ],
+)
+def test_loops_over_lanes_are_vector_instructions(part, given, least, scalar_share):
+    packed, scalar = instructions(part, blocks(), 2, *given)
+    assert packed >= least
+    assert scalar <= scalar_share * packed
 
 
 def test_pairs_of_environments_are_compared_side_by_side():
