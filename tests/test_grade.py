@@ -31,21 +31,16 @@ from swarm_envs.commands.grading.copies import bare_source, copied_files
 from swarm_envs.commands.grading.grades import Grade, write_feedback
 from swarm_envs.commands.grading.remote import WorkFailed, opened
 from swarm_envs.training.interaction_rows import save_rows
+from tests.helpers.users_agents import FINE
 from tests.helpers.wake_rows import wake_rows
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes")
 STARTERS = Path(__file__).parent.parent / "swarm_envs" / "assignments"
 SOLUTIONS = Path(__file__).parent / "solutions"
 
-WORK = """
-import os, time
-import numpy as np
-class Fine:
-    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
-    def reset(self, env, seed): pass
-    def act(self, observations, view):
-        return {name: self.say() for name in observations}
-    def say(self): return np.zeros(3, np.float32)
+WORK = (
+    f"import os, time{FINE}"
+    + """
 class Nan(Fine):
     def say(self): return np.full(3, np.nan)
 class Dies(Fine):
@@ -60,6 +55,7 @@ class Sums:
 class Short(Sums):
     def predict(self, rows): return [1.0]
 """
+)
 
 
 @pytest.fixture

@@ -368,11 +368,9 @@ def test_the_option_is_read_by_name_and_by_numbers():
 MANY = 400
 
 
-def randomized(ranges: Randomization | None, num_envs: int = MANY, **options: object) -> SwarmCore:
-    config = EnvConfig(physics="batch", randomization=ranges, **options)  # type: ignore[arg-type]
-    made = SwarmCore(SwapTask(parse_team("SL"), "stacked"), config, num_envs)
-    made.reset(list(range(num_envs)))
-    return made
+def randomized(ranges: Randomization | None, num_envs: int = MANY, **options: Any) -> SwarmCore:
+    given = {"interactions": "learned", "randomization": ranges, **options}
+    return core("ideal", num_envs, **given)
 
 
 @pytest.mark.parametrize(

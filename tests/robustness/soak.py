@@ -26,26 +26,12 @@ from swarm_envs import make
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import blueprint_of
-from swarm_envs.envs.randomization import Randomization
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BulletPhysics
 from swarm_envs.physics.bullet import import_bullet
 from swarm_envs.tasks.obstacles import Column
+from tests.helpers.frozen import EVERYTHING
 
-EVERYTHING = Randomization(
-    mass=(0.9, 1.1),
-    inertia=(0.8, 1.2),
-    motor_rate=(0.8, 1.2),
-    thrust=(0.9, 1.0),
-    force_scale=(0.7, 1.3),
-    battery=(0.3, 1.0),
-    gust_acceleration=0.3,
-    position_noise_m=0.005,
-    velocity_noise=0.02,
-    attitude_noise_rad=0.01,
-    body_rate_noise=0.05,
-)
-"""Domain randomisation with every part on."""
 DRAWN: dict[str, Any] = {"randomization": EVERYTHING, "battery": BatteryModel()}
 ROTA: tuple[dict[str, Any], ...] = (
     {"action": "acceleration", "decision_rate": 10},
