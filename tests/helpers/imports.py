@@ -14,17 +14,15 @@ PACKAGE = ROOT / "swarm_envs"
 OUTER = ("agents", "baselines", "training")
 
 BASE = 0  # vehicles, state and the other single modules at the bottom
-LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
-LEVELS |= {"deploy": 3}
 _BASE_MODULES = (
-    *("vehicles", "state", "errors", "motors", "hall", "files", "c_text"),
-    *("compiled", "tables", "neighbors", "arguments"),
+    *("", "vehicles", "state", "errors", "motors", "hall", "files", "c_text", "compiled"),
+    *("tables", "neighbors", "arguments", "trajectories", "noise"),
 )
-LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)
-LEVELS |= dict.fromkeys(("trajectories", "noise", ""), BASE)
+LEVELS = dict.fromkeys(_BASE_MODULES, BASE)
+LEVELS |= {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
+LEVELS |= {"deploy": 3, "shows": 6}
 FACE = 4  # swap_v0 and the like: what users import
 OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}
-LEVELS |= {"shows": 6}
 CLI = 8
 
 
