@@ -34,8 +34,13 @@ DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 Options = TypeVar("Options")
 
 
-Run = Callable[[Sequence[str]], int]
-"""A command: takes the arguments after its name and gives the exit code."""
+@dataclass(frozen=True)
+class Command:
+    """A subcommand."""
+
+    summary: str  # One line for the list of commands
+    run: Callable[[Sequence[str]], int]
+    """Takes the arguments after the command's name and gives the exit code."""
 
 
 @command_options
@@ -84,7 +89,7 @@ def _load(path: str) -> Any:
 
 def _command(
     name: str, options: str, run: str | Callable[[Any], object], prefixes: bool = False
-) -> Run:
+) -> Callable[[Sequence[str]], int]:
     """A command that reads options and runs a function, which may count failures."""
 
     def read_and_run(arguments: Sequence[str]) -> int:
@@ -94,7 +99,9 @@ def _command(
     return read_and_run
 
 
-def _learner(name: str, options: str, function: str, prefixes: bool = False) -> Run:
+def _learner(
+    name: str, options: str, function: str, prefixes: bool = False
+) -> Callable[[Sequence[str]], int]:
     """A command that fits a model with a function that needs torch, and prints its report."""
 
     def learn(config: Any) -> None:
@@ -164,34 +171,33 @@ def _export(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _in_module(name: str, module: str = "") -> Run:
+def _in_module(name: str, module: str = "") -> Callable[[Sequence[str]], int]:
     """A command whose module has `<Name>Options` and `run_<name>`."""
     place = f"commands.{module or name}"
     return _command(name, f"{place}:{name.title()}Options", f"{place}:run_{name}")
 
 
-COMMANDS: Mapping[str, tuple[str, Run]] = {
-    "demo": (
+COMMANDS: Mapping[str, Command] = {
+    "demo": Command(
         "stacked swaps with and without compensation of downwash",
         _command("demo", "cli:DemoOptions", _run_demo),
     ),
-    "fly": (
-        "fly one episode and write metrics, films, replays and trajectories",
-        _in_module("fly"),
+    "fly": Command(
+        "fly one episode and write metrics, films, replays and trajectories", _in_module("fly")
     ),
-    "evaluate": ("evaluate agents on many episodes", _in_module("evaluate")),
-    "record": ("record episodes of an agent as a Minari dataset", _in_module("record")),
-    "benchmark": ("evaluate every agent on every benchmark task", _in_module("benchmark")),
-    "grade": ("grade submissions of a course", _in_module("grade")),
-    "assignment": ("list or start the assignments of a course", _in_module("assignment")),
-    "replay": ("convert a recorded episode to a replay page", _in_module("replay", "fly")),
-    "plan": ("plan paths on a grid for up to a million robots", _in_module("plan")),
-    "show": ("plan, fly, film and export a drone light show", _in_module("show")),
-    "collect": (
+    "evaluate": Command("evaluate agents on many episodes", _in_module("evaluate")),
+    "record": Command("record episodes of an agent as a Minari dataset", _in_module("record")),
+    "benchmark": Command("evaluate every agent on every benchmark task", _in_module("benchmark")),
+    "grade": Command("grade submissions of a course", _in_module("grade")),
+    "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
+    "replay": Command("convert a recorded episode to a replay page", _in_module("replay", "fly")),
+    "plan": Command("plan paths on a grid for up to a million robots", _in_module("plan")),
+    "show": Command("plan, fly, film and export a drone light show", _in_module("show")),
+    "collect": Command(
         "collect flight logs in simulation",
         _command("collect", "training.collection.__main__:CollectOptions", _collect),
     ),
-    "curriculum": (
+    "curriculum": Command(
         "learn the interaction force with a curriculum",
         _learner(
             "curriculum",
@@ -199,24 +205,23 @@ COMMANDS: Mapping[str, tuple[str, Run]] = {
             "training.curriculum.run:run_curriculum",
         ),
     ),
-    "train": (
+    "train": Command(
         "train a policy with PPO, MAPPO, SAC or DAgger",
         _command(
             "train", "training.rl.rl_config:RlConfig", "commands.train:run_train", prefixes=True
         ),
     ),
-    "train-sweep": (
+    "train-sweep": Command(
         "train with several seeds and options",
         _command(
             "train-sweep", "commands.train_sweep:SweepOptions", "commands.train_sweep:run_sweep"
         ),
     ),
-    "fit": ("fit a force model to flight logs", _fit),
-    "export": ("export flights, policies and force models to real drones", _export),
-    "reproduce": ("reproduce figures and tables of the papers", _reproduce),
+    "fit": Command("fit a force model to flight logs", _fit),
+    "export": Command("export flights, policies and force models to real drones", _export),
+    "reproduce": Command("reproduce figures and tables of the papers", _reproduce),
 }
-"""Every command by its name, with its line in the list. To add one, write a function like
-`_run_demo` and name it here."""
+"""Every command by its name. To add one, write a function like `_run_demo` and name it here."""
 
 EXAMPLES: Mapping[str, str] = {
     "demo": "--out demo",
@@ -263,7 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     where = f"{PROGRAM} {name}"
     try:
         with _terminable():
-            code = COMMANDS[name][1](rest)
+            code = COMMANDS[name].run(rest)
         sys.stdout.flush()  # here it can be told that what reads it is gone, or a disk full
         return code
     except Misuse as error:
@@ -295,7 +300,7 @@ def _terminable() -> Iterator[None]:
 
 def _overview() -> str:
     width = max(map(len, COMMANDS))
-    lines = [f"  {name.ljust(width)}  {summary}" for name, (summary, _) in COMMANDS.items()]
+    lines = [f"  {name.ljust(width)}  {c.summary}" for name, c in COMMANDS.items()]
     head = [f"usage: {PROGRAM} COMMAND [options]", "", "commands:"]
     explains = f"Run `{PROGRAM} COMMAND --help` for the options of a command"
     version = f"`{PROGRAM} --version` prints the version."

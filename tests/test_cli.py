@@ -70,7 +70,7 @@ def test_examples_of_the_help_are_read(call, monkeypatch):
     read = cli._read
     monkeypatch.setattr(cli, "_read", read_only)
     with pytest.raises(Read):
-        COMMANDS[call[0]][1]([*call[1:], *EXAMPLES[" ".join(call)].split()])
+        COMMANDS[call[0]].run([*call[1:], *EXAMPLES[" ".join(call)].split()])
 
 
 @pytest.mark.parametrize(

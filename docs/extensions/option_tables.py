@@ -77,7 +77,7 @@ def options_class(command: str, *arguments: str) -> tuple[type, bool]:
 
     with mock.patch.object(mistakes, "read_options", ask):
         try:
-            COMMANDS[command][1](arguments)
+            COMMANDS[command].run(arguments)
         except Asked as asked:
             return asked.options, asked.prefixes
     raise LookupError(f"{command} reads no options")

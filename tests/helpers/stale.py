@@ -113,16 +113,11 @@ PRODUCTS = {
             (LEARNED, BELIEF),
             "the command in agents/weights/MODEL_CARD.md",
         )
-        for name in ("gates-dagger", "stack-dagger", "mixed-dagger", "sprint-dagger")
+        for name in (f"{task}-dagger" for task in ("gates", "stack", "mixed", "sprint", "ring"))
     },
     "delivery-dagger": Product(
         ("agents/weights/delivery-dagger.safetensors",),
         (LEARNED,),
-        "the command in agents/weights/MODEL_CARD.md",
-    ),
-    "ring-dagger": Product(
-        ("agents/weights/ring-dagger.safetensors",),
-        (LEARNED, BELIEF),
         "the command in agents/weights/MODEL_CARD.md",
     ),
     "benchmark": Product(
