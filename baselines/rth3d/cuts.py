@@ -12,15 +12,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, ways_to_any
+from swarm_envs.baselines.rth3d.ways import STAY, Ints, Neighbors, ways_to_any
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
-_Ints = npt.NDArray[np.int32]
-
 
 def cut_bound(
-    starts: _Ints, goals: _Ints, obstacles: BoolArray, longest: int, table: Neighbors | None
+    starts: Ints, goals: Ints, obstacles: BoolArray, longest: int, table: Neighbors | None
 ) -> int:
     """The largest lower bound of all planes across an axis, or the longest way, if that is larger.
 
@@ -53,13 +51,13 @@ def cut_bound(
 
 
 def _from_plane(
-    points: _Ints,
+    points: Ints,
     axis: int,
     c: int,
     opening: BoolArray,
     shape: tuple[int, ...],
     table: Neighbors | None,
-) -> _Ints:
+) -> Ints:
     """(k,) steps from each point (k, 3) to the plane between `c` and `c + 1`, on its own side."""
     left = points[:, axis] <= c
     if table is None:
@@ -70,7 +68,7 @@ def _from_plane(
     return np.where(left, *sides).astype(np.int32)
 
 
-def _staggered(before: _Ints, behind: _Ints, edges: int) -> int:
+def _staggered(before: Ints, behind: Ints, edges: int) -> int:
     """The bound by the farthest robots, however far and in front or behind that is."""
     a, row = np.unique(before, return_inverse=True)
     b, column = np.unique(behind, return_inverse=True)
@@ -82,7 +80,7 @@ def _staggered(before: _Ints, behind: _Ints, edges: int) -> int:
 
 
 @kernel
-def _passing(lines: npt.NDArray[np.int64], first: _Ints, last: _Ints) -> int:
+def _passing(lines: npt.NDArray[np.int64], first: Ints, last: Ints) -> int:
     """`passing_bound` of robots in the order of their lines, which go from `first` to `last`."""
     best = 0
     for i in range(len(lines)):
@@ -94,7 +92,7 @@ def _passing(lines: npt.NDArray[np.int64], first: _Ints, last: _Ints) -> int:
     return best
 
 
-def passing_bound(starts: _Ints, goals: _Ints) -> int:
+def passing_bound(starts: Ints, goals: Ints) -> int:
     """Steps that it takes at least for robots to pass each other within a line along an axis.
 
     Of two whose starts and goals are in one line, in opposite orders, one has to leave the line and

@@ -296,14 +296,11 @@ def building_columns(shape: Shape) -> BoolArray:
     return found
 
 
-def _default_count(draw: _Draw) -> int:
-    """A third of the vertices, less those of buildings."""
-    return int(np.prod(draw.shape)) // 3 - int(draw.obstacles.sum())
-
-
 def _uniform(draw: _Draw) -> _Pair:
     free = np.flatnonzero(~draw.obstacles)
-    count = _default_count(draw) if draw.robots is None else draw.robots
+    count = draw.robots
+    if count is None:  # a third of the vertices, less those of buildings
+        count = int(np.prod(draw.shape)) // 3 - int(draw.obstacles.sum())
     if not 1 <= count <= len(free):
         raise ValueError(f"count is {count}, but must be from 1 to the {len(free)} free vertices")
     starts, goals = (draw.generator.choice(free, count, replace=False) for _ in range(2))

@@ -90,11 +90,6 @@ class GridAgent(PlannedAgent[SplineFlight]):
         super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
         self._spacing, self._method, self._share = spacing, method, share
 
-    @property
-    def flights(self) -> list[SplineFlight]:
-        """The episode's plans, which are splines."""
-        return self.plans
-
     @classmethod
     def compensated(cls, belief: InteractionModel | None = None) -> GridAgent:
         """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""

@@ -53,7 +53,7 @@ from swarm_envs.baselines.rth3d.rubik import (
     choose_highways,
     shuffle,
 )
-from swarm_envs.baselines.rth3d.unlabelled import assign, occupied, unlabelled_bound
+from swarm_envs.baselines.rth3d.unlabelled import assign, unlabelled_bound
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_name
@@ -268,7 +268,8 @@ def _without_labels(
         try:
             with clock.phase("flow") as record:
                 check = partial(clock.check, "flow")
-                paths = balance(table, starts, occupied(goals, len(table)), check, least)
+                sinks = np.isin(np.arange(len(table)), goals)
+                paths = balance(table, starts, sinks, check, least)
                 record(len(paths) - 1)
             return _Solution(paths, "flow", len(paths) - 1), len(paths) - 1
         except FlowTooLarge as error:

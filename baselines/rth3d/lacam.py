@@ -34,9 +34,9 @@ from swarm_envs.baselines.rth3d.pibt import (
     way,
 )
 from swarm_envs.baselines.rth3d.terrain import WALL, Terrain, neighbor, survey
+from swarm_envs.baselines.rth3d.ways import Ints
 from swarm_envs.compiled import kernel
 
-_Ints = npt.NDArray[np.int32]
 _Longs = npt.NDArray[np.int64]
 
 _MOST_ENTRIES = 100_000_000  # of configurations, robots times configurations: 0.8 GB
@@ -55,27 +55,27 @@ _PARENT, _WHO, _TO, _DEPTH, _NEXT = range(5)
 class _Nodes(NamedTuple):
     """The configurations that have been found, numbered from 0, the starts."""
 
-    at: _Ints  # (M, n) where each robot is
-    away: _Ints  # (M, n) for how many configurations each has not been at its goal
-    parent: _Ints  # (M,) the configuration before, or -1
-    steps: _Ints  # (M,) from the starts, by the parents
-    left: _Ints  # (M,) longest way left to a robot
+    at: Ints  # (M, n) where each robot is
+    away: Ints  # (M, n) for how many configurations each has not been at its goal
+    parent: Ints  # (M,) the configuration before, or -1
+    steps: Ints  # (M,) from the starts, by the parents
+    left: Ints  # (M,) longest way left to a robot
     hash: _Longs  # (M,)
-    above: _Ints  # (M,) on the stack, or -1
-    below: _Ints  # (M,) likewise
+    above: Ints  # (M,) on the stack, or -1
+    below: Ints  # (M,) likewise
     stacked: npt.NDArray[np.bool_]  # (M,) whether it is on the stack
-    first: _Ints  # (M,) the first of its constraints that have not been tried, or -1
-    last: _Ints  # (M,)
-    edge: _Ints  # (M,) the last edge that leads on from it, or -1
-    queue: _Ints  # (M,) work
+    first: Ints  # (M,) the first of its constraints that have not been tried, or -1
+    last: Ints  # (M,)
+    edge: Ints  # (M,) the last edge that leads on from it, or -1
+    queue: Ints  # (M,) work
 
 
 class _Pools(NamedTuple):
     """What the configurations refer to, and the state of the search."""
 
-    constraints: _Ints  # (L, 5) parent, who, to which vertex, how many with its parents, next
-    edges: _Ints  # (E, 2) the configuration that it leads to, the edge before
-    table: _Ints  # (H,) configurations by hash, or -1; H is a power of two, more than 2 M
+    constraints: Ints  # (L, 5) parent, who, to which vertex, how many with its parents, next
+    edges: Ints  # (E, 2) the configuration that it leads to, the edge before
+    table: Ints  # (H,) configurations by hash, or -1; H is a power of two, more than 2 M
     state: _Longs  # (7,) top of the stack, three counts, made, the goals or -1, who is loaded
 
 

@@ -20,10 +20,9 @@ from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.pibt import following
-from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table
+from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, neighbor_table
 from swarm_envs.compiled import equation, kernel
 
-_Ints = npt.NDArray[np.int32]
 _MOST_PLACES = 40_000_000  # vertices times steps that are kept, 19 bytes each
 _WORK, _MOST_WORK = 6000, 1_000_000_000
 """Moves that are weighed, as a multiple of robots times bound, and at most: some five seconds."""
@@ -38,15 +37,15 @@ _DEAREST = 8 * _PRICE
 class _Space(NamedTuple):
     """The grid at each step, who uses it, and what that costs."""
 
-    at: _Ints  # (V, 3) coordinates of each vertex
+    at: Ints  # (V, 3) coordinates of each vertex
     table: Neighbors  # (V, 7) neighbours
     used: npt.NDArray[np.int16]  # (T + 1, V) robots on each vertex
     moves: npt.NDArray[np.int16]  # (T, V, 6) robots that leave it along each edge
-    dear: _Ints  # (T + 1, V) what a vertex costs more, because robots have met there
+    dear: Ints  # (T + 1, V) what a vertex costs more, because robots have met there
     back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path gets there
     # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
     cost: npt.NDArray[np.int64]
-    reached: _Ints  # (2, V) vertices that paths lead to, at even and odd steps
+    reached: Ints  # (2, V) vertices that paths lead to, at even and odd steps
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
@@ -174,10 +173,6 @@ def _arrival(path: Array) -> int:
     return t
 
 
-def _sum_of_costs(paths: _Ints) -> int:
-    return sum(map(_arrival, paths))
-
-
 @kernel
 def _hasten_some(
     space: _Space, paths: Array, goals: Array, lengths: Array, order: Array, begin: int, most: int
@@ -244,7 +239,7 @@ class Negotiation:
             price = min(price + price // 8, _DEAREST)
         return None
 
-    def hasten(self, paths: Paths) -> _Ints:
+    def hasten(self, paths: Paths) -> Ints:
         """(n, T + 1) paths after each was replanned, until none arrives earlier so."""
         space, found = self._new_space(len(paths) - 1), np.ascontiguousarray(paths.T)
         for path in found:
@@ -312,5 +307,5 @@ def reduce_costs(instance: GridInstance, seed: int, clock: PlanningClock, paths:
     found = search.hasten(paths)
     other = search.plan(steps, _PRICE // 2) if search.goes_on else None
     if other is not None:
-        found = min(found, search.hasten(other), key=_sum_of_costs)
+        found = min(found, search.hasten(other), key=lambda paths: sum(map(_arrival, paths)))
     return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)

@@ -17,10 +17,8 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, Coordinates, GridInstance, numbers
 from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, among_free, neighbor, survey
-from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import equation, kernel
-
-_Ints = npt.NDArray[np.int32]
 
 _ROBOT = np.dtype(
     [
@@ -48,8 +46,8 @@ class Robots(NamedTuple):
     crew: Array  # (n,) of `_ROBOT`
     # (n, 18) robots that wait for an answer: who, number of vertices tried, of all, these, who is
     # pulled along or -1, and the keys by which the vertices are sorted
-    asked: _Ints
-    counts: _Ints  # How many robots have each urgency
+    asked: Ints
+    counts: Ints  # How many robots have each urgency
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
@@ -403,7 +401,7 @@ class Pibt:
         last, left = _run_pibt(self.terrain, self.robots, self.paths, begin, end, limit, left, lost)
         return int(last), int(left)
 
-    def aim(self, robots: _Ints, goals: Coordinates) -> None:
+    def aim(self, robots: Ints, goals: Coordinates) -> None:
         """Give robots (k,) other goals (k, 3)."""
         crew = self.robots.crew
         for name, values in zip("xyz", goals.T, strict=True):

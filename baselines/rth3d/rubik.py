@@ -49,7 +49,7 @@ from swarm_envs.baselines.rth3d.shuffles import (
     write_long_shift,
     write_shift,
 )
-from swarm_envs.baselines.rth3d.ways import neighbor_table
+from swarm_envs.baselines.rth3d.ways import Ints, neighbor_table
 from swarm_envs.state import BoolArray
 
 CELL = 3  # Side of a cell
@@ -183,8 +183,7 @@ def reflected(paths: Paths, image: Image, goals: Vertices) -> Paths:
     return image[paths[:, holder[goals]]]
 
 
-_Ints = npt.NDArray[np.int32]
-Matching = Callable[[_Ints, npt.NDArray[np.bool_]], Items]
+Matching = Callable[[Ints, npt.NDArray[np.bool_]], Items]
 """Levels (G, K, D) from where items belong, and which of them are robots."""
 
 
@@ -193,7 +192,7 @@ class _Table:
     """The Rubik table: items, numbered by their first slot, and the slots they belong into."""
 
     highways: Highways
-    goal: _Ints  # (items,) the slot that each item belongs into; slot (c, r, z) is (c R + r) Z + z
+    goal: Ints  # (items,) the slot that each item belongs into; slot (c, r, z) is (c R + r) Z + z
     real: npt.NDArray[np.bool_]  # (items,) whether the item is a robot
 
     @property
@@ -209,7 +208,7 @@ class _Table:
         return self.highways.cells
 
 
-def _fill_up(first: _Ints, last: _Ints, wish: _Ints) -> tuple[_Ints, npt.NDArray[np.bool_]]:
+def _fill_up(first: Ints, last: Ints, wish: Ints) -> tuple[Ints, npt.NDArray[np.bool_]]:
     """Goals of all items: of robots as given, of virtual ones the slot (items,) wished if free."""
     goal = np.full(len(wish), -1, dtype=np.int32)
     goal[first] = last
@@ -222,14 +221,14 @@ def _fill_up(first: _Ints, last: _Ints, wish: _Ints) -> tuple[_Ints, npt.NDArray
     return goal, real
 
 
-def _split_heights(table: _Table, match: Matching) -> _Ints:
+def _split_heights(table: _Table, match: Matching) -> Ints:
     """The height at which each item crosses the plane (Algorithm 2)."""
     shape = (1, table.cells * table.rows, table.heights)
     aims = table.goal.reshape(shape) // table.heights
     return match(aims, table.real.reshape(shape)).reshape(-1)
 
 
-def _split_rows(table: _Table, height: _Ints, match: Matching) -> _Ints:
+def _split_rows(table: _Table, height: Ints, match: Matching) -> Ints:
     """The row in which each item crosses its plane along the long axis (Algorithm 3)."""
     items = np.arange(len(height))
     shape = (table.heights, table.cells, table.rows)
@@ -242,7 +241,7 @@ def _split_rows(table: _Table, height: _Ints, match: Matching) -> _Ints:
     return found
 
 
-def _cross(table: _Table, height: _Ints, row: _Ints) -> tuple[_Ints, LongShift]:
+def _cross(table: _Table, height: Ints, row: Ints) -> tuple[Ints, LongShift]:
     """Plan the long shuffle; return the items' rows after it, and the shift."""
     highways, items = table.highways, np.arange(len(height))
     source = (items // (table.heights * table.rows)).astype(np.int32)
@@ -264,7 +263,7 @@ def _cross(table: _Table, height: _Ints, row: _Ints) -> tuple[_Ints, LongShift]:
 
 
 def _long_shift(
-    highways: Highways, source: _Ints, goal: _Ints, y: _Ints, place: npt.NDArray[Any], spot: _Ints
+    highways: Highways, source: Ints, goal: Ints, y: Ints, place: npt.NDArray[Any], spot: Ints
 ) -> LongShift:
     """The long shuffle in numbers of vertices."""
     along, across = highways.shape[1] * highways.shape[2], highways.shape[2]
@@ -338,7 +337,7 @@ def shuffle(
 
 
 def _shifts(
-    table: _Table, height: _Ints, row: _Ints, after: _Ints, long: LongShift, robots: _Ints
+    table: _Table, height: Ints, row: Ints, after: Ints, long: LongShift, robots: Ints
 ) -> dict[str, Shift | LongShift]:
     """The five shuffles of the robots alone, by name and in order."""
     y = table.highways.rows

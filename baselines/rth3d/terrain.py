@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import (
     Array,
@@ -13,11 +12,10 @@ from swarm_envs.baselines.rth3d.grid import (
     breaks_pattern,
     numbers,
 )
-from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.ways import STAY, Ints, Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import equation
 from swarm_envs.state import BoolArray
 
-_Ints = npt.NDArray[np.int32]
 _MOST_WAYS = 250_000_000  # lengths that are kept at most, four bytes each
 
 # What belongs together lies together, in one array. An array more that a kernel is given is counted
@@ -52,7 +50,7 @@ class Terrain(NamedTuple):
     cells: Array  # (V,) of `_CELL`: each vertex
     # (n, F) length of the shortest way from free vertices to each robot's goal; (0, 0) where a
     # formula says it
-    ways: _Ints
+    ways: Ints
     table: Neighbors  # (V, 7) neighbours, or (0, 7) where all vertices have three and more
     grid: Grid
 

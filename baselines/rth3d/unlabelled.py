@@ -18,12 +18,9 @@ from swarm_envs.baselines.rth3d.grid import (
     Coordinates,
     GridInstance,
     NoPlanExists,
-    Vertices,
     numbers,
 )
-from swarm_envs.baselines.rth3d.ways import Neighbors, ways_to, ways_to_any
-
-_Ints = npt.NDArray[np.int32]
+from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, ways_to, ways_to_any
 
 _MOST_WAYS = 2**25  # lengths of ways that the bottleneck matching keeps: 0.13 GB
 
@@ -44,7 +41,7 @@ def unlabelled_bound(instance: GridInstance, table: Neighbors) -> int:
     return best
 
 
-def bottleneck(ways: _Ints) -> int:
+def bottleneck(ways: Ints) -> int:
     """The least longest way of a perfect matching, from the length of every way (n, n)."""
     lengths = np.unique(ways)
     low, high = 0, len(lengths) - 1
@@ -80,7 +77,7 @@ def _plane_bound(instance: GridInstance, axis: int) -> int:
     return best
 
 
-def _parts(instance: GridInstance) -> tuple[_Ints, _Ints]:
+def _parts(instance: GridInstance) -> tuple[Ints, Ints]:
     """The connected part of the grid that each start, and each goal, is in.
 
     Raises:
@@ -117,7 +114,7 @@ def assign(instance: GridInstance) -> GridInstance:
     return GridInstance(instance.shape, instance.starts, goals, instance.obstacles)
 
 
-def _slab_order(points: Coordinates, part: _Ints) -> npt.NDArray[np.int64]:
+def _slab_order(points: Coordinates, part: Ints) -> npt.NDArray[np.int64]:
     group = part.astype(np.int64)
     cuts = max(1, round(len(points) ** (1 / 3)))
     for axis in range(3):
@@ -129,10 +126,3 @@ def _slab_order(points: Coordinates, part: _Ints) -> npt.NDArray[np.int64]:
         slab = (place - begin[group_of]) * cuts // size[group_of]
         group = group_of * cuts + slab
     return order
-
-
-def occupied(vertices: Vertices, total: int) -> npt.NDArray[np.bool_]:
-    """(V,) which vertices are among those given."""
-    found = np.zeros(total, dtype=np.bool_)
-    found[vertices] = True
-    return found

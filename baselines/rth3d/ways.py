@@ -8,7 +8,7 @@ import numpy.typing as npt
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
-_Ints = npt.NDArray[np.int32]
+Ints = npt.NDArray[np.int32]  # Whole numbers, such as vertices or lengths of ways
 Neighbors = npt.NDArray[np.int32]
 """(V, 7) the neighbours of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1
 where there is none."""
@@ -33,7 +33,7 @@ def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbo
 
 
 @kernel
-def _spread(table: _Ints, goals: _Ints, start: int, way: _Ints, queue: _Ints) -> None:
+def _spread(table: Ints, goals: Ints, start: int, way: Ints, queue: Ints) -> None:
     """Breadth-first search from goals, all different, until it has found the start (-1: all)."""
     way[:] = FAR
     for k in range(goals.shape[0]):
@@ -54,19 +54,19 @@ def _spread(table: _Ints, goals: _Ints, start: int, way: _Ints, queue: _Ints) ->
 
 
 @kernel
-def _spread_all(table: _Ints, goals: _Ints, ways: _Ints, queue: _Ints) -> None:
+def _spread_all(table: Ints, goals: Ints, ways: Ints, queue: Ints) -> None:
     for i in range(goals.shape[0]):
         _spread(table, goals[i : i + 1], -1, ways[i], queue)
 
 
 @kernel
-def _measure(table: _Ints, starts: _Ints, goals: _Ints, found: _Ints, work: _Ints) -> None:
+def _measure(table: Ints, starts: Ints, goals: Ints, found: Ints, work: Ints) -> None:
     for i in range(goals.shape[0]):
         _spread(table, goals[i : i + 1], starts[i], work[0], work[1])
         found[i] = work[0, starts[i]]
 
 
-def ways_to(table: Neighbors, goals: _Ints) -> _Ints:
+def ways_to(table: Neighbors, goals: Ints) -> Ints:
     """(n, V) length of the shortest way from each vertex to each goal (n,); `FAR` without one."""
     total = len(table)
     ways = np.empty((len(goals), total), dtype=np.int32)
@@ -74,14 +74,14 @@ def ways_to(table: Neighbors, goals: _Ints) -> _Ints:
     return ways
 
 
-def shortest_ways(table: Neighbors, starts: _Ints, goals: _Ints) -> _Ints:
+def shortest_ways(table: Neighbors, starts: Ints, goals: Ints) -> Ints:
     """(n,) length of the shortest way from each start (n,) to its goal (n,); `FAR` without one."""
     found = np.empty(len(goals), dtype=np.int32)
     _measure(table, starts, goals, found, np.empty((2, len(table)), dtype=np.int32))
     return found
 
 
-def ways_to_any(table: Neighbors, goals: _Ints) -> _Ints:
+def ways_to_any(table: Neighbors, goals: Ints) -> Ints:
     """(V,) length of the shortest way from each vertex to the nearest of goals (k,)."""
     way, queue = np.empty((2, len(table)), dtype=np.int32)
     _spread(table, goals, -1, way, queue)

@@ -29,7 +29,7 @@ def _fly_letters(seed: int) -> tuple[Recording, list[int]]:
         num_drones=_DRONES, letters=_LETTERS, labels="random", physics="batch", **agent.requires
     )
     try:
-        return record_episode(env, agent, seed), [flight.num_steps for flight in agent.flights]
+        return record_episode(env, agent, seed), [flight.num_steps for flight in agent.plans]
     finally:
         env.close()
 

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import product
 from typing import Annotated
 
 import numpy as np
 
 from swarm_envs.arguments import POSITIVE_M, typed
 from swarm_envs.baselines.rth3d.flight.spline import BASIS, SplineFlight
+from swarm_envs.baselines.rth3d.grid_validation import MOVES
 from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray
 
-__all__ = ["least_spacing", "smallest_distance"]
+__all__ = ["smallest_distance"]
 
 _SAMPLES = 64
 _CURVATURE = 4.0
@@ -46,23 +46,13 @@ def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> fl
     """
     if not all(0.0 < s < math.inf for s in stretch):
         raise ValueError(f"stretch is {stretch}, but must be positive and finite")
-    moves = np.array(sorted(_relative_moves()), dtype=np.float64)
+    # By how much the difference of two robots may change in a step.
+    moves = np.unique((MOVES[:, None] - MOVES).reshape(-1, 3), axis=0).astype(np.float64)
     time = np.linspace(0.0, 1.0, _SAMPLES + 1)
     weights = np.vander(time, 4, increasing=True) @ BASIS
     square = _worst_square(moves, np.array(stretch), weights)
     between = _CURVATURE * max(stretch) * (0.5 / _SAMPLES) ** 2 / 2.0
     return math.sqrt(square) - between
-
-
-def _relative_moves() -> set[tuple[int, ...]]:
-    """By how much the difference of two robots changes in a step."""
-    single = [
-        (0, 0, 0),
-        *(tuple(r) for e in np.eye(3, dtype=int) for r in (e.tolist(), (-e).tolist())),
-    ]
-    return {
-        tuple(b - a for a, b in zip(first, second)) for first, second in product(single, single)
-    }
 
 
 @kernel

@@ -55,11 +55,10 @@ def _join(parts: Sequence[_Planes]) -> _Planes:
     return _Planes(*(np.concatenate(arrays) for arrays in zip(*parts)))
 
 
-def bezier_points(flight: SplineFlight) -> FloatArray:
-    """(steps, n, 4, 3) Bezier points of every step, m."""
-    control = flight.control
-    windows = np.stack([control[k : k + flight.num_steps] for k in range(4)], axis=2)
-    return np.asarray(np.einsum("bk,snkx->snbx", BEZIER, windows))
+def bezier_points(control: FloatArray) -> FloatArray:
+    """(steps, ..., 4, 3) Bezier points of every step, m, for control points (K, ..., 3)."""
+    windows = np.stack([control[k : len(control) - 3 + k] for k in range(4)], axis=-2)
+    return np.asarray(np.einsum("bk,...kx->...bx", BEZIER, windows))
 
 
 def planes_between(
@@ -70,7 +69,7 @@ def planes_between(
     The flight as it is now satisfies every plane: pairs that are closer than `distance` keep what
     they have. Who is farther off than control points may travel by axis, m, cannot meet.
     """
-    points = bezier_points(flight) / scaling
+    points = bezier_points(flight.control) / scaling
     steps, first, second = _near_pairs(points, distance, travel / float(scaling.min()))
     a, b = points[steps, first], points[steps, second]
     normal, apart = _nearest_points(np.ascontiguousarray(a - b))
@@ -112,7 +111,7 @@ def planes_to_boxes(
 
     Where a robot is closer now, it keeps what it has. `travel` as for `planes_between`.
     """
-    points = bezier_points(flight)
+    points = bezier_points(flight.control)
     nothing = np.empty(0, dtype=np.int64)
     parts = [_Planes(nothing, nothing, np.empty((0, 3)), np.empty((0, 4)))]
     for low, high in boxes:
@@ -229,9 +228,7 @@ def _rows(planes: _Planes, low: FloatArray, high: FloatArray) -> _Rows:
 
 def _points(control: FloatArray) -> FloatArray:
     """(4 S + F, 3) Bezier points of each step, then the free control points."""
-    windows = np.stack([control[k : len(control) - 3 + k] for k in range(4)], axis=1)
-    bezier = np.einsum("bk,skx->sbx", BEZIER, windows).reshape(-1, 3)
-    return np.concatenate([bezier, control[FIXED:-FIXED]])
+    return np.concatenate([bezier_points(control).reshape(-1, 3), control[FIXED:-FIXED]])
 
 
 def _slack(rows: _Rows, control: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ def test_ten_drones_write_letters_with_places_drawn():
     metrics = fly_episode(env, agent, 1)
     assert metrics["success"], metrics
     assert metrics["near_misses"] == 0
-    assert len(agent.flights) == 4
+    assert len(agent.plans) == 4
 
 
 def test_flights_go_around_buildings():
@@ -40,7 +40,7 @@ def test_flights_go_around_buildings():
     metrics = fly_episode(env, agent, 0)
     assert metrics["success"], metrics
     assert metrics["near_misses"] == 0
-    flight = agent.flights[0]
+    flight = agent.plans[0]
     times = np.linspace(0.0, flight.duration_s, 300)
     points = np.concatenate([flight.reference(float(time)).position for time in times])
     assert obstacle_distances(obstacle_rows(city), points).min() > 0.06

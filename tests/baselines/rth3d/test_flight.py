@@ -150,9 +150,10 @@ def test_planes_stand_where_two_robots_are_nearest(seed, scaling):
     control = np.concatenate([[places] * 3, inner, [places + 0.05] * 3])
     flight, distance, theta = SplineFlight(control, 0.5), 0.55, np.array(scaling)
     planes = planes_between(flight, distance, theta, 10.0)  # so far that everyone could meet
-    points, half = bezier_points(flight) / theta, len(planes.robot) // 2
+    bezier, half = bezier_points(control), len(planes.robot) // 2
+    points = bezier / theta
     assert half == 3 * flight.num_steps
-    held = np.einsum("pkx,px->pk", bezier_points(flight)[planes.step, planes.robot], planes.normal)
+    held = np.einsum("pkx,px->pk", bezier[planes.step, planes.robot], planes.normal)
     assert (held >= planes.offset - 1e-7).all()  # the flight as it is satisfies all
     kept = 0
     for k in range(half):
