@@ -24,13 +24,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from swarm_envs.agents.features import ObservationColumns, observation_columns
-from swarm_envs.agents.protocol import Actions, Observations
+from swarm_envs.agents.protocol import RowAgent
 from swarm_envs.agents.safety import Safety, SafetyFilter
+from swarm_envs.agents.scripted import steer
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, POSITIVE_S, Range, typed
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.envs.view import View
-from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
+from swarm_envs.tasks.base import SPEED_LIMIT
 
 __all__ = ["TUNED", "Avoidance", "Cruise", "RoundaboutAgent"]
 
@@ -70,7 +70,7 @@ class Roundabout:
     """How far above or below its way it flies at most, by its heading, m."""
 
 
-class CruiseAgent:
+class CruiseAgent(RowAgent):
     """Flies to its goal at a cruise speed, by what it observes of itself.
 
     Args:
@@ -80,7 +80,6 @@ class CruiseAgent:
     requires: Mapping[str, Any] = MappingProxyType(
         {"action": "acceleration", "observation": "flat", "decision_rate": 20}
     )
-    privileged = False
     straight = True  # Whether it flies straight to its goal wherever others are
 
     def __init__(self, cruise: Cruise | None = None) -> None:
@@ -91,20 +90,12 @@ class CruiseAgent:
         """Note where observations have what is needed."""
         self._at = observation_columns({f.name: f.where for f in env.observation_layout})
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """The acceleration of every drone, cut at what the environment allows."""
-        actions = self.act_batch(np.stack(list(observations.values())))
-        return dict(zip(observations, actions, strict=True))
-
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """Actions (..., 3) for observation rows (..., row width)."""
+        """The accelerations (..., 3) of drones, cut at what the environment allows."""
         at, kd = self._at, self.cruise.velocity_gain
         velocity = SPEED_LIMIT * rows[..., at.velocity : at.velocity + 3]
         wanted = self.wanted(rows, rows[..., at.goal : at.goal + 3])
-        asked = kd * (self._around(rows, wanted) - velocity)
-        size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
-        actions: Float32Array = asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)
-        return actions.astype(np.float32)
+        return steer(kd * (self._around(rows, wanted) - velocity))
 
     def wanted(self, rows: Float32Array, way: Float32Array) -> Float32Array:
         """The velocity (..., 3) that a drone would like, m/s, for the ways (..., 3) to goals, m."""

@@ -35,14 +35,13 @@ from swarm_envs.agents.networks import (
     layers_from_tensors,
     to_tensors,
 )
-from swarm_envs.agents.protocol import Actions, Observations, check_requirements
+from swarm_envs.agents.protocol import RowAgent, check_requirements
 from swarm_envs.agents.registry import belief_of, controller_of
 from swarm_envs.agents.safety import Safety
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import parse_note, written_whole
 from swarm_envs.vehicles import VEHICLES
@@ -368,14 +367,12 @@ def _digest(tensors: Mapping[str, Float32Array]) -> str:
     return digest.hexdigest()
 
 
-class PolicyAgent:
+class PolicyAgent(RowAgent):
     """Every drone flown by one network, each by what it observes itself.
 
     Args:
         policy: the network and what it was trained for.
     """
-
-    privileged = False
 
     def __init__(self, policy: Policy) -> None:
         note = policy.note
@@ -431,13 +428,8 @@ class PolicyAgent:
         if task.obstacles and not note.num_obstacles:
             raise ValueError("this policy was trained without obstacles, and does not see any")
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """The mean of what the policy would draw, for every drone."""
-        actions = self.act_batch(np.stack(list(observations.values())))
-        return dict(zip(observations, actions, strict=True))
-
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """Actions (..., width) for observation rows (..., row width) of any number of drones.
+        """The mean (..., width) of what the policy would draw, for rows (..., row width).
 
         Raises:
             ValueError: the rows have another width.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, Protocol, runtime_checkable
@@ -174,6 +175,21 @@ class BatchAgent(Agent, Protocol):
         """Actions (..., N, width) of teams, for their observation rows (..., N, row width)."""
 
 
+class RowAgent(ABC):
+    """Acts by observation rows alone: what is left to say of a `BatchAgent` is `act_batch`."""
+
+    privileged = False
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """What `act_batch` gives for the rows of the team."""
+        actions = self.act_batch(np.stack(list(observations.values())))
+        return dict(zip(observations, actions, strict=True))
+
+    @abstractmethod
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """Actions (..., width) for observation rows (..., row width) of any number of drones."""
+
+
 def disagreement(agent: BatchAgent, observations: Observations) -> str | None:
     """How an agent's two ways to act differ in a decision; None if they do not.
 
@@ -199,11 +215,10 @@ def flies_batches(env: SwarmParallelEnv, agent: Agent) -> bool:
 
     It acts on arrays and needs no view; the batched engine flies, and rows are observed.
     """
-    rows = env.core.config.observation == "flat"
     return (
         isinstance(agent, BatchAgent)
         and not agent.privileged
-        and rows
+        and env.core.config.observation == "flat"
         and env.physics_name == "batch"
     )
 

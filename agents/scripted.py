@@ -17,7 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from swarm_envs.agents.protocol import Actions, Observations
+from swarm_envs.agents.protocol import Actions, Observations, RowAgent
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -28,7 +28,7 @@ from swarm_envs.tasks.motion import LINES
 from swarm_envs.tasks.obstacles import obstacle_distances, obstacle_rows
 from swarm_envs.trajectories import Reference, rest_to_rest
 
-__all__ = ["DetourAgent", "PlannedAgent"]
+__all__ = ["DetourAgent", "PlannedAgent", "SetpointAgent"]
 
 
 class HoverAgent:
@@ -73,7 +73,7 @@ class RandomAgent:
         }
 
 
-class StraightLineAgent:
+class StraightLineAgent(RowAgent):
     """Flies straight to its goal and avoids no drone: a PD law on what it observes of itself.
 
     What any policy that avoids others must beat. The acceleration asked for is
@@ -83,7 +83,6 @@ class StraightLineAgent:
     requires: Mapping[str, Any] = MappingProxyType(
         {"action": "acceleration", "observation": "flat", "decision_rate": 48}
     )
-    privileged = False
     straight = True  # Whether it flies straight to its goal wherever others are
 
     def __init__(self) -> None:
@@ -94,21 +93,70 @@ class StraightLineAgent:
         places = {field.name: field.where for field in env.observation_layout}
         self._goal, self._velocity = places["task.goal"], places["self.velocity"]
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """The acceleration of every drone, cut at what the environment allows."""
-        actions = self.act_batch(np.stack(list(observations.values())))
-        return dict(zip(observations, actions, strict=True))
-
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """Actions (..., 3) for observation rows (..., row width)."""
+        """The accelerations (..., 3) of drones, cut at what the environment allows."""
         way, velocity = rows[..., self._goal], SPEED_LIMIT * rows[..., self._velocity]
         distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
-        asked = 4.0 * way / np.maximum(distance, 1.0) - 4.0 * velocity
-        size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
-        actions: Float32Array = (asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)).astype(
-            np.float32
-        )
-        return actions
+        return steer(4.0 * way / np.maximum(distance, 1.0) - 4.0 * velocity)
+
+
+def steer(asked: FloatArray | Float32Array) -> Float32Array:
+    """Actions for accelerations (..., 3), m/s^2, cut at the limit without a change of direction."""
+    size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+    return (asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)).astype(np.float32)
+
+
+class SetpointAgent(ABC):
+    """Emits the set-points of a reference, which it may take from the true state.
+
+    Args:
+        requires: options of the environment.
+    """
+
+    privileged = True
+
+    def __init__(self, requires: Mapping[str, Any]) -> None:
+        self.requires = requires
+        self._agents: list[str] = []
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Note the drones' names."""
+        self._agents = list(env.agents)
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Position, velocity, acceleration and jerk of the reference; no yaw.
+
+        Raises:
+            ValueError: there is no view, without which goals are unknown.
+        """
+        if view is None:
+            raise ValueError(
+                f"{type(self).__name__} is privileged: pass env.view as the view, for its goals"
+            )
+        reference = self.reference(view)
+        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
+        return dict(zip(self._agents, rows, strict=True))
+
+    @abstractmethod
+    def reference(self, view: View) -> Reference:
+        """Where drones should be from this decision on: arrays (N, 3)."""
+
+    @staticmethod
+    def goals_rest(task: Task) -> bool:
+        """Whether goals are where drones end, not where they should be at every moment."""
+        return task.motion.rests or task.motion.kind == LINES
+
+    def check(self, task: Task) -> None:
+        """Refuse a task to which there is no plan.
+
+        Raises:
+            ValueError: goals that move.
+        """
+        if not self.goals_rest(task):
+            raise ValueError(
+                f"{type(self).__name__} plans to goals at rest, but those of {task.name} move; "
+                "use swap or formation, or the agent 'tracking-compensated'"
+            )
 
 
 class Flyable(Protocol):
@@ -121,38 +169,19 @@ class Flyable(Protocol):
 P = TypeVar("P", bound=Flyable)
 
 
-class PlannedAgent(ABC, Generic[P]):
-    """Plans when goals are set, and emits the plan's set-points.
-
-    Args:
-        requires: options of the environment.
-    """
-
-    privileged = True
+class PlannedAgent(SetpointAgent, Generic[P]):
+    """Plans when goals are set, and emits the plan's set-points."""
 
     def __init__(self, requires: Mapping[str, Any]) -> None:
-        self.requires = requires
+        super().__init__(requires)
         self.plans: list[P] = []
         """The episode's plans, one for each set of goals."""
-        self._agents: list[str] = []
         self._task: Task | None = None
         self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
 
     @abstractmethod
     def plan(self, task: Task, view: View, seed: int) -> P:
         """The way from the set-points of this moment to the goals."""
-
-    def check(self, task: Task) -> None:
-        """Refuse a task to which there is no plan.
-
-        Raises:
-            ValueError: goals that move.
-        """
-        if not task.motion.rests and task.motion.kind != LINES:
-            raise ValueError(
-                f"{type(self).__name__} plans to goals at rest, but those of {task.name} move; "
-                "use swap or formation, or the agent 'tracking-compensated'"
-            )
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Plan the way to the first goals; the seed is that of the planner.
@@ -162,24 +191,15 @@ class PlannedAgent(ABC, Generic[P]):
         """
         task = env.core.task
         self.check(task)
-        self._agents, self._task, self._seed, self.plans = list(env.agents), task, seed, []
+        super().reset(env, seed)
+        self._task, self._seed, self.plans = task, seed, []
         self._plan(env.view)
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk of the plan; no yaw.
-
-        Raises:
-            ValueError: there is no view, without which goals are unknown.
-        """
-        if view is None:
-            raise ValueError(
-                f"{type(self).__name__} is privileged: pass env.view as the view, for its goals"
-            )
+    def reference(self, view: View) -> Reference:
+        """That of the plan, which is made again where goals have changed."""
         if not np.array_equal(view.goals, self._goals):
             self._plan(view)
-        reference = self.plans[-1].reference(view.time - self._began)
-        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
-        return dict(zip(self._agents, rows, strict=True))
+        return self.plans[-1].reference(view.time - self._began)
 
     def _plan(self, view: View) -> None:
         assert self._task is not None
@@ -300,7 +320,7 @@ def _obstacle_cost(
     return np.asarray(_HARD * cost)
 
 
-class DetourAgent:
+class DetourAgent(SetpointAgent):
     """Flies the ways of `choose_bumps`, or the task's reference where that moves.
 
     Args:
@@ -312,17 +332,11 @@ class DetourAgent:
         ValueError: the share is none.
     """
 
-    privileged = True
-
     def __init__(self, controller: ControllerConfig | None = None, share: float = 0.75) -> None:
         if not 0.0 < share <= 1.0:
             raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
-        self.requires: Mapping[str, Any] = {
-            "action": "setpoint",
-            "controller": controller or ControllerConfig(),
-        }
+        super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
         self._share = share
-        self._agents: list[str] = []
         self._arena: FloatArray = np.empty(0)
         self._rng = np.random.default_rng(0)
         self._plan: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -340,22 +354,14 @@ class DetourAgent:
                 f"DetourAgent plans the way of all drones at once, but in {task.name} each drone "
                 "is given another goal when it reaches one; use 'roundabout'"
             )
-        self._agents, self._arena = list(env.agents), task.arena
+        super().reset(env, seed)
+        self._arena = task.arena
         self._rng, self._plan = np.random.default_rng(seed), None
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk on the way at this time; no yaw.
-
-        Raises:
-            ValueError: there is no view: goals and radii are part of it.
-        """
-        if view is None:
-            raise ValueError("the detour agent is privileged: pass env.view as the view")
-        reference = view.reference(view.time) if view.reference_moves else self._detour(view)
-        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
-        return dict(zip(self._agents, rows, strict=True))
-
-    def _detour(self, view: View) -> Reference:
+    def reference(self, view: View) -> Reference:
+        """The way at this time, or the task's reference where that moves."""
+        if view.reference_moves:
+            return view.reference(view.time)
         if self._plan is None or not np.array_equal(self._plan[1], view.goals):
             start = np.array(view.state.position) if self._plan is None else self._plan[1]
             goal = np.array(view.goals)

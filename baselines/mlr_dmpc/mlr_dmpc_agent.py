@@ -7,13 +7,12 @@ A reference has constant jerk within a round, so that five set-points a second s
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from swarm_envs.agents import Actions, Observations
+from swarm_envs.agents.scripted import SetpointAgent
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -27,8 +26,9 @@ from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.motion import LINES, REST
+from swarm_envs.tasks.motion import REST
 from swarm_envs.tasks.obstacles import obstacle_rows
+from swarm_envs.trajectories import Reference
 
 _TRACKING_M = 0.05  # what is kept free between a reference and walls beside the drone's radius, m
 _ROOM = 1.2
@@ -36,7 +36,7 @@ _ROOM = 1.2
 
 
 @typed
-class MlrDmpcAgent:
+class MlrDmpcAgent(SetpointAgent):
     """Flies to goals at rest by distributed MPC over a radio that may lose messages.
 
     Args:
@@ -52,8 +52,6 @@ class MlrDmpcAgent:
     goals of the episode stand closer above each other: `config.scaling` says which holds.
     """
 
-    privileged = True
-
     def __init__(
         self,
         compute_units: int | None = None,
@@ -64,14 +62,15 @@ class MlrDmpcAgent:
         config: MlrDmpcConfig | None = None,
     ) -> None:
         self._given = MlrDmpcConfig() if config is None else config
-        self.requires: Mapping[str, Any] = {
-            "action": "setpoint",
-            "decision_rate": round(1.0 / self._given.round_s),
-            "controller": controller or ControllerConfig(),
-        }
+        super().__init__(
+            {
+                "action": "setpoint",
+                "decision_rate": round(1.0 / self._given.round_s),
+                "controller": controller or ControllerConfig(),
+            }
+        )
         self._compute_units, self._trigger = compute_units, trigger
         self._loss, self._recovery = loss, recovery
-        self._agents: list[str] = []
         self.config = self._given
         """Parameters of the episode."""
         self.swarm: MlrDmpcSwarm | None = None
@@ -92,15 +91,12 @@ class MlrDmpcAgent:
             ValueError: goals that move, or starts or goals too close to each other for any scaling.
         """
         task, start = env.core.task, env.view.state.position
-        if not task.motion.rests and task.motion.kind != LINES:
-            raise ValueError(
-                f"MlrDmpcAgent flies to goals at rest, but those of {task.name} move; use swap, "
-                "formation, or the agent 'tracking-compensated'"
-            )
+        self.check(task)
+        super().reset(env, seed)
         goals = env.core.world.goals[0]
         if task.motion.kind == REST and not task.motion.stage_s:
             goals = goals.reshape(1, -1, 3)  # sites, any of which drones may have at once
-        self._agents, self.faults = list(env.agents), {}
+        self.faults = {}
         self.config = replace(
             self._given,
             box=_box(task, start, goals),
@@ -119,21 +115,18 @@ class MlrDmpcAgent:
             obstacles=_obstacles(task, self.config),
         )
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk for the round that begins; no yaw."""
-        if view is None:
-            raise ValueError("the MLR-DMPC agent is privileged: pass env.view as the view")
+    def reference(self, view: View) -> Reference:
+        """That of the round that begins, which is also planned, sent and received."""
         assert self.swarm is not None, "reset the agent before it acts"
         flown = self.swarm.reference(np.zeros(1))[:, 0]
-        rows = np.concatenate([flown.reshape(len(flown), 12), np.zeros((len(flown), 2))], axis=1)
         measured = np.stack([view.state.position, view.state.velocity], axis=1)
         self.swarm.run_round(targets=np.array(view.goals), measured=measured)
         found: list[Deaf | Unreachable] = [*self.swarm.deaf, *self.swarm.unreachable]
         for fault in found:
             if fault.drone not in self.faults:
                 self.faults[fault.drone] = str(fault)
-                warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
-        return dict(zip(self._agents, rows, strict=True))
+                warnings.warn(str(fault), RuntimeWarning, stacklevel=3)
+        return Reference(*flown.swapaxes(0, 1))
 
 
 def _box(

@@ -13,12 +13,10 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents import Actions, Observations
-from swarm_envs.agents.scripted import DetourAgent, PlannedAgent
+from swarm_envs.agents.scripted import DetourAgent, PlannedAgent, SetpointAgent
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
@@ -29,11 +27,11 @@ from swarm_envs.baselines.neural_swarm.planner.problem import (
     shortest_time,
 )
 from swarm_envs.control.config import ControllerConfig, Indi
-from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
 __all__ = ["BELIEFS", "load_belief"]
@@ -77,7 +75,7 @@ def _load_shipped(name: str) -> InteractionModel:
 
 
 @typed
-class TrackingAgent:
+class TrackingAgent(SetpointAgent):
     """Follows the task's reference with the tracking loop of Neural-Swarm2.
 
     Args:
@@ -85,15 +83,11 @@ class TrackingAgent:
         decision_rate: set-points per second.
     """
 
-    privileged = True
-
     def __init__(self, controller: ControllerConfig | None = None, decision_rate: int = 48) -> None:
-        self.requires: Mapping[str, Any] = {
-            "action": "setpoint",
-            "decision_rate": decision_rate,
-            "controller": controller or ControllerConfig(),
-        }
-        self._agents: list[str] = []
+        given = controller or ControllerConfig()
+        super().__init__(
+            {"action": "setpoint", "decision_rate": decision_rate, "controller": given}
+        )
 
     @classmethod
     def compensated(
@@ -112,18 +106,9 @@ class TrackingAgent:
         """The agent that feeds a model's force forward, and estimates what that leaves over."""
         return cls(ControllerConfig(feedforward=belief or load_belief(), adaptation=Indi()))
 
-    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note the agents' names; nothing here is random."""
-        self._agents = list(env.agents)
-
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """The reference's present position, velocity, acceleration and jerk; no yaw."""
-        if view is None:
-            raise ValueError("the tracking agent is privileged: pass env.view as the view")
-        reference = view.reference(view.time)
-        yaw = np.zeros((len(self._agents), 2))
-        rows = np.concatenate([*reference, yaw], axis=1)
-        return dict(zip(self._agents, rows, strict=True))
+    def reference(self, view: View) -> Reference:
+        """The task's reference at this time."""
+        return view.reference(view.time)
 
 
 def compensated_detour(belief: InteractionModel | None = None) -> DetourAgent:

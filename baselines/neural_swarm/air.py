@@ -14,15 +14,13 @@ from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.agents import Actions, Observations
 from swarm_envs.arguments import POSITIVE, POSITIVE_S, Range, typed
 from swarm_envs.baselines.neural_swarm.agent import TrackingAgent, load_belief
 from swarm_envs.control.config import ControllerConfig, Indi, PositionGains
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.motion import LINES
-from swarm_envs.trajectories import rest_to_rest
+from swarm_envs.trajectories import Reference, rest_to_rest
 from swarm_envs.vehicles import Team
 
 __all__ = ["TUNED", "AirNumbers", "heavy_on_top"]
@@ -91,23 +89,17 @@ class AirAgent(TrackingAgent):
         """Note what the task is like; nothing here is random."""
         super().reset(env, seed)
         task = env.core.task
-        self._follows = not task.motion.rests and task.motion.kind != LINES
+        self._follows = not self.goals_rest(task)
         self._named, self._goals = getattr(task.success, "named", True), None
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk on the way; no yaw.
-
-        Raises:
-            ValueError: there is no view: goals and reference are part of it.
-        """
-        if view is None or self._follows:
-            return super().act(observations, view)
+    def reference(self, view: View) -> Reference:
+        """The way at this time, or the task's reference."""
+        if self._follows:
+            return super().reference(view)
         if self._goals is None or (self._named and not np.array_equal(view.goals, self._goals)):
             self._plan(view)
         start, places, duration, began = self._way
-        way = rest_to_rest(start, places, duration, view.time - began)
-        rows = np.concatenate([*way, np.zeros((len(start), 2))], axis=1)
-        return dict(zip(self._agents, rows, strict=True))
+        return rest_to_rest(start, places, duration, view.time - began)
 
     def _plan(self, view: View) -> None:
         """The way from the set-points of this moment to the goals, or to better places."""
