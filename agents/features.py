@@ -280,9 +280,7 @@ def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
         (rows[..., at["self.setpoint_offset"]] - error) / np.float32(REACH),
         rows[..., at["self.type"]],
     ]
-    if num_neighbors:
-        seen = [_neighbor_features(rows, at, f"neighbor_{k}") for k in range(num_neighbors)]
-        parts += seen
+    parts += [_neighbor_features(rows, at, f"neighbor_{k}") for k in range(num_neighbors)]
     made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32)
     return made
 

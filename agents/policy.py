@@ -14,7 +14,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -437,35 +436,8 @@ class PolicyAgent(RowAgent):
         return self.policy.actions(rows)
 
 
-def _shipped_policy(name: str) -> PolicyAgent:
+def shipped_policy(name: str) -> PolicyAgent:
+    """The agent of a policy that ships; see `weights/MODEL_CARD.md`."""
     weights = resources.files("swarm_envs.agents").joinpath("weights")
     with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
         return PolicyAgent.load(path)
-
-
-swap_ppo = partial(_shipped_policy, "swap-ppo")
-"""The policy that ships for swaps of four drones; see `weights/MODEL_CARD.md`."""
-swap_ppo_8 = partial(_shipped_policy, "swap-ppo-8")
-"""The policy that ships for swaps of two to eight drones."""
-swap_dagger = partial(_shipped_policy, "swap-dagger")
-"""The policy that ships for swaps and formations of two to 32 drones, small and large."""
-gates_dagger = partial(_shipped_policy, "gates-dagger")
-"""The policy that ships for the slalom of two to four small drones through gates."""
-pursuit_dagger = partial(_shipped_policy, "pursuit-dagger")
-"""The policy that ships for two to eight small drones whose goals do not stay."""
-crowd_dagger = partial(_shipped_policy, "crowd-dagger")
-"""The policy that ships for 2 to 128 small drones among obstacles, behind the filter."""
-stack_dagger = partial(_shipped_policy, "stack-dagger")
-"""The policy that ships for columns of eight small drones, half of them with a payload."""
-mixed_dagger = partial(_shipped_policy, "mixed-dagger")
-"""The policy that ships for columns of large and small drones, some of them with a payload."""
-sprint_dagger = partial(_shipped_policy, "sprint-dagger")
-"""The policy that ships for sprints of eight drones into two columns."""
-delivery_dagger = partial(_shipped_policy, "delivery-dagger")
-"""The policy that ships for three couriers that dock below four large drones."""
-formation_ppo = partial(_shipped_policy, "formation-ppo")
-"""The policy that ships for formations of six to eight drones."""
-ring_ppo = partial(_shipped_policy, "ring-ppo")
-"""The policy that ships for rings of up to five drones."""
-ring_dagger = partial(_shipped_policy, "ring-dagger")
-"""The policy that ships for rings of 2 to 16 drones, small and large."""

@@ -22,6 +22,12 @@ from swarm_envs.interactions import InteractionModel
 
 __all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
 
+POLICIES = (
+    *("swap-ppo", "swap-ppo-8", "swap-dagger", "gates-dagger", "pursuit-dagger", "crowd-dagger"),
+    *("stack-dagger", "mixed-dagger", "sprint-dagger", "delivery-dagger"),
+    *("ring-dagger", "formation-ppo", "ring-ppo"),
+)
+"""Shipped agents that are trained policies: files of these names in `weights`."""
 SHIPPED: Mapping[str, str] = MappingProxyType(
     {
         "hover": "swarm_envs.agents.scripted:HoverAgent",
@@ -40,19 +46,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         ),
         "detour": "swarm_envs.agents.scripted:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
-        "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
-        "swap-ppo-8": "swarm_envs.agents.policy:swap_ppo_8",
-        "swap-dagger": "swarm_envs.agents.policy:swap_dagger",
-        "gates-dagger": "swarm_envs.agents.policy:gates_dagger",
-        "pursuit-dagger": "swarm_envs.agents.policy:pursuit_dagger",
-        "crowd-dagger": "swarm_envs.agents.policy:crowd_dagger",
-        "stack-dagger": "swarm_envs.agents.policy:stack_dagger",
-        "mixed-dagger": "swarm_envs.agents.policy:mixed_dagger",
-        "sprint-dagger": "swarm_envs.agents.policy:sprint_dagger",
-        "delivery-dagger": "swarm_envs.agents.policy:delivery_dagger",
-        "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
-        "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
-        "ring-dagger": "swarm_envs.agents.policy:ring_dagger",
+        **dict.fromkeys(POLICIES, "swarm_envs.agents.policy:shipped_policy"),
         "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",
         "air-blind-adaptive": "swarm_envs.baselines.neural_swarm.air:air_blind_adaptive",
         "air-aware": "swarm_envs.baselines.neural_swarm.air:air_aware",
@@ -66,7 +60,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
-called without arguments."""
+called without arguments, but for policies, which are loaded by their name."""
 
 FILTER = "+filter"
 """What an agent's name ends in to be flown behind a `swarm_envs.agents.SafetyFilter`."""
@@ -107,6 +101,10 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
             raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
         own = agent.policy.note.safety if isinstance(agent, PolicyAgent) else None
         return SafetyFilter(agent, own)
+    if name in POLICIES:
+        from swarm_envs.agents.policy import shipped_policy
+
+        return shipped_policy(name)
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path, environment)

@@ -81,7 +81,7 @@ class Safety:
     num_neighbors: Count = 7
     """How many neighbours are watched, if the agent does not itself observe more."""
 
-    def barrier(self, radial: bool = True) -> Barrier:
+    def barrier(self, radial: bool) -> Barrier:
         """The same as kernels take it; `radial` as of `velocity_barrier`."""
         return Barrier(
             margin=float(self.margin_m),
@@ -129,17 +129,12 @@ class SafetyFilter:
         watched = {"num_neighbors": max(observed, self.safety.num_neighbors)}
         self.requires: Mapping[str, Any] = {**agent.requires, **needed, **watched}
         self.privileged = agent.privileged
-        self.digest = self._digest()
+        content = f"{source_digest(agent)} {self.safety}"
+        self.digest = hashlib.sha256(content.encode()).hexdigest()
         if isinstance(agent, BatchAgent):
             self.act_batch = self._act_batch
         self._statistics = _Statistics()
         self._twin: SwarmParallelEnv | None = None
-        self._dropped = slice(0, 0)
-        self._barrier = self.safety.barrier()
-
-    def _digest(self) -> str:
-        content = f"{source_digest(self.agent)} {self.safety}"
-        return hashlib.sha256(content.encode()).hexdigest()
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Prepare for an episode.
@@ -161,10 +156,8 @@ class SafetyFilter:
         self._barrier = self.safety.barrier(radial=not env.core.task.old_filter)
         if self._barrier.radial and getattr(self.agent, "straight", False):
             _check_crossing(env.view)
-        self._arena, rows = (
-            np.array(env.core.task.arena),
-            LIMITS + WALLS + columns.num_obstacles + watched,
-        )
+        self._arena = np.array(env.core.task.arena)
+        rows = LIMITS + WALLS + columns.num_obstacles + watched
         self._scratch = BarrierWorkspace(
             np.zeros((rows, 3)), np.zeros(rows), np.zeros(3), np.zeros(3), new_workspace(rows)
         )
