@@ -187,7 +187,7 @@ class GridPlan(GridInstance):
 
     def check(self) -> ValidationReport:
         """Validate the paths again."""
-        return validate(self.paths, self.starts, self.goals, self.shape, self.obstacles)
+        return validate(self.paths, **self.fields())
 
     def save(self, path: str | Path) -> None:
         """Write the plan as .npz, whole or not at all.

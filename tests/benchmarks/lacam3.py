@@ -22,7 +22,6 @@ from tqdm import tqdm
 
 from swarm_envs.baselines.rth3d import GridInstance, PlanNotFound, plan
 from swarm_envs.baselines.rth3d.benchmark_files import write_benchmark
-from swarm_envs.baselines.rth3d.grid import numbers
 from tests.baselines.rth3d.cases import load_checker
 from tests.baselines.rth3d.test_lacam import clutter, crowds, holes, mazes
 from tests.benchmarks.rows import aligned
@@ -63,9 +62,7 @@ def ours(instance: GridInstance, method: str) -> Found:
     except PlanNotFound:
         return Found(False, time.process_time() - begin, np.nan)
     cpu_s = time.process_time() - begin
-    vertices = numbers(found.paths, found.shape)
-    facts = (found.shape, found.starts, found.goals, found.obstacles)
-    assert load_checker(SHARED)(vertices, *facts)["ok"]
+    assert load_checker(SHARED)(found, found.paths)["ok"]
     return Found(True, cpu_s, found.makespan)
 
 

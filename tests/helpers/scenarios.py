@@ -84,8 +84,8 @@ def grid_plans() -> Arrays:
     walled = rth3d.make_instance("buildings", (9, 9, 4), 20, seed=0)
     for name, instance in (("dense", dense), ("walled", walled)):
         for method in ("rth3d", "rth3d-lba", "pibt"):
-            facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
-            found[f"{name}-{method}"] = rth3d.plan(*facts, method=method).paths.astype(np.float64)
+            paths = rth3d.plan(**instance.fields(), method=method).paths
+            found[f"{name}-{method}"] = paths.astype(np.float64)
     return found
 
 

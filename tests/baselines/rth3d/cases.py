@@ -12,14 +12,19 @@ import numpy as np
 from scipy.ndimage import label
 
 from swarm_envs.baselines.rth3d import FAMILIES, GridInstance, make_instance, max_density
-from swarm_envs.baselines.rth3d.grid import building_columns, check_instance
+from swarm_envs.baselines.rth3d.grid import building_columns, check_instance, numbers
 from swarm_envs.state import BoolArray
 
 
-def load_checker(shared: Path) -> Callable[..., dict]:
-    """`validate` of ../shared/tools/mapf, written by others than the planners."""
-    folder = shared / "tools" / "mapf"
-    return load_tool(folder / "validate.py").validate
+def load_checker(shared: Path) -> Callable[[GridInstance, np.ndarray], dict]:
+    """A report on paths (T + 1, n, 3), by ../shared/tools/mapf, not written by us."""
+    validate = load_tool(shared / "tools" / "mapf" / "validate.py").validate
+
+    def check(instance: GridInstance, paths: np.ndarray) -> dict:
+        given = (instance.shape, instance.starts, instance.goals, instance.obstacles)
+        return validate(numbers(paths, instance.shape), *given)
+
+    return check
 
 
 def load_tool(file: Path) -> ModuleType:

@@ -35,17 +35,10 @@ from tests.baselines.rth3d.cases import between, load_checker, maze, random_inst
 SLOW = pytest.mark.slow
 
 
-def plan_instance(instance, **options) -> GridPlan:
-    return plan(instance.starts, instance.goals, instance.shape, instance.obstacles, **options)
-
-
 def judge(found: GridPlan, checker) -> None:
     """Both checkers, ours and the foreign one."""
     assert found.valid and found.check()
-    m2, m3 = found.shape[1:]
-    wide = found.paths.astype(np.int64)
-    vertices = (wide[..., 0] * m2 + wide[..., 1]) * m3 + wide[..., 2]
-    report = checker(vertices, found.shape, found.starts, found.goals, found.obstacles)
+    report = checker(found, found.paths)
     assert report["ok"], report
     assert report["lb"] <= found.lower_bound <= found.makespan
     assert report["makespan"] == found.makespan
@@ -62,7 +55,7 @@ def test_random_instances_by_every_method(seeds, shared_data):
         makespans = {}
         for method in METHODS:
             try:
-                found = plan_instance(instance, method=method, seed=seed)
+                found = plan(**instance.fields(), method=method, seed=seed)
             except PlanNotFound:
                 assert method == "pibt"
                 continue
@@ -78,7 +71,7 @@ def test_random_instances_by_every_method(seeds, shared_data):
 def test_the_same_seed_gives_the_same_plan():
     instance = make_instance("uniform", (12, 9, 7), 200, seed=3)
     for method in METHODS:
-        first, second = (plan_instance(instance, method=method, seed=5) for _ in range(2))
+        first, second = (plan(**instance.fields(), method=method, seed=5) for _ in range(2))
         assert first.paths.tobytes() == second.paths.tobytes()
         assert first.paths.dtype == np.int16
 
@@ -88,7 +81,7 @@ def test_before_compaction_the_makespan_obeys_the_paper_s_bound():
     for shape in [(12, 6, 3), (24, 12, 6), (48, 24, 12)]:
         m1, m2, m3 = shape
         for method in ("rth3d", "rth3d-lba"):
-            found = plan_instance(make_instance("uniform", shape, seed=1), method=method)
+            found = plan(**make_instance("uniform", shape, seed=1).fields(), method=method)
             steps = {phase.name: phase.makespan for phase in found.phases}
             balancing = steps["balance starts"] + steps["balance goals"]
             assert found.bound is not None and found.before_compaction is not None
@@ -109,10 +102,10 @@ def test_the_ratio_falls_with_size(family, most, shapes):
     ratios = []
     for shape in shapes:
         instance = make_instance(family, shape, seed=1 if family == "mirror" else 2)
-        small = plan_instance(instance, method="rth3d-lba")
+        small = plan(**instance.fields(), method="rth3d-lba")
         ratios.append(small.ratio)
         if family == "quasi-random":
-            other = plan_instance(instance, method="rth3d")
+            other = plan(**instance.fields(), method="rth3d")
             assert small.before_compaction is not None and other.before_compaction is not None
             assert small.before_compaction < other.before_compaction
     assert ratios == sorted(ratios, reverse=True)
@@ -125,8 +118,8 @@ def test_pibt_alone_may_find_no_plan(monkeypatch):
     monkeypatch.setattr(pibt_search, "_MARGIN", 0)
     instance = make_instance("mirror", (12, 6, 3), seed=0)
     with pytest.raises(PlanNotFound, match=r"no plan of at most 10 steps \(lower bound 18\)"):
-        plan_instance(instance, method="pibt")
-    best, sure = (plan_instance(instance, method=name) for name in ("auto", "rth3d-lba"))
+        plan(**instance.fields(), method="pibt")
+    best, sure = (plan(**instance.fields(), method=name) for name in ("auto", "rth3d-lba"))
     assert best.valid
     assert best.makespan <= sure.makespan
 
@@ -150,7 +143,7 @@ def test_nobody_has_to_move():
 
 
 def test_few_robots_reach_the_bound():
-    found = plan_instance(make_instance("uniform", (24, 12, 6), 20, seed=1))
+    found = plan(**make_instance("uniform", (24, 12, 6), 20, seed=1).fields())
     assert found.ratio <= 1.02
 
 
@@ -228,17 +221,17 @@ def test_obstacles_outside_the_pattern_are_named():
 
 def test_a_time_limit_gives_a_valid_plan_or_an_exception():
     instance = make_instance("mirror", (24, 12, 6), seed=0)
-    plan_instance(instance, method="rth3d-lba")  # compiles
+    plan(**instance.fields(), method="rth3d-lba")  # compiles
     for limit in (1e-9, 1e-3, 3e-3, 1e-2, 3e-2, 10.0):
         for method in ("rth3d-lba", "auto"):
             try:
-                found = plan_instance(instance, method=method, time_limit=limit)
+                found = plan(**instance.fields(), method=method, time_limit=limit)
             except PlanTimeout as error:
                 assert "time limit" in str(error)
             else:
                 assert validate(found.paths, instance.starts, instance.goals, instance.shape)
     with pytest.raises(PlanTimeout):
-        plan_instance(instance, method="rth3d-lba", time_limit=1e-9)
+        plan(**instance.fields(), method="rth3d-lba", time_limit=1e-9)
 
 
 def test_pibt_goes_around_any_obstacle():
@@ -269,7 +262,7 @@ def test_reflected_goals_skip_the_first_shuffles(walls):
         goals = np.where(flips, np.array(SHAPE) - 1 - starts, starts).astype(np.int32)
         found.append(GridInstance(SHAPE, starts, goals, walls))
     for instance in found:
-        phases = plan_instance(instance, method="rth3d-lba").phases
+        phases = plan(**instance.fields(), method="rth3d-lba").phases
         steps = {phase.name: phase.makespan for phase in phases}
         assert steps["heights"] == steps["rows"] == 0
         assert steps["balance starts"] == steps["balance goals"]
@@ -314,9 +307,8 @@ def test_compaction_gives_back_the_steps_that_it_saves():
 
 
 def plan_set(instance: GridInstance, **options) -> GridPlan:
-    given = (instance.starts, instance.goals, instance.shape, instance.obstacles)
-    found = plan(*given, labels=False, **options)
-    assert found.check() and validate(found.paths, *given, labels=False)
+    found = plan(**instance.fields(), labels=False, **options)
+    assert found.check() and validate(found.paths, **instance.fields(), labels=False)
     assert sorted(found.goals.tolist()) == sorted(instance.goals.tolist())
     return found
 
@@ -364,8 +356,7 @@ def test_random_instances_pass_the_foreign_checker(shared_data):
     cases.append(between(maze(17, np.random.default_rng(0)), 30, np.random.default_rng(1)))
     for instance in cases:
         found = plan_set(instance)
-        vertices = np.ravel_multi_index(tuple(found.paths.T.astype(int)), found.shape).T
-        report = checker(vertices, found.shape, found.starts, found.goals, found.obstacles)
+        report = checker(found, found.paths)
         assert report["ok"], report
         assert found.winner == "flow" and report["makespan"] == found.makespan == found.lower_bound
 
@@ -468,8 +459,7 @@ def test_the_command_plans_a_benchmark(tmp_path, more):
     assert main(["plan", *asked, *more]) == 0
     given = read_benchmark(*pair, robots=2 if "--robots" in more else 3)
     found = GridPlan.load(tmp_path / "plan.npz")
-    facts = (given.starts, given.goals, given.shape, given.obstacles)
-    assert validate(found.paths, *facts, labels="--no-labels" not in more)
+    assert validate(found.paths, **given.fields(), labels="--no-labels" not in more)
     assert json.loads((tmp_path / "plan.json").read_text())["shape"] == [5, 3, 1]
 
 
@@ -479,13 +469,12 @@ def test_only_free_vertices_of_a_map_take_memory(tmp_path, monkeypatch, method):
     rows = ["@" * 60] * 40 + ["@" * 20 + "." * 20 + "@" * 20] * 6
     text = f"type octile\nheight {len(rows)}\nwidth 60\nmap\n" + "\n".join(rows)
     lines = [f"0\tsmall.map\t60\t46\t{20 + k}\t40\t{39 - k}\t45\t9.0" for k in range(12)]
-    given = read_benchmark(*files(tmp_path, text, "\n".join(["version 1", *lines])))
-    facts = (given.starts, given.goals, given.shape, given.obstacles)
+    given = read_benchmark(*files(tmp_path, text, "\n".join(["version 1", *lines]))).fields()
     monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120)
-    assert validate(plan(*facts, method=method).paths, *facts)
+    assert validate(plan(**given, method=method).paths, **given)
     monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120 - 1)
     with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 numbers"):
-        plan(*facts, method=method)
+        plan(**given, method=method)
 
 
 @pytest.mark.parametrize(

@@ -31,8 +31,7 @@ from tests.baselines.rth3d.cases import between, load_checker, maze
 
 
 def solve(instance: GridInstance, method: str = "lacam", **options):
-    facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
-    return plan(*facts, method=method, **options)
+    return plan(**instance.fields(), method=method, **options)
 
 
 def shortest_makespan(instance: GridInstance) -> int | None:
@@ -103,10 +102,7 @@ def test_plans_get_shorter_with_more_configurations_and_do_not_depend_on_pauses(
         whole.run(paused.made)
     assert paused.paths().tobytes() == whole.paths().tobytes()
     assert lengths == sorted(lengths, reverse=True) and lengths[-1] < lengths[1]
-    assert validate(
-        points(whole.paths(), instance.shape),
-        *(instance.starts, instance.goals, instance.shape, instance.obstacles),
-    )
+    assert validate(points(whole.paths(), instance.shape), **instance.fields())
 
 
 def mazes(seed: int) -> Iterator[GridInstance]:
@@ -144,9 +140,7 @@ def test_it_solves_what_pibt_alone_does_not(family, method, shared_data):
     checker = load_checker(shared_data)
     for instance in family(0):
         found = solve(instance, method)
-        vertices = numbers(found.paths, found.shape)
-        facts = (found.shape, found.starts, found.goals, found.obstacles)
-        assert checker(vertices, *facts)["ok"]
+        assert checker(found, found.paths)["ok"]
         assert instance.lower_bound <= found.makespan
 
 
@@ -278,9 +272,8 @@ def test_balancing_has_the_least_distance(obstacles):
 
 def test_it_matches_as_the_paper_and_is_longer_than_ours():
     instance = make_instance("uniform", (48, 24, 12), seed=1)
-    given = (instance.starts, instance.goals, instance.shape)
     paper, ours, plain = (
-        float(plan(*given, method=name).before_compaction or 0) / instance.lower_bound
+        float(solve(instance, name).before_compaction or 0) / instance.lower_bound
         for name in ("rth3d-lba-paper", "rth3d-lba", "rth3d")
     )
     assert 1.4 < ours < paper < plain

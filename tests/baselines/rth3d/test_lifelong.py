@@ -58,8 +58,9 @@ def test_a_flat_grid_and_goals_that_are_shared_or_given_again():
 @pytest.mark.parametrize("family", ["uniform", "shift"])
 def test_the_sum_of_costs_falls_within_the_same_makespan(family):
     instance = make_instance(family, (12, 9, 6), seed=2)
-    facts = (instance.starts, instance.goals, instance.shape)
-    short, cheap = (plan(*facts, objective=name) for name in ("makespan", "sum_of_costs"))
+    short, cheap = (
+        plan(**instance.fields(), objective=name) for name in ("makespan", "sum_of_costs")
+    )
     assert cheap.makespan <= short.makespan and cheap.check()
     least = instance.lengths.sum()
     assert all(found.sum_of_costs == found.check().sum_of_costs for found in (short, cheap))

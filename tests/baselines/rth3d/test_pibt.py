@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.rth3d import make_instance, plan, validate
-from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
+from swarm_envs.baselines.rth3d.grid import check_instance, points
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.negotiation import Negotiation
 from swarm_envs.baselines.rth3d.pibt import Pibt
@@ -29,7 +29,7 @@ def in_a_block(exchanged, side=5, margin=2):
     goals = starts.copy()
     first, second = ((starts == np.array(v) + margin).all(axis=1).argmax() for v in exchanged)
     goals[[first, second]] = goals[[second, first]]
-    return check_instance(starts, goals, shape, None)
+    return check_instance(starts, goals, shape)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_two_robots_meet_in_a_lane_between_robots_at_their_goals():
     starts = starts[~((starts[:, 1] == 0) & (starts[:, 2] == 0))]
     lane = np.array([[0, 0, 0], [19, 0, 0]])
     starts, goals = np.vstack([lane, starts]), np.vstack([lane[::-1], starts])
-    instance = check_instance(starts, goals, (20, 8, 4), None)
+    instance = check_instance(starts, goals, (20, 8, 4))
     for seed in range(20):
         steps, left = first_attempt(instance, seed)
         assert left == 0
@@ -76,7 +76,7 @@ def test_no_seed_leaves_stragglers(family):
 def test_auto_is_no_lottery(family):
     for seed in range(30):
         instance = make_instance(family, (72, 36, 18), seed=seed)
-        found = plan(instance.starts, instance.goals, instance.shape, seed=seed)
+        found = plan(**instance.fields(), seed=seed)
         assert found.winner == "pibt"
         assert found.ratio <= 1.02
 
@@ -141,13 +141,11 @@ def test_places_halfway_are_between_and_differ():
 
 def test_negotiation_finds_what_is_asked_or_nothing():
     instance = make_instance("uniform", (12, 6, 3))
-    starts, goals = instance.starts, instance.goals
     for steps in range(instance.lower_bound, instance.lower_bound + 4):
         paths = Negotiation(instance, 0, PlanningClock(), 10**9).plan(steps)
         if paths is not None:
             assert len(paths) == steps + 1
-            places = np.stack(np.unravel_index(paths, (12, 6, 3)), axis=-1)
-            assert validate(places, starts, goals, (12, 6, 3))
+            assert validate(points(paths, instance.shape), **instance.fields())
     assert paths is not None
     again = Negotiation(instance, 0, PlanningClock(), 10**9).plan(steps)
     assert again is not None and np.array_equal(paths, again)
@@ -155,12 +153,8 @@ def test_negotiation_finds_what_is_asked_or_nothing():
 
 def test_no_path_is_kept_of_what_has_no_plan_of_so_many_steps():
     """Two robots in a passage that is one wide cannot pass each other in any time."""
-    instance = GridInstance(
-        (4, 1, 1),
-        np.array([[0, 0, 0], [3, 0, 0]]),
-        np.array([[3, 0, 0], [0, 0, 0]]),
-        np.zeros((4, 1, 1), dtype=bool),
-    )
+    ends = np.array([[0, 0, 0], [3, 0, 0]])
+    instance = check_instance(ends, ends[::-1], (4, 1, 1))
     assert Negotiation(instance, 0, PlanningClock(), 10**9).plan(9) is None
 
 
@@ -173,7 +167,7 @@ def test_the_bound_for_passing_within_a_line_is_not_above_the_optimum(seed):
     for y in range(2):
         line = starts[:, 1] == y
         goals[line, 0] = generator.permutation(4)[: line.sum()]
-    instance = check_instance(starts, goals, (4, 2, 1), None)
+    instance = check_instance(starts, goals, (4, 2, 1))
     least = shortest_makespan(instance)
     assert least is not None and instance.lower_bound <= least
 

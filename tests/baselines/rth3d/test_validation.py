@@ -67,8 +67,7 @@ def test_obstacles_starts_and_goals():
 def test_damaged_plans_are_judged_as_by_the_other_checker(shared_data):
     checker = load_checker(shared_data)
     instance = make_instance("uniform", (9, 6, 3), seed=0)
-    facts = (instance.starts, instance.goals, instance.shape)
-    good = plan(*facts, method="rth3d-lba").paths
+    good = plan(**instance.fields(), method="rth3d-lba").paths
     rng = np.random.default_rng(0)
     verdicts = []
     for _ in range(200):
@@ -82,9 +81,8 @@ def test_damaged_plans_are_judged_as_by_the_other_checker(shared_data):
             paths[: time + 1, [robot, other]] = paths[: time + 1, [other, robot]]
         else:
             paths[time:-1, robot] = paths[time + 1 :, robot]
-        numbers = (paths[..., 0].astype(int) * 6 + paths[..., 1]) * 3 + paths[..., 2]
-        theirs = checker(numbers, instance.shape, instance.starts, instance.goals)["ok"]
-        assert bool(validate(paths, *facts)) == theirs
+        theirs = checker(instance, paths)["ok"]
+        assert bool(validate(paths, **instance.fields())) == theirs
         verdicts.append(theirs)
     assert 0 < sum(verdicts) < len(verdicts)
 
@@ -118,7 +116,7 @@ def test_blocks_move_as_a_whole():
 
 def test_a_plan_is_read_as_it_was_written(tmp_path):
     instance = make_instance("buildings", (9, 9, 4), 40, seed=0)
-    found = plan(instance.starts, instance.goals, instance.shape, instance.obstacles)
+    found = plan(**instance.fields())
     found.save(tmp_path / "plan.npz")
     again = GridPlan.load(tmp_path / "plan.npz")
     assert again.paths.tobytes() == found.paths.tobytes() and again.phases == found.phases
