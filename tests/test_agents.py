@@ -161,11 +161,6 @@ def test_what_cannot_be_flown_is_told_before_the_flight() -> None:
     env.close()
 
 
-def test_one_filter_is_enough() -> None:
-    with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
-        load("straight-line+filter+filter")
-
-
 START = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.6]])
 
 

@@ -15,9 +15,9 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from swarm_envs import formation_v0, formation_v1, make, ring_v0, swap_v0, swap_v1
-from swarm_envs.agents import Agent, SafetyFilter, fly_episode, load
-from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
+from swarm_envs import make, ring_v0, swap_v0
+from swarm_envs.agents import SafetyFilter, fly_episode, load
+from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.features import FEATURE_SETS, FULL, REFERENCE, TYPED, goal_features
 from swarm_envs.agents.networks import ANY, plain
 from swarm_envs.agents.policy import (
@@ -30,8 +30,8 @@ from swarm_envs.agents.policy import (
 )
 from swarm_envs.agents.safety import Safety
 from swarm_envs.envs.observation import observation_layout
-from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions.weights_file import load_weights
+from tests.helpers.flights import flown
 
 NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
 
@@ -295,18 +295,14 @@ def test_full_features_do_not_change_with_an_error_of_the_own_position():
 
     said = {f.name: f.where for f in observation_layout(*FORM)}
     still = _shifted(row, row[said["self.setpoint_offset"]], FORM)
-    plain = [still[said[f.name]] for f in observation_layout(3)]
-    own, around = FEATURE_SETS[TYPED].sizes(3).split(make_typed(np.concatenate(plain)))
+    plain = np.concatenate([still[said[f.name]] for f in observation_layout(3)])
+    own, around = FEATURE_SETS[TYPED].sizes(3).split(goal_features(plain, 3, typed=True))
     mine, others = sizes(*FORM).split(make(still, *FORM))
     assert made.shape == (sizes(*FORM).width,) == (31 + 3 + 3 + 2 * 5 + 3 * 28,)
     np.testing.assert_allclose(mine[: len(own)], own, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(others[:, : around.shape[1]], around, rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(mine[31:34], still[said["self.thrust_margin"].start :][:3])
     np.testing.assert_array_equal(mine[34:37], still[said["self.force"]])
-
-
-def make_typed(row: np.ndarray) -> np.ndarray:
-    return goal_features(row, 3, typed=True)
 
 
 @pytest.mark.parametrize(
@@ -321,23 +317,16 @@ def test_features_refuse_rows_of_another_form(name, form):
 SEEDS = frozen_seeds(11, 64)
 
 
-def successes(env: SwarmParallelEnv, agent: Agent, seeds: list[int]) -> float:
-    flown = evaluate_agent(env, agent, seeds)
-    return float(np.mean([episode["metrics"]["success"] for episode in flown]))
-
-
-def formation(agent: Agent, layout: str, **options) -> SwarmParallelEnv:
-    given = {"num_drones": 8, "layout": layout, "physics": "batch", **agent.requires, **options}
-    return formation_v0.parallel_env(**given)
+def successes(*given: Any, **options: Any) -> float:
+    """Share of the episodes of `flown` that succeeded."""
+    return float(np.mean([metrics["success"] for metrics in flown(*given, **options)]))
 
 
 def test_drawn_places_are_reached_far_more_often_than_straight_ahead():
-    rates = []
-    for name in ("formation-ppo", "straight-line"):
-        agent = load(name)
-        env = formation(agent, "shuffle", force_rate=48)
-        rates.append(successes(env, agent, SEEDS))
-        env.close()
+    rates = [
+        successes(name, "formation_v0", SEEDS, num_drones=8, layout="shuffle", force_rate=48)
+        for name in ("formation-ppo", "straight-line")
+    ]
     assert rates[0] > 0.6
     assert rates[0] > rates[1] + 0.25
 
@@ -345,70 +334,45 @@ def test_drawn_places_are_reached_far_more_often_than_straight_ahead():
 def test_heights_on_rings_are_kept_better_than_without_compensation():
     worst = {}
     for name, count in (("ring-ppo", 8), ("tracking", 1)):
-        agent = load(name)
-        env = ring_v0.parallel_env(num_drones=5, physics="batch", **agent.requires)
-        flown = [fly_episode(env, agent, seed) for seed in SEEDS[:count]]
-        assert all(metrics["success"] for metrics in flown)
-        worst[name] = max(metrics["worst_height_error_m"] for metrics in flown)
-        env.close()
+        found = flown(name, "ring_v0", SEEDS[:count], num_drones=5)
+        assert all(metrics["success"] for metrics in found)
+        worst[name] = max(metrics["worst_height_error_m"] for metrics in found)
     assert worst["ring-ppo"] < 0.5 * worst["tracking"]
     assert worst["tracking"] == pytest.approx(0.09, abs=0.02)
 
 
 @pytest.mark.parametrize("given", [{"num_drones": 2}, {"num_drones": 16}, {"team": "LLLLL"}])
 def test_heights_on_rings_are_kept_by_imitation_as_with_compensation(given):
-    worst = []
-    for name in ("ring-dagger", "tracking-compensated"):
-        agent = load(name)
-        env = make("ring_v1", physics="batch", **given, **agent.requires)
-        metrics = fly_episode(env, agent, SEEDS[0])
-        assert metrics["success"]
-        worst.append(metrics["worst_height_error_m"])
-        env.close()
-    assert worst[0] < min(worst[1], 0.012)
+    own, others = (
+        flown(name, "ring_v1", SEEDS[:1], **given)[0]
+        for name in ("ring-dagger", "tracking-compensated")
+    )
+    assert own["success"]
+    assert own["worst_height_error_m"] < min(others["worst_height_error_m"], 0.012)
 
 
 @pytest.mark.parametrize("team", ["SS", 8 * "S", 32 * "S", "LLLL", "SLSLSLSL"])
 def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     """24 random swaps; nothing was chosen on these seeds."""
-    agent = load("swap-dagger")
-    env = swap_v1.parallel_env(team=team, layout="random", physics="batch", **agent.requires)
-    assert successes(env, agent, frozen_seeds(5, 24)) == 1.0
-    env.close()
+    assert successes("swap-dagger", "swap_v1", frozen_seeds(5, 24), team=team, layout="random") == 1
 
 
-@pytest.mark.parametrize("episodes", [4, pytest.param(64, marks=pytest.mark.slow)])
-def test_a_circle_of_32_is_swapped_by_imitation(episodes):
-    """The benchmark's episodes, none of which a script without the true state solves."""
-    agent = load("swap-dagger")
-    given = {"layout": "circle", "num_drones": 32, "horizon_s": 16.0, "physics": "batch"}
-    env = make("swap_v1", **given, **agent.requires)
-    assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.98
-    env.close()
-
-
-def slalom(drones: int) -> tuple[SwarmParallelEnv, Agent]:
-    """The benchmark's gates for a number of drones, and the agent `gates-dagger`."""
-    agent = load("gates-dagger")
-    options = {"num_drones": drones, "world": "hall", "horizon_s": 12.0, "physics": "batch"}
-    return make("gates_v0", **options, **agent.requires), agent
+SLALOM: dict[str, Any] = {"world": "hall", "horizon_s": 12.0}
+"""Options of the benchmark's gates."""
 
 
 @pytest.mark.parametrize("drones", [2, 3, 4])
 def test_columns_pass_gates_by_imitation(drones):
-    env, agent = slalom(drones)
-    assert successes(env, agent, frozen_seeds(5, 16)) == 1.0
-    env.close()
+    seeds = frozen_seeds(5, 16)
+    assert successes("gates-dagger", "gates_v0", seeds, num_drones=drones, **SLALOM) == 1.0
 
 
 @pytest.mark.slow
 def test_a_column_of_four_passes_gates_as_fast_as_its_card_says():
     """The benchmark's episodes; scripts without the true state end in none of them in time."""
-    env, agent = slalom(4)
-    flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(2026, 256))]
-    assert sum(metrics["success"] for metrics in flown) >= 254
-    assert np.mean([metrics["gates_per_min"] for metrics in flown]) > 72.5
-    env.close()
+    found = flown("gates-dagger", "gates_v0", frozen_seeds(2026, 256), num_drones=4, **SLALOM)
+    assert sum(metrics["success"] for metrics in found) >= 254
+    assert np.mean([metrics["gates_per_min"] for metrics in found]) > 72.5
 
 
 @pytest.mark.parametrize("layout", ["moving", "swap-goals", "chase"])
@@ -417,99 +381,77 @@ def test_a_column_of_four_passes_gates_as_fast_as_its_card_says():
 )
 def test_goals_that_do_not_stay_are_reached_by_imitation(layout, drones, episodes):
     """The benchmark's episodes; its card has how many of the 256 succeed."""
-    agent, least = load("pursuit-dagger"), {"moving": 0.99, "swap-goals": 0.97, "chase": 0.94}
-    options = {"num_drones": drones, "layout": layout, "physics": "batch"}
-    env = make("pursuit_v0", **options, **agent.requires)
-    rate = successes(env, agent, frozen_seeds(2026, episodes))
-    assert rate >= (least[layout] if episodes > 8 else 7 / 8)
-    env.close()
+    least = {"moving": 0.99, "swap-goals": 0.97, "chase": 0.94}[layout] if episodes > 8 else 7 / 8
+    seeds, options = frozen_seeds(2026, episodes), {"num_drones": drones, "layout": layout}
+    assert successes("pursuit-dagger", "pursuit_v0", seeds, **options) >= least
 
 
-CROWDS: dict[tuple[str, int], float] = {
-    **{("open", 64): 38.4, ("forest", 16): 22.0, ("forest", 64): 22.0, ("buildings", 32): 38.0},
-}
+CROWDS = {("open", 64): 38.4, ("forest", 16): 22.0, ("forest", 64): 22.0, ("buildings", 32): 38.0}
 """Goals a minute that the policy surpasses in the benchmark's tasks; scripts that see no truth have
 at most 38.4, 20.5, 19.7 and 23.8."""
+
+
+def goals_per_minute(episodes: int, **options: Any) -> float:
+    """Of a crowd behind the filter, in the benchmark's episodes, in which no drone crashes."""
+    found = flown("crowd-dagger+filter", "crowd_v0", frozen_seeds(2026, episodes), **options)
+    assert all(metrics["success"] for metrics in found)
+    return float(np.mean([metrics["throughput_per_min"] for metrics in found]))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("layout", "drones"), CROWDS)
 def test_crowds_reach_as_many_goals_by_imitation_as_the_card_says(layout, drones):
-    """Eight of the benchmark's episodes, behind the filter: no drone crashes."""
-    agent = load("crowd-dagger+filter")
-    options = {"layout": layout, "num_drones": drones, "physics": "batch"}
     near = {"reach_m": (0.8, 1.6)} if layout == "buildings" else {}
-    env = make("crowd_v0", **options, **near, **agent.requires)
-    flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(2026, 8))]
-    assert all(metrics["success"] for metrics in flown)
-    assert np.mean([m["throughput_per_min"] for m in flown]) > CROWDS[layout, drones]
-    env.close()
+    reached = goals_per_minute(8, layout=layout, num_drones=drones, **near)
+    assert reached > CROWDS[layout, drones]
 
 
 def test_a_crowd_reaches_goals_in_a_forest_by_imitation():
-    """Four episodes of ten seconds, in which no drone crashes."""
-    agent = load("crowd-dagger+filter")
-    options = {"num_drones": 16, "horizon_s": 10.0, "physics": "batch"}
-    env = make("crowd_v0", **options, **agent.requires)
-    flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(2026, 4))]
-    assert all(metrics["success"] for metrics in flown)
-    assert np.mean([m["throughput_per_min"] for m in flown]) > 20.5
-    env.close()
+    assert goals_per_minute(4, num_drones=16, horizon_s=10.0) > 20.5
 
 
-STACK: dict[str, Any] = {
-    **{"layout": "stack", "num_drones": 8, "world": "hall", "physics": "batch"},
-    **{"gap_m": (0.28, 0.33), "payload_kg": (0.013, 0.016)},
+IN_THE_HALL: dict[str, tuple[str, dict[str, Any], float, float]] = {
+    # No drone with its payload in a low place survives.
+    "stack-dagger": (
+        "columns_v0",
+        {"layout": "stack", "num_drones": 8, "gap_m": (0.28, 0.33), "payload_kg": (0.013, 0.016)},
+        *(0.97, 0.97),
+    ),
+    # The nearest places fail in a third at least.
+    "mixed-dagger": (
+        "columns_v0",
+        {"layout": "stack", "team": "LSSLSS", "gap_m": (0.30, 0.36), "payload_kg": (0.013, 0.016)},
+        *(0.97, 0.97),
+    ),
+    # Scripts without the true state never succeed, here and below.
+    "sprint-dagger": (
+        "columns_v0",
+        {"layout": "sprint", "num_drones": 8, "horizon_s": 1.8},
+        *(0.75, 0.89),
+    ),
+    "delivery-dagger": ("delivery_v0", {"num_drones": 7}, 0.75, 0.91),
 }
-"""Options of the benchmark's task."""
+"""Tasks of the benchmark by agent, with options, and how many of 16 and of 256 episodes succeed."""
 
 
 @pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
-def test_heavy_drones_go_on_top_by_imitation(episodes):
-    """The benchmark's episodes, which no drone with its payload in a low place survives."""
-    agent = load("stack-dagger")
-    env = make("columns_v0", **STACK, **agent.requires)
-    assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.97
-    env.close()
+@pytest.mark.parametrize("name", IN_THE_HALL)
+def test_tasks_in_the_hall_are_solved_by_imitation(name, episodes):
+    task, options, few, all_ = IN_THE_HALL[name]
+    rate = successes(name, task, frozen_seeds(2026, episodes), world="hall", **options)
+    assert rate >= (all_ if episodes > 16 else few)
 
 
-@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
-def test_small_drones_with_a_payload_go_on_top_of_large_ones_by_imitation(episodes):
-    """The benchmark's episodes, where the nearest places fail in a third at least."""
-    agent = load("mixed-dagger")
-    given = {"layout": "stack", "team": "LSSLSS", "world": "hall", "physics": "batch"}
-    drawn = {"gap_m": (0.30, 0.36), "payload_kg": (0.013, 0.016)}
-    env = make("columns_v0", **given, **drawn, **agent.requires)
-    assert successes(env, agent, frozen_seeds(2026, episodes)) >= 0.97
-    env.close()
-
-
-@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
-def test_eight_drones_sprint_by_imitation(episodes):
-    """The benchmark's episodes, in which scripts without the true state never succeed."""
-    agent = load("sprint-dagger")
-    given = {"layout": "sprint", "num_drones": 8, "world": "hall", "horizon_s": 1.8}
-    env = make("columns_v0", physics="batch", **given, **agent.requires)
-    assert successes(env, agent, frozen_seeds(2026, episodes)) >= (0.89 if episodes > 16 else 0.75)
-    env.close()
-
-
-@pytest.mark.parametrize("episodes", [16, pytest.param(256, marks=pytest.mark.slow)])
-def test_couriers_dock_below_others_by_imitation(episodes):
-    """The benchmark's episodes, in which scripts without the true state never succeed."""
-    agent = load("delivery-dagger")
-    given = {"num_drones": 7, "world": "hall", "physics": "batch"}
-    env = make("delivery_v0", **given, **agent.requires)
-    assert successes(env, agent, frozen_seeds(2026, episodes)) >= (0.91 if episodes > 16 else 0.75)
-    env.close()
+@pytest.mark.parametrize("episodes", [4, pytest.param(64, marks=pytest.mark.slow)])
+def test_a_circle_of_32_is_swapped_by_imitation(episodes):
+    """The benchmark's episodes, none of which a script without the true state solves."""
+    given = {"layout": "circle", "num_drones": 32, "horizon_s": 16.0}
+    assert successes("swap-dagger", "swap_v1", frozen_seeds(2026, episodes), **given) >= 0.98
 
 
 def test_a_policy_flies_the_other_tasks_that_its_note_names():
     agent = load("swap-dagger")
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.note.also == ("formation_v1", "crowd_v0")
-    env = formation_v1.parallel_env(
-        num_drones=8, layout="shuffle", physics="batch", **agent.requires
-    )
-    assert successes(env, agent, frozen_seeds(6, 16)) == 1.0
-    env.close()
+    seeds = frozen_seeds(6, 16)
+    assert successes("swap-dagger", "formation_v1", seeds, num_drones=8, layout="shuffle") == 1.0

@@ -36,6 +36,7 @@ from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.obstacles import Column
+from tests.helpers.flights import flown
 
 
 def test_two_that_meet_head_on_pass_each_other_on_the_right():
@@ -63,11 +64,11 @@ def test_two_that_meet_head_on_pass_each_other_on_the_right():
 def test_who_is_far_from_everything_is_left_alone():
     agent = load("straight-line")
     both = []
-    for flown in (agent, SafetyFilter(agent)):
-        env = swap_v0.parallel_env(num_drones=2, **{**flown.requires, "physics": "batch"})
+    for one in (agent, SafetyFilter(agent)):
+        env = swap_v0.parallel_env(num_drones=2, **{**one.requires, "physics": "batch"})
         ways = {"start": np.array([[-1.0, -1, 1], [-1, 1, 1]])}
         ways["goal"] = ways["start"] + [1.5, 0, 0]
-        both.append(fly_episode(env, flown, 0, options=ways))
+        both.append(fly_episode(env, one, 0, options=ways))
         env.close()
     assert both[0] == both[1]
 
@@ -89,16 +90,11 @@ def test_a_filtered_policy_flies_in_batches_as_it_flies_alone():
     env.close()
 
 
-@pytest.mark.parametrize(
-    ("name", "layout", "most"), [("straight-line+filter", "random", 1), ("hover", "random", 0)]
-)
-def test_collisions_collapse(name, layout, most):
-    agent = load(name)
-    options = {**agent.requires, "layout": layout, "force_rate": 48, "physics": "batch"}
-    env = swap_v0.parallel_env(num_drones=4, **options)
-    episodes = list(evaluate_agent(env, agent, frozen_seeds(5, 64)))
-    assert sum(e["metrics"]["collided_drones"] > 0 for e in episodes) <= most  # without: 25 of 64
-    env.close()
+@pytest.mark.parametrize(("name", "most"), [("straight-line+filter", 1), ("hover", 0)])
+def test_collisions_collapse(name, most):
+    seeds = frozen_seeds(5, 64)
+    found = flown(name, "swap_v0", seeds, num_drones=4, layout="random", force_rate=48)
+    assert sum(metrics["collided_drones"] > 0 for metrics in found) <= most  # without: 25 of 64
 
 
 def test_who_comes_fast_from_behind_seven_others_is_seen_in_time():
@@ -160,6 +156,11 @@ def test_obstacles_are_kept_away_from(name, task, hits, arrives):
 def test_what_cannot_be_filtered_is_refused():
     with pytest.raises(ValueError, match=r"needs action='acceleration', but DetourAgent requires"):
         load("detour+filter")
+    assert isinstance(load("orca"), SafetyFilter)
+    with pytest.raises(ValueError, match="'orca' flies behind a filter already"):
+        load("orca+filter")
+    with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
+        load("straight-line+filter+filter")
     agent = load("hover+filter")
     env = swap_v0.parallel_env(num_drones=2, **agent.requires)
     env.reset(seed=0)
@@ -302,40 +303,31 @@ def test_too_many_straight_ways_through_one_place_are_refused():
         agent.reset(env, 0)
 
 
-NAMES = ("fast-line", "orca", "roundabout")
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["fast-line", "orca", "roundabout"])
 def test_they_see_no_truth_and_swap_four(name):
     agent = load(name)
     assert not agent.privileged
     env = swap_v1.parallel_env(num_drones=4, **{**agent.requires, "physics": "batch"})
-    flown = list(evaluate_agent(env, agent, frozen_seeds(11, 24), timed=2))
-    assert all(each["metrics"]["success"] for each in flown)
-    assert flown[3]["metrics"] == fly_episode(env, agent, flown[3]["seed"])
+    episodes = list(evaluate_agent(env, agent, frozen_seeds(11, 24), timed=2))
+    assert all(each["metrics"]["success"] for each in episodes)
+    assert episodes[3]["metrics"] == fly_episode(env, agent, episodes[3]["seed"])
     env.close()
 
 
 @pytest.mark.parametrize("drones", [8, 16])
 def test_the_roundabout_solves_the_circle(drones):
-    agent = load("roundabout")
-    setting = {"num_drones": drones, "layout": "circle", "physics": "batch"}
-    env = swap_v1.parallel_env(**setting, **agent.requires)
-    flown = list(evaluate_agent(env, agent, frozen_seeds(12, 8), timed=1))
-    assert all(each["metrics"]["success"] for each in flown)
-    env.close()
+    options = {"num_drones": drones, "layout": "circle"}
+    found = flown("roundabout", "swap_v1", frozen_seeds(12, 8), timed=1, **options)
+    assert all(metrics["success"] for metrics in found)
 
 
 @pytest.mark.parametrize("layout", ["forest", "buildings"])
 def test_they_fly_around_obstacles(layout):
     """Who does not reaches three goals a minute, and none is left in the end: all are left here."""
-    agent = load("roundabout")
-    options = {"num_drones": 16, "layout": layout, "physics": "batch"}
-    env = crowd_v0.parallel_env(**options, **agent.requires)
-    flown = [each["metrics"] for each in evaluate_agent(env, agent, frozen_seeds(11, 4), timed=1)]
-    assert np.mean([metrics["throughput_per_min"] for metrics in flown]) > 16.0
-    assert all(metrics["success"] and not metrics["collided_obstacle"] for metrics in flown)
-    env.close()
+    options = {"num_drones": 16, "layout": layout}
+    found = flown("roundabout", "crowd_v0", frozen_seeds(11, 4), timed=1, **options)
+    assert np.mean([metrics["throughput_per_min"] for metrics in found]) > 16.0
+    assert all(metrics["success"] and not metrics["collided_obstacle"] for metrics in found)
 
 
 def test_who_flies_into_an_obstacle_turns_right():
@@ -374,12 +366,6 @@ def test_who_is_alone_flies_straight_at_the_cruise_speed():
         rows[:, where[f"neighbor_{k}.mask"]] = 0.0
     assert turn.wanted(rows, way) == pytest.approx(straight)
     env.close()
-
-
-def test_a_filter_is_not_put_around_a_filter():
-    assert isinstance(load("orca"), SafetyFilter)
-    with pytest.raises(ValueError, match="'orca' flies behind a filter already"):
-        load("orca+filter")
 
 
 def test_a_tuning_that_was_killed_goes_on_and_ends_the_same(tmp_path, monkeypatch):

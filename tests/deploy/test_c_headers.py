@@ -20,7 +20,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from swarm_envs import make
-from swarm_envs.agents import load
+from swarm_envs.agents import load, registry
 from swarm_envs.agents.c_header import KnownState, costs, decide, draw_state, policy_header
 from swarm_envs.agents.features import FULL, GOAL, REFERENCE, TYPED
 from swarm_envs.agents.networks import POOLINGS, Layers, Network, to_tensors
@@ -118,17 +118,6 @@ def in_c(policy: Policy, folder: Path, rows: np.ndarray) -> np.ndarray:
     return run_program(folder, program, rows).reshape(-1, 17)
 
 
-SHIPPED = (
-    *("swap-ppo", "swap-ppo-8", "formation-ppo", "ring-ppo"),
-    *("swap-dagger", "gates-dagger", "pursuit-dagger", "stack-dagger"),
-    "mixed-dagger",
-    "sprint-dagger",
-    "delivery-dagger",
-    "crowd-dagger",
-    "ring-dagger",
-)
-
-
 def shipped(name: str) -> PolicyAgent:
     agent = load(name)
     assert isinstance(agent, PolicyAgent)
@@ -195,7 +184,7 @@ def edge_states(policy: Policy, rng: np.random.Generator) -> list[KnownState]:
 
 
 POLICIES = [
-    *((shipped, (name,)) for name in SHIPPED),
+    *((shipped, (name,)) for name in registry.POLICIES),
     *((odd_policy, (kind, "deep-set", "mean", True)) for kind in (GOAL, TYPED, REFERENCE)),
     *((odd_policy, (TYPED, "deep-set", pooling, False)) for pooling in POOLINGS),
     (odd_policy, (GOAL, "deep-set", "max-sum", False, "acceleration", "relu")),

@@ -322,11 +322,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Any:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two drones that cross, one half a metre above the other."""
     out = tmp_path_factory.mktemp("crossing")
-    time = np.linspace(0.0, 4.0, 201)
-    starts = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.5]])
-    found = [rest_to_rest(starts, starts * [-1.0, 1.0, 1.0], 4.0, t) for t in time]
-    position, velocity = (np.array([reference[k] for reference in found]) for k in (0, 1))
-    export_flight(Flight(parse_team("SS"), time, position, velocity), out)
+    export_flight(crossing(), out)
     return out
 
 
@@ -358,14 +354,14 @@ def test_upper_drones_take_off_first_and_land_last(script: Any, trajectories: An
     assert order.index((low, "go_to")) < order.index((low, "start_trajectory"))
     assert order[-2:] == [(low, "stop"), (high, "stop")]
     assert (low, "takeoff", pytest.approx(1.0), script.TAKE_OFF_S) in swarm.log
-    assert max(waited) == pytest.approx(5.0, abs=1e-3)  # the trajectory's 4 s and a rest
+    assert max(waited) == pytest.approx(4.0, abs=1e-3)  # the trajectory's 3 s and a rest
 
 
 def test_an_interruption_lands_everyone(script: Any, trajectories: Any) -> None:
     swarm = Swarm(trajectories, {})
 
     def sleep(seconds: float) -> None:
-        if seconds > 4.0 and not any(entry[1] == "land" for entry in swarm.log):
+        if seconds > 3.5 and not any(entry[1] == "land" for entry in swarm.log):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -375,7 +371,7 @@ def test_an_interruption_lands_everyone(script: Any, trajectories: Any) -> None:
 
 
 def test_drones_in_wrong_places_do_not_take_off(script: Any, trajectories: Any) -> None:
-    right = {URIS["drone_0"]: (-1.0, 0.05, 0.0), URIS["drone_1"]: (1.0, 0.0, 0.0)}
+    right = {URIS["drone_0"]: (-0.7, 0.05, 0.0), URIS["drone_1"]: (0.7, 0.0, 0.0)}
     script.check(Swarm(trajectories, right), trajectories)
     changed = {URIS["drone_0"]: right[URIS["drone_1"]], URIS["drone_1"]: right[URIS["drone_0"]]}
     for wrong in (changed, right | {URIS["drone_0"]: (float("nan"), 0.0, 0.0)}):
