@@ -302,22 +302,20 @@ def _own_fields(policy: Policy) -> str:
 def _full_words(policy: Policy, name: str) -> dict[str, str]:
     """What C does with loads, a predicted force and obstacles; nothing where there are none."""
     note, load = policy.note, policy.note.observe_load
-    own, mine = len(TYPES) + OWN_WIDTH + 10, []
-    if load:
-        mine = [f"    *more++ = self->{name};" for name in _LOADS]
+    mine = [f"\n    *more++ = self->{name};" for name in _LOADS]
     force = "\n    for (k = 0; k < 3; k++) *more++ = own->force[k];" * note.observe_force
     beside = policy.note.sizes.neighbor - LOAD_WIDTH * load - 5
-    seen = [f"    x[{beside + 5 + k}] = other->{name};" for k, name in enumerate(_LOADS)]
+    seen = [f"\n    x[{beside + 5 + k}] = other->{name};" for k, name in enumerate(_LOADS)]
     test = [f"            drones[j].{name} = *s++;\n" for name in _LOADS]
     return {
-        "full_own": str(own),
+        "full_own": str(len(TYPES) + OWN_WIDTH + 10),
         "beside_at": str(beside),
         "drone_load": _DRONE_LOAD * load,
-        "own_load": "".join(f"\n{line}" for line in mine),
+        "own_load": "".join(mine) * load,
         "own_force": force,
         "own_obstacles": f"\n    {name}_obstacles(own, x + 11, more);" * bool(note.num_obstacles),
         "obstacles": str(note.num_obstacles),
-        "neighbour_load": "".join(f"\n{line}" for line in seen) * load,
+        "neighbour_load": "".join(seen) * load,
         "test_load": "".join(test) * load,
     }
 

@@ -234,8 +234,6 @@ class PaperNodes(SwarmNodes):
         ValueError: drones are to join: the paper has no way to.
     """
 
-    _trusting = False
-
     def __init__(
         self,
         hovers: list[Trajectory],
@@ -255,11 +253,8 @@ class PaperNodes(SwarmNodes):
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
         """A unit with the information given before the first round, or with none."""
         known = [] if since else self._hovers
-        kind = PaperUnit
-        if self._trusting:
-            known, kind = [drone.flying for drone in self.drones], TrustingUnit
         candidates = [{one.identity: one} for one in known] or [{} for _ in targets]
-        return kind(unit, candidates, targets.copy(), Planner(self.options))
+        return PaperUnit(unit, candidates, targets.copy(), Planner(self.options))
 
     def message_bytes(self, message: PaperMessage) -> int:
         """Bytes of a message in a compute unit's slot."""
@@ -269,4 +264,7 @@ class PaperNodes(SwarmNodes):
 class TrustingNodes(PaperNodes):
     """Nodes that ignore loss: units know what drones fly when they start, and what was sent."""
 
-    _trusting = True
+    def make_unit(self, unit: int, targets: FloatArray, since: int) -> TrustingUnit:
+        """A unit that knows what drones fly."""
+        candidates = [{drone.flying.identity: drone.flying} for drone in self.drones]
+        return TrustingUnit(unit, candidates, targets.copy(), Planner(self.options))

@@ -132,11 +132,11 @@ class _FlightRecorder:
     def __init__(self, swarm: MlrDmpcSwarm) -> None:
         self.swarm, self.reports = swarm, list[SwarmRound]()
         config = swarm.config
-        self._pieces = round(config.round_s / config.input_sampling_s)
+        pieces = round(config.round_s / config.input_sampling_s)
         per_round = round(config.round_s * REFERENCE_RATE)
         self._fine = np.arange(per_round) / REFERENCE_RATE
         self._coarse = np.arange(config.samples_per_round) * config.collision_sampling_s
-        self._knots = np.arange(self._pieces) * config.input_sampling_s
+        self._knots = np.arange(pieces) * config.input_sampling_s
         self._references: list[FloatArray] = []
         self._starts: list[FloatArray] = []
         self._errors: list[FloatArray] = []

@@ -308,7 +308,7 @@ def _snapshot(
     targets: FloatArray,
     round_: int,
     config: MlrDmpcConfig,
-) -> tuple[SwarmSnapshot, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+) -> tuple[SwarmSnapshot, IntArray]:
     count = len(trajectories)
     states = np.zeros((count, 3, 3))
     states[:, 0] = targets
