@@ -35,7 +35,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
 )
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import write_json
-from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions import load
 from swarm_envs.viewing.comparison import Comparison, plot_comparisons
 
 __all__ = ["crashed_flights", "format_table", "run_demo"]
@@ -60,7 +60,6 @@ def run_demo(
     video: bool = True,
     progress: bool = True,
     *,
-    belief: InteractionModel | None = None,
     video_s: float = VIDEO_S,
 ) -> dict[str, Any]:
     """Fly every swap twice, and write `summary.json`, `demo.png` and `demo.mp4` into `out`.
@@ -74,7 +73,6 @@ def run_demo(
         swaps: randomised swaps of each scenario.
         video: whether to make the video.
         progress: whether to show progress bars on stderr.
-        belief: force model of the compensating controller; None for `load_belief()`.
         video_s: length of the video, s.
 
     Returns:
@@ -88,7 +86,7 @@ def run_demo(
         raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
     out.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
-    engine, compensated = default_engine(), belief or load_belief()
+    engine, compensated = default_engine(), load_belief()
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(swaps)]
     controllers = (ControllerConfig(), ControllerConfig(feedforward=compensated))
     tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}

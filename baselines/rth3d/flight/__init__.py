@@ -1,1 +1,1 @@
-"""From paths on a grid to flight: splines, how close they come, corridors, spacing for forces."""
+"""From paths on a grid to flight: splines, how close they come, corridors."""

@@ -1,11 +1,8 @@
-"""How close robots on a grid's splines can come, and the spacing for distances and for forces.
+"""How close robots on a grid's splines can come, and the spacing that keeps a distance.
 
 Two robots on valid paths never stand on one vertex and never exchange two. Within a step their
 distance is a spline of four differences of vertices. There are finitely many such windows near
 zero: the least distance over all of them holds for any plan, of any number of robots.
-
-RTH3D names forces as future work. On a grid nothing but the spacing decides how large they are: the
-smallest one at which a force model predicts no more than the limit is looked for.
 """
 
 from __future__ import annotations

@@ -111,18 +111,8 @@ def test_a_leaders_plan_still_carries_priorities_in_every_swarm():
     for drones, units in SIZES:
         codec = Codec(drones, units, CONFIG)
         picks = tuple(range(min(units, drones)))
-        message = UnitMessage(
-            *(
-                MessageKind.PLAN,
-                5,
-                0,
-                ViewId(0, 0),
-                1,
-                trajectory(rng, Identity(6, 0)),
-                picks,
-                picks,
-            )
-        )
+        plan = trajectory(rng, Identity(6, 0))
+        message = UnitMessage(MessageKind.PLAN, 5, 0, ViewId(0, 0), 1, plan, picks, picks)
         filled = codec.filled(message, [(i, 9) for i in range(drones)])
         assert len(filled.priorities) >= 2, (drones, units)
 

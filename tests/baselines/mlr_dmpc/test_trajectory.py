@@ -96,10 +96,8 @@ def test_two_that_fly_past_each_other_are_closest_where_geometry_says():
 def test_exact_minima_agree_with_fine_sampling_and_a_search_around_the_least():
     rng = np.random.default_rng(0)
     rounds, drones, dt = 30, 5, 0.2
-    states, jerks = (
-        rng.normal(size=(rounds, drones, 3, 3)),
-        5 * rng.normal(size=(rounds, drones, 3)),
-    )
+    states = rng.normal(size=(rounds, drones, 3, 3))
+    jerks = 5 * rng.normal(size=(rounds, drones, 3))
     found = closest_distances(states, jerks, dt, SHRINK)
     t = np.linspace(0.0, dt, 4001)[:, None, None, None]
     p, v, a = np.moveaxis(states, 2, 0)

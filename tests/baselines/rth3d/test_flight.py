@@ -1,4 +1,4 @@
-"""Grid paths as flight: splines, how close they come, corridors, spacing for forces."""
+"""Grid paths as flight: splines, how close they come, corridors."""
 
 from __future__ import annotations
 
