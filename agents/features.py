@@ -341,8 +341,8 @@ def full_features(
     parts += [rows[..., names["task.reference_acceleration"]], *more]
     for k in range(num_obstacles):
         mask = rows[..., names[f"obstacle_{k}.mask"]]
-        parts += [mask * part for part in _obstacle(rows[..., names[f"obstacle_{k}.offset"]])]
-        parts += [mask]
+        cut, distance = _direction(rows[..., names[f"obstacle_{k}.offset"]], OTHERS_GOAL)
+        parts += [mask * cut, mask * np.exp(-distance / _FOLD), mask]
     if num_neighbors:
         shape = (*rows.shape[:-1], num_neighbors, columns.neighbor_width)
         seen = rows[..., columns.neighbors :][..., : shape[-2] * shape[-1]].reshape(shape)
@@ -375,12 +375,6 @@ def _direction(way: Float32Array, reach: float) -> tuple[Float32Array, Float32Ar
     """A vector (..., 3) over a length, cut there, and its own length (..., 1), m."""
     distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
     return way / np.maximum(distance, np.float32(reach)), distance
-
-
-def _obstacle(offset: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Of the way (..., 3) to an obstacle, m: that way, cut, and nearness (..., 1)."""
-    cut, distance = _direction(offset, OTHERS_GOAL)
-    return cut, np.exp(-distance / _FOLD)
 
 
 def _beside(seen: Float32Array, goal: Float32Array) -> Float32Array:

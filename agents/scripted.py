@@ -234,12 +234,10 @@ def bumps(start: FloatArray, goal: FloatArray) -> FloatArray:
     size = np.linalg.norm(level, axis=1, keepdims=True)
     side = np.where(size > 1e-6, level / np.maximum(size, 1e-6), [1.0, 0.0, 0.0])
     angle = 2 * np.pi * np.arange(_TURNS) / _TURNS
-    out = [np.zeros((len(way), 1, 3))]
-    for amplitude in _AMPLITUDES:
-        sideways = side[:, None] * np.cos(angle)[:, None]
-        upwards = np.array([0.0, 0.0, 1.0]) * np.sin(angle)[:, None]
-        out.append(amplitude * (sideways + upwards))
-    return np.concatenate(out, axis=1)
+    sideways = side[:, None] * np.cos(angle)[:, None]
+    upwards = np.array([0.0, 0.0, 1.0]) * np.sin(angle)[:, None]
+    turned = [amplitude * (sideways + upwards) for amplitude in _AMPLITUDES]
+    return np.concatenate([np.zeros((len(way), 1, 3)), *turned], axis=1)
 
 
 def along(

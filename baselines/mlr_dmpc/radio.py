@@ -139,9 +139,8 @@ class LossProcess:
         self._jams = [
             (jam, self._mask(jam.senders), self._mask(jam.receivers)) for jam in model.jams
         ]
-        rates = np.full(self._nodes, model.unit_loss)
-        rates[:num_drones] = model.drone_loss
-        self._rates = rates
+        self._rates = np.full(self._nodes, model.unit_loss)
+        self._rates[:num_drones] = model.drone_loss
         self._bad: list[BoolArray] = []
 
     def arrivals(self, round_: int) -> BoolArray:
