@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,9 +37,7 @@ def connected_parts(instance: GridInstance) -> list[Part]:
         robots = np.flatnonzero(home == name)
         part = instance
         if len(robots) < len(home):
-            part = GridInstance(
-                instance.shape, instance.starts[robots], instance.goals[robots], instance.obstacles
-            )
+            part = replace(instance, starts=instance.starts[robots], goals=instance.goals[robots])
         found.append(Part(np.flatnonzero(names == name).astype(np.int32), robots, part))
     return found
 
