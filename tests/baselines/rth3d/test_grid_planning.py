@@ -268,36 +268,20 @@ def test_reflected_goals_skip_the_first_shuffles(walls):
         assert steps["balance starts"] == steps["balance goals"]
 
 
+def plan_by_command(out: Path, *asked: str) -> tuple[GridPlan, dict]:
+    """The plan that the command writes, and its facts."""
+    assert main(["plan", *asked, "--out", str(out)]) == 0
+    return GridPlan.load(out / "plan.npz"), json.loads((out / "plan.json").read_text())
+
+
 def test_it_plans_prints_and_writes(tmp_path, capsys):
-    asked = ["--grid", "12x9x6", "--density", "0.2", "--seed", "1", "--out", str(tmp_path)]
-    assert main(["plan", *asked, "--method", "rth3d-lba"]) == 0
+    asked = ["--grid", "12x9x6", "--density", "0.2", "--seed", "1", "--method", "rth3d-lba"]
+    found, facts = plan_by_command(tmp_path, *asked)
     text = capsys.readouterr().out
-    facts = json.loads((tmp_path / "plan.json").read_text())
-    found = GridPlan.load(tmp_path / "plan.npz")
     assert facts["robots"] == 130 == len(found.starts)
     assert facts["makespan"] == found.makespan and facts["valid"] is True
     assert f"makespan {found.makespan}" in text and "guarantees a makespan of at most" in text
     assert (tmp_path / "plan.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("asked", "code", "said"),
-    [
-        (["--grid", "12x9y6"], 2, "--grid is '12x9y6'"),
-        (["--density", "1.5"], 2, "--density is 1.5"),
-        (["--density", "0.1", "--robots", "5"], 2, "give one of them"),
-        (["--family", "unifrom"], 2, "did you mean 'uniform'"),
-        (["--save", "plan.pkl"], 2, "must end in .npz"),
-        (["--grid", "5x5x5", "--robots", "126"], 2, "--robots is 126, but"),
-        (["--grid", "8x8x8", "--family", "mirror"], 2, "--grid is (8, 8, 8), but every"),
-        (["--grid", "6x6x6", "--density", "0.5", "--method", "rth3d"], 1, "carry 72 at most"),
-        (["--grid", "6x6x6", "--time-limit-s", "1e-9", "--method", "rth3d"], 1, "time limit"),
-    ],
-)
-def test_what_cannot_be_is_refused(asked, code, said, refused, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    assert said in refused("plan", *asked, codes=(code,))
-    assert not list(tmp_path.iterdir())
 
 
 def test_compaction_gives_back_the_steps_that_it_saves():
@@ -402,10 +386,8 @@ def test_the_validator_wants_every_goal_taken():
 
 
 def test_the_command_plans_without_labels(tmp_path, capsys):
-    asked = ["--grid", "12x9x6", "--robots", "100", "--no-labels", "--out", str(tmp_path)]
-    assert main(["plan", *asked]) == 0
-    facts = json.loads((tmp_path / "plan.json").read_text())
-    found = GridPlan.load(tmp_path / "plan.npz")
+    asked = ["--grid", "12x9x6", "--robots", "100", "--no-labels"]
+    found, facts = plan_by_command(tmp_path, *asked)
     assert facts["labels"] is False and facts["lower_bound"] == found.lower_bound == found.makespan
     assert "ratio 1.000, by flow" in capsys.readouterr().out
 
@@ -455,12 +437,11 @@ def test_what_is_written_is_read_again(tmp_path):
 @pytest.mark.parametrize("more", [[], ["--robots", "2"], ["--no-labels", "--method", "lacam"]])
 def test_the_command_plans_a_benchmark(tmp_path, more):
     pair = files(tmp_path, MAP.replace("T", "."))
-    asked = ["--map", str(pair[0]), "--scen", str(pair[1]), "--out", str(tmp_path)]
-    assert main(["plan", *asked, *more]) == 0
+    asked = ["--map", str(pair[0]), "--scen", str(pair[1]), *more]
+    found, facts = plan_by_command(tmp_path, *asked)
     given = read_benchmark(*pair, robots=2 if "--robots" in more else 3)
-    found = GridPlan.load(tmp_path / "plan.npz")
     assert validate(found.paths, **given.fields(), labels="--no-labels" not in more)
-    assert json.loads((tmp_path / "plan.json").read_text())["shape"] == [5, 3, 1]
+    assert facts["shape"] == [5, 3, 1]
 
 
 @pytest.mark.parametrize("method", ["pibt", "lacam"])
@@ -503,24 +484,39 @@ def test_malformed_files_are_refused_by_line(tmp_path, capsys, old, new, said):
     assert said in " ".join(capsys.readouterr().err.split())
 
 
+SMALL = ("--map", "small.map", "--scen", "small.scen")
+
+
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "code", "said"),
     [
-        (["--map", "small.map"], "--map and --scen belong together"),
-        (["--map", "small.map", "--scen", "small.scen", "--density", "0.1"], "take the place of"),
-        (["--map", "small.map", "--scen", "small.scen", "--robots", "4"], "is 4, but"),
+        (["--grid", "12x9y6"], 2, "--grid is '12x9y6'"),
+        (["--density", "1.5"], 2, "--density is 1.5"),
+        (["--density", "0.1", "--robots", "5"], 2, "give one of them"),
+        (["--family", "unifrom"], 2, "did you mean 'uniform'"),
+        (["--save", "plan.pkl"], 2, "must end in .npz"),
+        (["--grid", "5x5x5", "--robots", "126"], 2, "--robots is 126, but"),
+        (["--grid", "8x8x8", "--family", "mirror"], 2, "--grid is (8, 8, 8), but every"),
+        (["--grid", "6x6x6", "--density", "0.5", "--method", "rth3d"], 1, "carry 72 at most"),
+        (["--grid", "6x6x6", "--time-limit-s", "1e-9", "--method", "rth3d"], 1, "time limit"),
+        (["--map", "small.map"], 2, "--map and --scen belong together"),
+        ([*SMALL, "--density", "0.1"], 2, "take the place of"),
+        ([*SMALL, "--robots", "4"], 2, "is 4, but"),
         (
-            ["--map", "none.map", "--scen", "small.scen"],
+            ["--map", "none.map", *SMALL[2:]],
+            2,
             "--map is 'none.map', the grid with its obstacles, but there is no such file",
         ),
         (
-            ["--map", "small.map", "--scen", "none.scen"],
+            [*SMALL[:3], "none.scen"],
+            2,
             "--scen is 'none.scen', the robots' starts and goals on the map, but there is no such",
         ),
-        (["--map", ".", "--scen", "small.scen"], "but that is a folder; name a file"),
+        (["--map", ".", *SMALL[2:]], 2, "but that is a folder; name a file"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(tmp_path, monkeypatch, refused, asked, said):
-    files(tmp_path)
+def test_what_cannot_be_is_refused(tmp_path, monkeypatch, refused, asked, code, said):
+    given = files(tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert said in refused("plan", *asked)
+    assert said in refused("plan", *asked, codes=(code,))
+    assert sorted(tmp_path.iterdir()) == sorted(given)  # nothing is written
