@@ -108,12 +108,12 @@ PRODUCTS = {
         "the commands in agents/weights/MODEL_CARD.md",
     ),
     **{
-        name: Product(
-            (f"agents/weights/{name}.safetensors",),
+        f"{task}-dagger": Product(
+            (f"agents/weights/{task}-dagger.safetensors",),
             (LEARNED, BELIEF),
             "the command in agents/weights/MODEL_CARD.md",
         )
-        for name in (f"{task}-dagger" for task in ("gates", "stack", "mixed", "sprint", "ring"))
+        for task in ("gates", "stack", "mixed", "sprint", "ring")
     },
     "delivery-dagger": Product(
         ("agents/weights/delivery-dagger.safetensors",),
