@@ -260,17 +260,17 @@ def _check(owner: str, name: str, value: object, kind: Kind) -> None:
     raise ValueError(message) if kind.has_type(value) else WrongKind(message)
 
 
-def parse_pairs(name: str, text: str) -> list[tuple[str, list[float]]]:
+def parse_pairs(name: str, text: str, example: str) -> list[tuple[str, list[float]]]:
     """Names and numbers of an option's text, such as `mass=0.9:1.1,gust_acceleration=1`.
 
     Raises:
-        ValueError: a part of it is no name with numbers.
+        ValueError: a part of it is no name with numbers; the message gives the example.
     """
     try:
         parts = [part.split("=") for part in text.split(",")]
         return [(key.strip(), [float(n) for n in numbers.split(":")]) for key, numbers in parts]
     except ValueError as error:
-        rule = "must be names with numbers, such as mass=0.9:1.1,thrust=1:1.2"
+        rule = f"must be names with numbers, such as {example}"
         raise ValueError(f"{name} is {text!r:.80}, but {rule}") from error
 
 

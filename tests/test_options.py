@@ -267,6 +267,7 @@ def test_text_says_what_objects_say():
         ("randomization", "mas=0.9:1.1", "did you mean 'mass'"),
         ("randomization", "mass", "must be names with numbers"),
         ("randomization", "mass=1.1:0.9", "mass"),
+        ("obstacles", "buildings", "must be names with numbers, such as buildings=2:2"),
         ("obstacles", "tree=1:2:3", "unknown obstacle 'tree'"),
         ("obstacles", "column=1:2", "must have 3"),
         ("obstacles", "buildings=1.5:2", "two integers"),

@@ -23,9 +23,11 @@ from swarm_envs.commands.checks import (
     need_recording,
     output_files,
 )
+from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.setting import CrewOptions, NumDrones
 from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.files import write_json
+from swarm_envs.tasks.obstacles import parse_obstacles
 from swarm_envs.vehicles import Team, parse_team, team_string
 
 if TYPE_CHECKING:
@@ -67,7 +69,10 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
     """What is flown, and in which air."""
 
     def __post_init__(self) -> None:
-        """Refuse two numbers of drones, and a layout of another task."""
+        """Refuse two numbers of drones, a layout of another task, and texts that say nothing."""
+        Randomization.of(self.randomization)
+        if self.obstacles is not None:
+            parse_obstacles(self.obstacles)
         if self.layout is not None:
             check_layout(find_task(self.task), self.layout)
         if self.team is None or self.drones is None:

@@ -83,7 +83,7 @@ class Randomization:
         if not isinstance(given, str):
             return given
         values: dict[str, Any] = {}
-        for name, numbers in parse_pairs("randomization", given):
+        for name, numbers in parse_pairs("randomization", given, "mass=0.9:1.1,thrust=1:1.2"):
             check_name("randomization", name, [field.name for field in fields(cls)])
             if isinstance(getattr(cls, name), tuple) and len(numbers) != 2:
                 got = ":".join(f"{number:g}" for number in numbers)

@@ -131,7 +131,7 @@ def parse_obstacles(text: str) -> tuple[Obstacle, ...]:
         ValueError: it names something else, or numbers that no obstacle has.
     """
     found: list[Obstacle] = []
-    for name, numbers in parse_pairs("obstacles", text):
+    for name, numbers in parse_pairs("obstacles", text, "buildings=2:2,column=1:1:0.15"):
         wanted = _NUMBERS[check_name("obstacle", name, _NUMBERS)]
         if len(numbers) != wanted:
             raise ValueError(f"{name} has {len(numbers)} numbers, but must have {wanted}")

@@ -157,7 +157,7 @@ def opened(
 
     Args:
         name: of the work, as of `swarm_envs.agents.load`.
-        what: `fly`, or `fit` for a force model.
+        what: `fly`, `fit` for a force model, or `plan` for a planner.
         others: names of all works; it sees none of these.
         limits: on it; None for the usual.
         beside: whether it may read what lies beside its file.
