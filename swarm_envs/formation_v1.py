@@ -104,6 +104,11 @@ class FormationOptions(TaskOptions):
         if self.letters is not None:
             if not self.letters:
                 raise ValueError("letters is '', but must have at least one, such as 'ARC'")
+            if shapes is not None:
+                raise ValueError(
+                    f"letters={self.letters!r} says what is flown, but shapes are given too; give "
+                    "either"
+                )
             shapes = shapes_of(self.letters)
         mission = {"shapes": shapes, "labels": self.labels, "shape_s": self.shape_s}
         given = {name: value for name, value in mission.items() if value is not None}

@@ -169,6 +169,7 @@ def test_a_missed_shape_is_no_success():
     [
         ({"shapes": ("plane", "sfere")}, r"unknown shape 'sfere'; did you mean 'sphere'"),
         ({"shapes": ("plane",)}, r"shapes are \('plane',\), but must be at least 2"),
+        ({"letters": "AB", "shapes": ("plane",)}, r"letters='AB' says what is flown, but shapes"),
         ({"labels": "blocks"}, r"labels='blocks' needs shapes=\('blocks', ...\)"),
         ({"travel_s": 7.0}, r"travel_s is 7.0, but must not exceed shape_s, 6.0"),
         ({"spacing_m": 0.1}, r"places are 0.100 m apart, but must be 0.170 m apart"),
