@@ -109,10 +109,15 @@ def changed_options(
     """
     words = []
     for entry in dataclasses.fields(config):
-        value, name = getattr(config, entry.name), prefix + entry.name.replace("_", "-")
+        value, option = getattr(config, entry.name), entry.name.replace("_", "-")
+        name = prefix + option
         if dataclasses.is_dataclass(value):
             words += changed_options(value, prefix if flat else f"{name}.", aside, flat)
-        elif entry.default not in (dataclasses.MISSING, value) and entry.name not in aside:
+        elif entry.default in (dataclasses.MISSING, value) or entry.name in aside:
+            continue
+        elif isinstance(value, bool):
+            words.append(name if value else f"{prefix}no-{option}")
+        else:
             given = value if isinstance(value, tuple) else (value,)
             words.append(f"{name} {' '.join(map(str, given))}")
     return words

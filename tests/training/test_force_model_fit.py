@@ -180,7 +180,10 @@ def test_measured_fit_is_the_papers_form(tmp_path):
 
 
 def test_command_line_makes_the_same_configuration():
-    config = FitConfig(data=Path("rows.npz"), out=Path("DIR"), seed=5, steps=70)
+    config = FitConfig(data=Path("rows.npz"), out=Path("DIR"), seed=5, steps=70, torque=True)
+    config = dataclasses.replace(
+        config, relative_velocity=False, logs=dataclasses.replace(config.logs, resplit=True)
+    )
     words = shlex.split(pipeline.fit_command(config))
     assert words[:3] == ["python", "-m", "swarm_envs.training.force_model"]
     assert tyro.cli(FitConfig, args=words[3:]) == config
