@@ -120,9 +120,9 @@ def test_out_leaves_out_what_needs_an_extra_and_says_which(capsys, tmp_path, mon
 def test_the_best_agent_among_obstacles_sees_them(capsys):
     column = ["--obstacles", "column=1:1:0.15", "--physics", "batch"]
     assert main(["fly", *column]) == 0
-    assert "agent roundabout" in capsys.readouterr().out
+    assert "agent crowd-dagger+filter" in capsys.readouterr().out
     assert main(["fly", *column, "--agent", "swap-ppo"]) == 2
-    assert "try --agent roundabout" in capsys.readouterr().err
+    assert "try --agent crowd-dagger+filter" in capsys.readouterr().err
     short = ["--task", "ring", "--horizon-s", "0.2"]
     assert main(["fly", *short, *column]) == 0
     assert "air-aware was measured without obstacles" in capsys.readouterr().out

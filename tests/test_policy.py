@@ -398,6 +398,12 @@ def goals_per_minute(episodes: int, **options: Any) -> float:
     return float(np.mean([metrics["throughput_per_min"] for metrics in found]))
 
 
+def test_swaps_between_buildings_succeed_by_imitation():
+    """24 episodes, in a sixth of which `roundabout` does not arrive in time."""
+    given = {"num_drones": 8, "layout": "random", "obstacles": "buildings=2:2", "horizon_s": 12.0}
+    assert successes("crowd-dagger+filter", "swap_v1", frozen_seeds(7, 24), **given) == 1.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("layout", "drones"), CROWDS)
 def test_crowds_reach_as_many_goals_by_imitation_as_the_card_says(layout, drones):

@@ -146,6 +146,12 @@ def _all_force(core: SwarmCore) -> FloatArray:
     return force
 
 
+class RingLine(AirLine):
+    """The same with the gains of `tracking`, which the errors of the hall disturb less."""
+
+    controller = "tracking-compensated-adaptive"
+
+
 class AirInTime(AirLine):
     """Leads set-points to places by minimum-jerk ways that take a time, and holds them there.
 
