@@ -376,7 +376,8 @@ class PolicyAgent(RowAgent):
     def __init__(self, policy: Policy) -> None:
         note = policy.note
         self.policy = policy
-        self.digest = policy.digest
+        # The note too: it says which tasks are refused, and episodes are kept by this digest.
+        self.digest = hashlib.sha256(f"{policy.digest} {note}".encode()).hexdigest()
         self.requires: Mapping[str, Any] = note.requires
 
     @property

@@ -176,7 +176,7 @@ class BatchAgent(Agent, Protocol):
 
 
 class RowAgent(ABC):
-    """Acts by observation rows alone: what is left to say of a `BatchAgent` is `act_batch`."""
+    """Base of agents that act on observation rows alone: subclasses write `act_batch`."""
 
     privileged = False
 

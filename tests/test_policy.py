@@ -106,6 +106,8 @@ def test_a_file_gives_back_what_was_written(tmp_path):
         assert agent.policy.digest == written.digest
         assert agent.policy.provenance == {"seed": 0}
     assert policy(seed=1).digest != written.digest
+    agents = [PolicyAgent(policy(note)) for note in (NOTE, replace(NOTE, also=("formation_v1",)))]
+    assert agents[0].digest != agents[1].digest
 
 
 def test_a_file_holds_the_filter_of_its_policy(tmp_path):

@@ -6,7 +6,7 @@ static inline int @name@_act(const struct @name@_drone *self, const struct @name
 {
     float values[2][@widest@];
     const float *result;
-    int found[@places@];
+    int found[@places@] = {0}; /* or compilers warn, with room for one */
     int count, j, k;
     int sound = @name@_sound(self->position) && @name@_sound(self->velocity) &&
                 @name@_sound(own->up) && own->thrust - own->thrust == 0.0f &&
