@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, Literal
 
 from swarm_envs import task_family
 from swarm_envs.agents.avoiding import TUNED
@@ -25,6 +25,8 @@ FILE = "recommended.json"
 """Its name, in the folder of the agents."""
 AVOIDS = frozenset({*TUNED, "crowd-dagger+filter"})
 """Agents that steer around obstacles wherever they stand."""
+_WAITS = {("crowd-dagger+filter", "circle")}
+"""Agents and layouts among whose obstacles drones wait for each other until the time is over."""
 
 
 @cache
@@ -44,12 +46,13 @@ def recommended(
     privileged: bool | None = None,
     layout: str | None = None,
     obstacles: bool = False,
+    world: Literal["ideal", "hall"] | None = None,
 ) -> str:
     """Name of the best shipped agent for a task: for `load`, and for `swarm-envs fly --agent`.
 
     It is the one that succeeded most often in the benchmark, of equals the one with the highest
     score. Where no task of the benchmark has as many drones, the next larger one counts, or the
-    largest.
+    largest, of which then scripts come first, by their score.
 
     Args:
         task: such as `swap`, or with its version.
@@ -63,21 +66,30 @@ def recommended(
         obstacles: whether the environment has the option `obstacles`. The benchmark flies without
             it: then the best agent of `AVOIDS`; where none succeeds, the best script, which may
             fly into them.
+        world: of the environment. `hall` counts where the benchmark has flown the task there too,
+            with as many drones or more.
 
     Raises:
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
             message names an agent for a task that is near.
     """
     rows = _rows_of(task, layout)
-    count = num_drones or _row_for(rows, 4)["drones"]
+    plain = [row for row in rows if "world" not in row]
+    count = num_drones or _row_for(plain, 4)["drones"]
     crew = count * (SMALL,) if team is None else parse_team(team)
-    agents: Mapping[str, Mapping[str, Any]] = _row_for(rows, len(crew))["agents"]
+    there = [row for row in rows if row.get("world") == world and row["drones"] >= len(crew)]
+    row = _row_for(there or plain, len(crew))
+    agents: Mapping[str, Mapping[str, Any]] = row["agents"]
+    if len(crew) > row["drones"]:  # the slow run into the time limit, and policies saw no such team
+        by_speed = sorted(agents.items(), key=lambda item: (item[1]["learned"], -item[1]["score"]))
+        agents = dict(by_speed)
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     names = [name for name, about in agents.items() if named.items() <= about.items()]
     if obstacles:
         scripts = [name for name in names if not agents[name]["learned"]]
-        names = [name for name in names if name in AVOIDS] or scripts
+        avoid = [n for n in names if n in AVOIDS and (n, row["layout"]) not in _WAITS]
+        names = avoid or scripts
     for name in names:
         if _takes(name, crew):
             return name

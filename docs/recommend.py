@@ -22,12 +22,13 @@ from swarm_envs.agents.recommendation import FILE
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.files import written_whole
 from swarm_envs.training.scoreboard.board import Board, read
-from swarm_envs.training.scoreboard.tasks import TASKS
+from swarm_envs.training.scoreboard.tasks import TASKS, ScoredTask
 
 LEAST_SUCCESS = 0.5
 """Who succeeds less often is recommended to nobody."""
 _PLAIN = {"classic", "air", "crowd"}
-"""Families in which worlds, vehicles and engines are the environments' own."""
+"""Families in which worlds, vehicles and engines are the environments' own; of *robust*, what is
+flown in the hall is taken too."""
 
 
 def recommendations(board: Board) -> list[dict[str, Any]]:
@@ -38,11 +39,19 @@ def recommendations(board: Board) -> list[dict[str, Any]]:
             "task": task_family(task.environment),
             "layout": task.options.get("layout"),
             "drones": task.drones,
+            **({} if task.task in _PLAIN else {"world": "hall"}),
             "agents": _agents(board, task.id),
         }
         for task in known
-        if task.certificate and task.task in _PLAIN and "team" not in task.options
+        if task.certificate and "team" not in task.options
+        if task.task in _PLAIN or _in_hall(task)
     ]
+
+
+def _in_hall(task: ScoredTask) -> bool:
+    """Whether a task of *robust* differs from plain ones by the world alone."""
+    others = {"physics", "randomization", "interactions"} & set(task.options)
+    return task.options.get("world") == "hall" and not others
 
 
 def _agents(board: Board, task: str) -> dict[str, dict[str, Any]]:
@@ -72,12 +81,16 @@ def _best_first(found: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def replaced(old: list[dict[str, Any]], board: Board) -> list[dict[str, Any]]:
     """The rows, with what a benchmark measured in place of what they say of the same."""
-    rows = {(row["task"], row["layout"], row["drones"]): row for row in old}
+    rows = {_place(row): row for row in old}
     for row in recommendations(board):
-        known = rows.get(key := (row["task"], row["layout"], row["drones"]), {"agents": {}})
+        known = rows.get(key := _place(row), {"agents": {}})
         kept = {k: v for k, v in known["agents"].items() if k not in board.agents}
         rows[key] = {**row, "agents": _best_first({**kept, **row["agents"]})}
     return [row for row in rows.values() if row["agents"]]
+
+
+def _place(row: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(row.get(name) for name in ("task", "layout", "drones", "world"))
 
 
 if __name__ == "__main__":

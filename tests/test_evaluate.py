@@ -255,9 +255,10 @@ def test_the_best_agent_succeeds(task, drones):
 
 
 @pytest.mark.parametrize(("task", "layout", "drones", "best"), [
-    ("swap_v1", "random", 4, "roundabout"), ("swap_v1", "random", 64, "roundabout"),
-    ("swap_v1", "circle", 4, "orca"), ("formation_v1", "shuffle", 8, "fast-line"),
-    ("pursuit_v0", "swap-goals", 8, "roundabout"), ("ring_v1", None, 4, "air-aware"),
+    ("swap_v1", "random", 4, "crowd-dagger+filter"),
+    ("swap_v1", "random", 64, "crowd-dagger+filter"), ("swap_v1", "circle", 4, "orca"),
+    ("formation_v1", "shuffle", 8, "crowd-dagger+filter"),
+    ("pursuit_v0", "swap-goals", 8, "crowd-dagger+filter"), ("ring_v1", None, 4, "air-aware"),
     ("crowd_v0", "forest", 16, "crowd-dagger+filter"),
 ])  # fmt: skip
 def test_the_best_agent_among_obstacles_succeeds(task, layout, drones, best):
@@ -279,13 +280,18 @@ def test_it_is_as_it_was_asked_for():
     assert recommended("swap", team="SSLL", learned=True) == "swap-dagger"
     assert recommended("swap", team="S*S*LL") == "roundabout"  # policies fly S and L alone
     assert recommended("crowd", obstacles=True) == "crowd-dagger+filter"  # of 16 drones
-    assert recommended("swap", num_drones=500, privileged=False) == "straight-line+filter"
-    with pytest.raises(
-        ValueError, match=r"learned=True flies 'swap' with 500.*straight-line\+filt"
-    ):
+    assert recommended("swap", num_drones=129, privileged=False) == "roundabout"
+    assert recommended("swap", num_drones=128, layout="random") == "roundabout"
+    assert recommended("swap", num_drones=8, layout="circle", obstacles=True) == "roundabout"
+    assert recommended("ring", num_drones=5) == "air-aware"
+    assert recommended("ring", num_drones=4, world="hall") == "ring-dagger"
+    assert recommended("swap", num_drones=8, layout="circle", world="hall") == recommended(
+        "swap", num_drones=8, layout="circle"
+    )
+    with pytest.raises(ValueError, match=r"learned=True flies 'swap' with 500.*: roundabout"):
         recommended("swap", num_drones=500, learned=True)
-    with pytest.raises(ValueError, match="flies 'swap' with 4 drones among obstacles"):
-        recommended("swap", num_drones=4, learned=True, obstacles=True)
+    with pytest.raises(ValueError, match="flies 'ring' with 4 drones among obstacles"):
+        recommended("ring", num_drones=4, learned=True, obstacles=True)
     with pytest.raises(ValueError, match=r"no task 'swop'; it has swap, ring, formation"):
         recommended("swop", num_drones=2)
 

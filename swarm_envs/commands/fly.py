@@ -243,6 +243,7 @@ def best_agent(options: EpisodeOptions, task: str) -> str:
             team=options.team,
             layout=options.layout,
             obstacles="obstacles" in setting,
+            world=options.world,
         )
     except ValueError as error:
         raise ValueError(f"{error}; name one by --agent") from error
