@@ -123,7 +123,7 @@ class SafetyFilter:
             if agent.requires.get(name, wanted) != wanted:
                 raise ValueError(
                     f"a safety filter needs {name}={wanted!r}, but {type(agent).__name__} requires "
-                    f"{agent.requires[name]!r}"
+                    f"{agent.requires[name]!r}; fly it without a filter"
                 )
         observed = agent.requires.get("num_neighbors", 0)
         watched = {"num_neighbors": max(observed, self.safety.num_neighbors)}

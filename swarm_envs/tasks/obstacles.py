@@ -133,8 +133,11 @@ def parse_obstacles(text: str) -> tuple[Obstacle, ...]:
     found: list[Obstacle] = []
     for name, numbers in parse_pairs("obstacles", text, "buildings=2:2,column=1:1:0.15"):
         wanted = _NUMBERS[check_name("obstacle", name, _NUMBERS)]
-        if len(numbers) != wanted:
-            raise ValueError(f"{name} has {len(numbers)} numbers, but must have {wanted}")
+        if len(numbers) != len(wanted):
+            raise ValueError(
+                f"obstacle {name} has {len(numbers)} numbers, but must have {len(wanted)}: "
+                f"{name}={':'.join(wanted)}"
+            )
         if name == "buildings":
             if not all(number.is_integer() for number in numbers):
                 raise ValueError(f"buildings has {numbers}, but must have two integers")
@@ -147,7 +150,11 @@ def parse_obstacles(text: str) -> tuple[Obstacle, ...]:
     return tuple(found)
 
 
-_NUMBERS = {"buildings": 2, "column": 3, "box": 6}
+_NUMBERS = {
+    "buildings": ("COLUMNS", "ROWS"),
+    "column": ("X", "Y", "RADIUS"),
+    "box": ("X", "Y", "Z", "X2", "Y2", "Z2"),
+}
 
 
 def obstacle_rows(obstacles: Sequence[Obstacle]) -> FloatArray:
