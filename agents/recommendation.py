@@ -79,10 +79,7 @@ def recommended(
     crew = count * (SMALL,) if team is None else parse_team(team)
     there = [row for row in rows if row.get("world") == world and row["drones"] >= len(crew)]
     row = _row_for(there or plain, len(crew))
-    agents: Mapping[str, Mapping[str, Any]] = row["agents"]
-    if len(crew) > row["drones"]:  # the slow run into the time limit, and policies saw no such team
-        by_speed = sorted(agents.items(), key=lambda item: (item[1]["learned"], -item[1]["score"]))
-        agents = dict(by_speed)
+    agents = _best_first(row, len(crew))
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     names = [name for name, about in agents.items() if named.items() <= about.items()]
@@ -115,6 +112,18 @@ def _rows_of(task: str, layout: str | None) -> list[Mapping[str, Any]]:
 def _row_for(rows: list[Mapping[str, Any]], num_drones: int) -> Mapping[str, Any]:
     """The row of as many drones, else of the next larger number, or the largest."""
     return next((row for row in rows if row["drones"] >= num_drones), rows[-1])
+
+
+def _best_first(row: Mapping[str, Any], num_drones: int) -> dict[str, Mapping[str, Any]]:
+    """The agents of a row, as they are listed; for more drones than it has, scripts by score.
+
+    A larger team takes longer: what is slow runs into the time limit, and no policy was measured.
+    """
+    agents: dict[str, Mapping[str, Any]] = row["agents"]
+    if num_drones <= row["drones"]:
+        return agents
+    ranked = sorted(agents, key=lambda name: (agents[name]["learned"], -agents[name]["score"]))
+    return {name: agents[name] for name in ranked}
 
 
 def _takes(name: str, team: Team) -> bool:

@@ -22,7 +22,7 @@ from swarm_envs.agents.recommendation import FILE
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.files import written_whole
 from swarm_envs.training.scoreboard.board import Board, read
-from swarm_envs.training.scoreboard.tasks import TASKS, ScoredTask
+from swarm_envs.training.scoreboard.tasks import TASKS
 
 LEAST_SUCCESS = 0.5
 """Who succeeds less often is recommended to nobody."""
@@ -44,14 +44,8 @@ def recommendations(board: Board) -> list[dict[str, Any]]:
         }
         for task in known
         if task.certificate and "team" not in task.options
-        if task.task in _PLAIN or _in_hall(task)
+        if task.task in _PLAIN or (task.task == "robust" and "world" in task.options)
     ]
-
-
-def _in_hall(task: ScoredTask) -> bool:
-    """Whether a task of *robust* differs from plain ones by the world alone."""
-    others = {"physics", "randomization", "interactions"} & set(task.options)
-    return task.options.get("world") == "hall" and not others
 
 
 def _agents(board: Board, task: str) -> dict[str, dict[str, Any]]:

@@ -345,9 +345,9 @@ def test_the_command_for_policies(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main([*call, "--agent", "swap-ppo", "--json", str(facts)]) == 0
     agent = shipped("swap-ppo")
     assert out.read_text() == policy_header(agent.policy, "pilot")
-    told = json.loads(facts.read_text())
-    assert told["weights_sha256"] == agent.policy.digest
-    assert told["flash_bytes"] == costs(agent.policy).flash_bytes
+    report = json.loads(facts.read_text())
+    assert report["weights_sha256"] == agent.policy.digest
+    assert report["flash_bytes"] == costs(agent.policy).flash_bytes
     assert "pilot_act" in capsys.readouterr().out
     assert main([*call, "--agent", "hover"]) == 2
     assert "'hover' is no trained policy" in capsys.readouterr().err
