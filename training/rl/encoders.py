@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
@@ -217,12 +218,32 @@ def linear_layers(network: nn.Module) -> Layers:
     )
 
 
+class _Tanh(torch.autograd.Function):
+    """Hyperbolic tangent by numpy, of whose kernel that of torch takes ten times the time."""
+
+    @staticmethod
+    def forward(context: Any, values: Tensor) -> Tensor:
+        """In place: what a linear layer gives is used nowhere else."""
+        array = values.detach().numpy()
+        np.tanh(array, out=array)
+        context.mark_dirty(values)
+        context.save_for_backward(values)
+        return values
+
+    @staticmethod
+    def backward(context: Any, gradient: Tensor) -> Tensor:
+        """The slope is 1 - tanh^2."""
+        (values,) = context.saved_tensors
+        return torch.addcmul(gradient, gradient * values, values, value=-1.0)
+
+
 class Tanh(nn.Module):
-    """Hyperbolic tangent, in place: what a linear layer gives is used nowhere else."""
+    """Hyperbolic tangent, in place, of values on the CPU."""
 
     def forward(self, values: Tensor) -> Tensor:
         """Of any shape."""
-        return values.tanh_()
+        found: Tensor = _Tanh.apply(values)  # type: ignore[no-untyped-call]
+        return found
 
 
 def hidden_layers(widths: Sequence[int], activation: str) -> nn.Sequential:
