@@ -79,7 +79,9 @@ def check_options_agree(agent: Agent, given: Mapping[str, Any]) -> None:
     """
     for option, wanted in agent.requires.items():
         if option in given and given[option] != wanted:
-            raise ValueError(f"it requires {option}={wanted!r}, not {given[option]!r}")
+            raise ValueError(
+                f"it requires {option}={wanted!r}, not {given[option]!r}; leave that option out"
+            )
 
 
 @typed

@@ -278,7 +278,7 @@ def test_it_is_as_it_was_asked_for():
     assert load(recommended("swap", num_drones=8, privileged=True)).privileged
     assert recommended("swap", num_drones=16, layout="circle", learned=False) == "roundabout"
     assert recommended("swap", team="SSLL", learned=True) == "swap-dagger"
-    assert recommended("swap", team="S*S*LL") == "roundabout"  # policies fly S and L alone
+    assert recommended("swap", team="S*S*LL") == "swap-dagger"
     assert recommended("crowd", obstacles=True) == "crowd-dagger+filter"  # of 16 drones
     assert recommended("swap", num_drones=129, privileged=False) == "roundabout"
     assert recommended("swap", num_drones=128, layout="random") == "roundabout"

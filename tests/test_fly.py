@@ -77,7 +77,7 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
         (["--team", "L3S"], "write a letter for each drone, such as 'LLLSSS'"),
         (
             ["--neighbors", "2", "--agent", "swap-dagger"],
-            "'swap-dagger' cannot fly: it requires",
+            "'swap-dagger' cannot fly: it requires num_neighbors=7, not 2; leave that option out",
         ),
         (["--physics", "bulet"], "did you mean 'bullet'?"),
         (["--agent", "hover", "--obstacles", "box=-9:-9:0:9:9:5"], "error: found room for 0 of 4"),

@@ -353,7 +353,7 @@ def test_heights_on_rings_are_kept_by_imitation_as_with_compensation(given):
     assert own["worst_height_error_m"] < min(others["worst_height_error_m"], 0.012)
 
 
-@pytest.mark.parametrize("team", ["SS", 8 * "S", 32 * "S", "LLLL", "SLSLSLSL"])
+@pytest.mark.parametrize("team", ["SS", 8 * "S", 32 * "S", "LLLL", "SLS*LSLS*L"])
 def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     """24 random swaps; nothing was chosen on these seeds."""
     assert successes("swap-dagger", "swap_v1", frozen_seeds(5, 24), team=team, layout="random") == 1

@@ -97,16 +97,33 @@ def test_collisions_collapse(name, most):
     assert sum(metrics["collided_drones"] > 0 for metrics in found) <= most  # without: 25 of 64
 
 
-def test_who_comes_fast_from_behind_seven_others_is_seen_in_time():
+def test_who_comes_fast_from_behind_seven_others_is_seen_by_the_filter_of_a_policy():
+    class Last:
+        """The last drone accelerates along -x, the others stay."""
+
+        requires: Mapping[str, Any] = {"action": "acceleration", "decision_rate": 20}
+        privileged = False
+
+        def reset(self, env, seed):
+            pass
+
+        def act(self, observations, view):
+            fast = {"drone_8": np.array([-1, 0, 0], np.float32)}
+            return {name: fast.get(name, np.zeros(3, np.float32)) for name in observations}
+
     own = load("swap-dagger+filter")
     assert isinstance(own, SafetyFilter)
-    env = swap_v1.parallel_env(num_drones=32, layout="random", **own.requires)
-    assert fly_episode(env, own, 117427086)["success"]
-    env.close()
-    seven = SafetyFilter(own.agent)
-    env = swap_v1.parallel_env(num_drones=32, layout="random", **seven.requires)
-    assert fly_episode(env, seven, 117427086)["collided_drones"] == 2  # 3.3 m/s at 0.86 m
-    env.close()
+    angles = np.deg2rad(np.linspace(50.0, 310.0, 7))  # of seven around the first, with a gap
+    around = np.stack([0.6 * np.cos(angles), 0.6 * np.sin(angles), 0.0 * angles], axis=1)
+    start = np.vstack([np.zeros(3), around, (2.4, 0.0, 0.0)]) + np.array((-1.0, 0.0, 1.2))
+    apart = []
+    for watched in (7, own.safety.num_neighbors):
+        agent = SafetyFilter(Last(), Safety(num_neighbors=watched))
+        env = swap_v1.parallel_env(num_drones=9, horizon_s=3.0, **agent.requires)
+        flown = fly_episode(env, agent, 0, options={"start": start})
+        apart.append(flown["minimum_separation_m"])
+        env.close()
+    assert apart[0] + 0.03 < apart[1]  # the first gives way before the other is among the seven
 
 
 def test_walls_are_kept_away_from():
