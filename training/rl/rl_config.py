@@ -30,15 +30,15 @@ class SacConfig:
 
     train_freq: Count = 8
     """decisions of each drone between two rounds of gradient steps"""
-    gradient_steps: Count = 32
+    gradient_steps: Count = 64
     """of a round; each takes a batch from all that is remembered"""
-    batch_size: Count = 1024
+    batch_size: Count = 256
     """decisions per gradient step"""
-    learning_rate: Rate = 1e-3
+    learning_rate: Rate = 2e-3
     """of Adam at the start, for actor, critics and temperature; it falls linearly"""
     last_rate: Rate = 0.1
     """final learning rate, as a share of the initial one"""
-    lookahead: Count = 5
+    lookahead: Count = 3
     """rewards that are counted before the critic estimates what follows (n-step returns)"""
     learning_starts: Annotated[int, Range(0)] = 8192
     """decisions of single drones, drawn at random, before the first gradient step"""
@@ -46,7 +46,7 @@ class SacConfig:
     """size of the replay buffer in steps of single drones; checkpoints contain it, 0.6 kB each"""
     tau: Rate = 0.02
     """share by which target critics follow the critics at each gradient step"""
-    ent_coef: Rate = 0.002
+    ent_coef: Rate = 0.02
     """weight of entropy relative to reward at the start; it is learned. Far above what a decision's
     reward is, the policy is rewarded for jitter"""
 
@@ -145,7 +145,7 @@ class RlConfig(AirOptions, RunOptions):
     last_rate: Share = 0.02
     """final learning rate, as a share of the initial one"""
     gamma: Share | None = None
-    """discount factor; default: the task's"""
+    """discount factor; default: the task's, and 0.9 with `--algo sac`"""
     gae_lambda: Share = 0.95
     """lambda of generalised advantage estimation"""
     clip_range: Annotated[float, Range(1e-3, 1.0)] = 0.2
