@@ -65,7 +65,7 @@ def follow_paths(
         paths: (T + 1, n) vertices.
         ways: (V,) bit k says whether the edge k of a vertex leads to a vertex that is free.
         deltas: (7,) differences of the numbers of the vertices along each edge, and 0 of a wait.
-        arrived: (V,) of -1. When a robot last came to a vertex, times 8, plus by which edge.
+        arrived: (V,) zeros. When a robot last came to a vertex, times 8, plus by which edge.
         last: (n,) zeros; on return the last step in which each robot has moved.
         moves: (T, n) on return the edge of each move, 6 of a wait.
     """
@@ -110,11 +110,11 @@ def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple
     sides = np.array(obstacles.shape)
     lengths = np.abs(now - before).sum(axis=1)
     outside = np.logical_or(now < 0, now >= sides).any(axis=1)
-    inside = np.where(outside.reshape(-1, 1), 0, now)
+    inside = np.where(outside, 0, now.T)
     at = {tuple(place): i for i, place in enumerate(before.tolist())}
     who = np.array([at.get(tuple(place), -1) for place in now.tolist()])
     swaps = (who >= 0) & (now[who] == before).all(axis=1)
-    rules = np.select([outside, obstacles[tuple(inside.T)], lengths > 1, swaps], [3, 5, 4, 7], 0)
+    rules = np.select([outside, obstacles[tuple(inside)], lengths > 1, swaps], [3, 5, 4, 7], 0)
     rules[lengths == 0] = 0
     if rules.any():
         robot = int(rules.nonzero()[0][0])
@@ -141,7 +141,7 @@ def check_paths(
             return _broken(rule, int(wrong.argmax()), step), moves
     _, m2, m3 = instance.shape
     deltas = MOVES @ np.array([m2 * m3, m3, 1], dtype=np.int32)
-    arrived = np.full(np.prod(instance.shape), -1, dtype=np.int32)
+    arrived = np.zeros(instance.obstacles.size, dtype=np.int32)
     step, moved = follow_paths(paths, _ways(instance.obstacles), deltas, arrived, last, moves)
     if step:
         before, now = (_places(paths[t], instance.shape) for t in (step - 1, step))
@@ -153,7 +153,7 @@ def check_paths(
 def as_vertices(paths: npt.NDArray[np.integer], shape: Shape) -> Paths:
     """The vertices (T + 1, n) of paths (T + 1, n, 3), with -1 for those outside the grid."""
     found = np.empty(paths.shape[:2], dtype=np.int32)
-    for vertices, places in zip(found, paths, strict=True):
+    for vertices, places in zip(found, paths):
         inside = ((places >= 0) & (places < shape)).all(axis=1)
         vertices[:] = np.where(inside, numbers(places, shape), -1)
     return found

@@ -10,7 +10,7 @@ from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
 from swarm_envs.physics.contact import RESTITUTION, bounce
 from swarm_envs.state import hover_state
 from swarm_envs.swap_v1 import blueprint
-from swarm_envs.tables import BLOCK_TYPE, SETTINGS_TYPE, aligned
+from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
 from swarm_envs.tasks.obstacles import Box, obstacle_rows
 from swarm_envs.vehicles import LARGE, SMALL, parse_team
 
@@ -41,10 +41,11 @@ def test_drones_touch_below_the_sum_of_radii(engine):
 
 
 def test_floor_wall_and_ceiling(engine):
-    positions = [[0.0, 0, 0.05], [1.95, 0, 1], [0.0, -1.95, 1], [0.0, 0, 2.46], [1.0, 1, 0.07]]
-    physics = flown(engine, "SSSSS", positions)
-    assert physics.contacts.floor.tolist() == [[True, False, False, False, False]]
-    assert physics.contacts.wall.tolist() == [[False, True, True, True, False]]
+    sides = [[1.95, 0, 1], [-1.95, 0, 1], [0.0, 1.95, 1], [0.0, -1.95, 1], [0.0, 0, 2.46]]
+    positions = [[0.0, 0, 0.05], *sides, [1.0, 1, 0.07]]
+    physics = flown(engine, "SSSSSSS", positions)
+    assert physics.contacts.floor.tolist() == [[True, *6 * [False]]]
+    assert physics.contacts.wall.tolist() == [[False, *5 * [True], False]]
     assert (physics.contacts.drone == -1).all()
 
 
@@ -115,6 +116,30 @@ def test_what_just_touches_is_no_collision() -> None:
     assert physics.contacts.obstacle_clearance[0, 0] == 1.0
     assert physics.contacts.clearance[0, 1] == pytest.approx(1.0, abs=1e-15)
     assert not physics.contact[0, 0]
+    x, y, z = 0.75, -0.5, 1.0
+    walls = [[x - r, y - r, 0.0], [x + r, y + r, z + r]]
+    physics = BatchPhysics("S", interactions="none", arena=walls)
+    state = hover_state(parse_team("S"), [[x, y, z]])
+    physics.reset(state)
+    physics.step(state.rotor_thrust)
+    assert not physics.contacts.wall.any()
+
+
+@pytest.mark.parametrize("drones", [4, 28])
+def test_of_two_that_are_equally_near_the_first_is_touched(drones: int) -> None:
+    """Few, and many; places are binary fractions, so that distances are equal to the last bit."""
+    step, near = 1.5 * SMALL.radius, 0.09375
+    positions = np.stack([np.arange(drones) * 4 * step, np.ones(drones), np.ones(drones)], axis=1)
+    positions[[1, 2, 3]] = [[near, 1, 1], [0, 1 + near, 1], [-near, 1, 1]]
+    team = drones * "S"
+    for order in (slice(None), slice(None, None, -1)):
+        physics = BatchPhysics(team, interactions="none")
+        state = hover_state(parse_team(team), positions[order])
+        physics.reset(state)
+        physics.step(state.rotor_thrust)
+        seen = physics.contacts.drone[0]
+        centre = 0 if order.step is None else drones - 1
+        assert seen[centre] == (1 if centre == 0 else drones - 4)
 
 
 def test_two_drones_keep_their_momentum(engine):
@@ -150,19 +175,78 @@ def test_what_lies_on_the_floor_stays_there(engine):
     physics.close()
 
 
+def bounced(positions, velocities, mass=1.0, radius=0.125, rows=None, touching=()):
+    """Positions and velocities after a bounce in walls at -8 and 8 m: plain Python runs it."""
+    drones = len(positions)
+    blocks, settings = aligned(-(-drones // LANES), BLOCK_TYPE), np.zeros(1, SETTINGS_TYPE)
+    settings["arena"] = [[-8, -8, -8], [8, 8, 8]]
+    touched = np.where(np.isin(np.arange(drones), touching), 0.0, -1.0)
+    given = {"position": positions, "velocity": velocities, "touched_drone": touched}
+    given |= {"mass": np.broadcast_to(mass, drones), "radius": np.full(drones, radius)}
+    for name, values in given.items():
+        lanes = np.zeros((len(blocks) * LANES, *np.shape(values)[1:]))
+        lanes[:drones] = values
+        lanes = lanes.reshape(-1, LANES, *lanes.shape[1:])
+        blocks[name] = np.moveaxis(lanes, 1, -1)
+    bounce(blocks, 0, drones, settings.view(np.recarray), rows)
+    found = (blocks[name].transpose(0, 2, 1) for name in ("position", "velocity"))
+    return [part.reshape(-1, 3)[:drones] for part in found]
+
+
 def test_an_obstacle_gives_back_a_part() -> None:
-    """A sphere meets the edge of a box at 45 degrees: plain Python runs what is compiled."""
+    """A sphere meets the edge of a box at 45 degrees."""
     rows = obstacle_rows((Box(low=(0.0, -1.0, 0.0), high=(1.0, 1.0, 1.0)),))
-    blocks, settings = aligned(1, BLOCK_TYPE), np.zeros(1, SETTINGS_TYPE)
-    settings["arena"] = [[-9, -9, -9], [9, 9, 9]]
-    b = blocks[0]
-    b["touched_drone"], b["mass"], b["radius"] = -1.0, 1.0, 0.1
-    b["position"][:, 0], b["velocity"][:, 0] = (-0.06, 0.0, 1.06), (1.0, 0.5, 0.0)
-    bounce(blocks, 0, 1, settings.view(np.recarray), rows)
+    place, speed = bounced([[-0.06, 0.0, 1.06]], [[1.0, 0.5, 0.0]], rows=rows)
     n = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
     expected = np.array([1.0, 0.5, 0.0]) + (1 + RESTITUTION) * np.sqrt(0.5) * n
-    np.testing.assert_allclose(b["velocity"][:, 0], expected, atol=1e-12)
-    np.testing.assert_allclose(b["position"][:, 0], 0.1 * n + [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(speed[0], expected, atol=1e-12)
+    np.testing.assert_allclose(place[0], 0.125 * n + [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_a_drone_inside_an_obstacle_goes_back_as_it_came() -> None:
+    rows = obstacle_rows((Box(low=(-1.0, -1.0, -1.0), high=(1.0, 1.0, 1.0)),))
+    velocity = np.array([0.3, -0.4, 1.2])  # of 1.3 m/s
+    place, speed = bounced([[0.0, 0.0, 0.5]], [velocity], rows=rows)
+    np.testing.assert_allclose(speed[0], -RESTITUTION * velocity, atol=1e-12)
+    back = np.array([0.0, 0.0, 0.5]) - 0.125 * velocity / 1.3
+    np.testing.assert_allclose(place[0], back, atol=1e-12)
+
+
+def test_what_overlaps_a_wall_is_put_beside_it() -> None:
+    beyond, expected = np.full((6, 3), 4.0), np.full((6, 3), 4.0)
+    for axis, low in enumerate((-7.875, -7.875, 0.125)):  # the floor is the ground at z = 0
+        beyond[axis, axis], expected[axis, axis] = low - 0.05, low
+        beyond[axis + 3, axis], expected[axis + 3, axis] = 7.95, 7.875
+    place, speed = bounced(beyond, np.zeros((6, 3)))
+    np.testing.assert_array_equal(place, expected)
+    assert not speed.any()
+
+
+@pytest.mark.parametrize("first", [0, LANES])
+def test_two_that_overlap_part_by_their_masses(first: int) -> None:
+    """Drones of the first block, or of the second behind a full one."""
+    positions = np.array([[0.0, 0.0, 1.0 + 0.5 * i] for i in range(first)] + 2 * [[3.0, 0.0, 1.0]])
+    positions[-1] += [0.15, 0.0, 0.0]
+    velocities, mass = np.zeros_like(positions), np.ones(first + 2)
+    velocities[-2], mass[-1] = [0.6, 0.2, 0.0], 3.0
+    place, speed = bounced(positions, velocities, mass, touching=(first, first + 1))
+    np.testing.assert_array_equal(place[:first], positions[:first])
+    assert place[-1, 0] - place[-2, 0] == pytest.approx(0.25, abs=1e-12)
+    for before, after in ((positions, place), (velocities, speed)):
+        np.testing.assert_allclose(mass @ after, mass @ before, atol=1e-12)
+    assert speed[-1, 0] - speed[-2, 0] == pytest.approx(RESTITUTION * 0.6, abs=1e-12)
+    assert speed[-2, 1] == 0.2
+
+
+def test_two_at_one_place_part_upwards_and_two_that_just_touch_do_not_bounce() -> None:
+    same = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
+    place, speed = bounced(same, np.zeros((2, 3)), touching=(0, 1))
+    np.testing.assert_allclose(place, [[0.0, 0.0, 1.125], [0.0, 0.0, 0.875]], atol=1e-12)
+    assert not speed.any()
+    near, towards = [[0.0, 0.0, 1.0], [0.25, 0.0, 1.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    place, speed = bounced(near, towards, touching=(0, 1))
+    np.testing.assert_array_equal(place, near)
+    np.testing.assert_array_equal(speed, towards)
 
 
 @pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")

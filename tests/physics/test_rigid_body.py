@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swarm_envs.physics import TIME_STEP, BatchPhysics, rigid_body
-from swarm_envs.physics.rigid_body import LARGEST_RATE, integrate, sinc_cos
+from swarm_envs.physics.rigid_body import LARGEST_RATE, gust, integrate, sinc_cos, spin_rotors
 from swarm_envs.state import FloatArray, SwarmState, hover_state
-from swarm_envs.tables import BLOCK_TYPE, Records
+from swarm_envs.tables import BLOCK_TYPE, ENVIRONMENT_TYPE, LANES, SETTINGS_TYPE, Records
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
 STEPS = 240
@@ -169,6 +169,45 @@ def test_unequal_rotors_and_a_force_from_outside_add_up() -> None:
     mass = np.array([vehicle.mass for vehicle in TEAM])[:, None]
     expected = (force[0] + [0.0, 0.0, 0.15]) / mass - [0.0, 0.0, 9.80665]
     np.testing.assert_allclose(physics.state.velocity[0] * 240.0, expected, rtol=1e-10)
+
+
+def test_gusts_are_one_acceleration_of_a_team_by_the_exact_step_of_their_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(rigid_body, "normal", lambda key, number: float(key) - float(number))
+    kept, strength, key, age = 0.8, 2.0, 77, 5
+    environment = np.zeros(1, ENVIRONMENT_TYPE).view(np.recarray)
+    settings = np.zeros(1, SETTINGS_TYPE).view(np.recarray)
+    blocks = np.zeros(2, BLOCK_TYPE).view(np.recarray)
+    environment.gust_key, environment.age, environment.gust = key, age, [0.5, -1.0, 3.0]
+    settings.gust_kept, settings.gust_strength = kept, strength
+    blocks["mass"] = np.arange(1.0, 1.0 + 2 * LANES).reshape(2, LANES)
+    first, drones = LANES - 2, 4  # two in each block
+    gust(environment[0], first, drones, settings, blocks)
+    drawn = np.array([key - 15.0, key - 16.0, key - 17.0])
+    expected = kept * np.array([0.5, -1.0, 3.0]) + strength * 0.6 * drawn
+    np.testing.assert_allclose(environment[0].gust, expected, rtol=1e-12)
+    forces = blocks["external"].transpose(0, 2, 1).reshape(-1, 3)
+    moved = slice(first, first + drones)
+    masses = blocks["mass"].ravel()[moved, None]
+    np.testing.assert_allclose(forces[moved], masses * expected, rtol=1e-12)
+    assert not forces[:first].any() and not forces[first + drones :].any()
+
+
+def test_a_physics_step_is_counted_once_with_what_was_outside_and_over_the_bound() -> None:
+    blocks = np.zeros(1, BLOCK_TYPE).view(np.recarray)
+    b = blocks[0]
+    b["force"][:, 0], b["worst_force"][1] = (3.0, -4.0, -12.0), 20.0
+    b["force_bound"][:], b["outside"][2] = 11.9, 1.0
+    b["rotor_thrust"][:, 3], b["energy_scale"][3] = (0.0, 1.0, 4.0, 9.0), 0.5
+    for _ in range(2):
+        spin_rotors(blocks, 1)
+        b["rotor_thrust"][:, 3] = (0.0, 1.0, 4.0, 9.0)
+    assert (b["steps"] == 2.0).all()
+    assert b["worst_force"][:2].tolist() == [13.0, 20.0]
+    assert b["over_bound"][:2].tolist() == [2.0, 0.0]
+    assert b["outside_steps"][:3].tolist() == [0.0, 0.0, 2.0]
+    assert b["energy"][3] == 2 * 0.5 * (1.0 + 8.0 + 27.0)
 
 
 def test_sines_by_series_are_those_of_the_library() -> None:

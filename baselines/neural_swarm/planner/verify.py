@@ -51,7 +51,7 @@ def roll_out(problem: PlanningProblem, motions: ways.Trajectories) -> FloatArray
     states = np.empty_like(motions.states)
     states[0] = motions.states[0]
     for k, control in enumerate(motions.controls):
-        force = ways.predict_forces(problem.model, problem.team, states[k : k + 1])[0]
+        (force,) = ways.predict_forces(problem.model, problem.team, states[k, None])
         acceleration = control + force / problem.masses[:, None]
         states[k + 1] = states[k] @ a.T + acceleration @ b.T
     return states

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.rth3d import FAMILIES, GridPlan, make_instance, plan, validate
+from swarm_envs.baselines.rth3d.grid import check_instance
+from swarm_envs.baselines.rth3d.grid_validation import MOVES, as_vertices, check_paths
 from tests.baselines.rth3d.cases import load_checker, load_tool
 
 SQUARE = np.array([[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]])
@@ -40,6 +42,14 @@ def test_one_may_follow_another_along_each_axis(axis):
         ([SQUARE[:2], SQUARE[[1, 1]], SQUARE[:2]], "on the vertex of another robot at time 1"),
         ([SQUARE[:1], SQUARE[2:3]], "moves by more than one edge at time 1"),
         ([[[0, 0, 1]], [[0, 1, 0]]], "moves by more than one edge"),
+        (
+            [
+                [(0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)],
+                [(0, 0, 1), (1, 1, 0), (1, 1, 0), (0, 0, 0)],  # the last follows the first
+                [(0, 0, 1), (0, 1, 0), (1, 1, 0), (0, 0, 0)],
+            ],
+            "robot 1 is on the vertex of another robot at time 1",
+        ),
         ([[[0, 0, 0]], [[0, 0, -1]], [[0, 0, 0]]], "leaves the grid at time 1"),
         ([[[0, 0, 0]], [[70000, 0, 0]], [[0, 0, 0]]], "leaves the grid at time 1"),
     ],
@@ -58,10 +68,82 @@ def test_obstacles_starts_and_goals():
     paths = np.array(detour)
     assert "begin" in validate(paths, paths[1], paths[2], (2, 2, 2)).reason
     assert "end" in validate(paths, paths[0], paths[1], (2, 2, 2)).reason
-    with pytest.raises(ValueError, match="paths have shape"):
-        validate(paths[0], paths[0], paths[2], (2, 2, 2))
+    turn = np.stack([SQUARE, np.roll(SQUARE, -1, axis=0)])
+    assert "end" in validate(turn, turn[0], turn[1, ::-1], (2, 2, 2)).reason
+    assert validate(turn, turn[0], turn[1, ::-1], (2, 2, 2), labels=False)
+    for wrong in (paths[0], paths[:0]):
+        with pytest.raises(ValueError, match="paths have shape"):
+            validate(wrong, paths[0], paths[2], (2, 2, 2))
     with pytest.raises(ValueError, match="paths have shape"):
         validate(np.repeat(paths, 2, axis=1), paths[0], paths[2], (2, 2, 2))
+
+
+def judged_plainly(paths, starts, goals, walls, labels):
+    """The rule that is broken first, robot and time; or makespan, sum of costs and moves."""
+    steps, count = range(1, len(paths)), range(len(starts))
+    for robot in count:
+        if paths[0][robot] != starts[robot]:
+            return "begin", robot, 0
+    for robot in count:
+        if paths[-1][robot] not in ([goals[robot]] if labels else goals):
+            return "end", robot, len(paths) - 1
+    for time in steps:
+        before, now = paths[time - 1], paths[time]
+        for robot in count:
+            place, away = now[robot], sum(map(abs, np.subtract(now[robot], before[robot])))
+            if place not in walls:
+                return "leaves", robot, time
+            if walls[place]:
+                return "obstacle", robot, time
+            if away > 1:
+                return "more than one edge", robot, time
+            met = [k for k in count if before[k] == place and now[k] == before[robot] != place]
+            if met:
+                return "swaps", robot, time
+        stay = {now[robot] for robot in count if now[robot] == before[robot]}
+        for robot in count:
+            if now[robot] != before[robot] and now[robot] in stay:
+                return "vertex of another", robot, time
+            stay.add(now[robot])
+    moved = [[t for t in steps if paths[t][k] != paths[t - 1][k]] for k in count]
+    last = [max(times, default=0) for times in moved]
+    return max(last), sum(last), sum(map(len, moved))
+
+
+@pytest.mark.parametrize("labels", [True, False])
+def test_what_is_broken_first_and_what_a_plan_costs_is_as_plain_code_says(labels):
+    rng, shape, verdicts = np.random.default_rng(0), (2, 3, 2), []
+    places = [(int(x), int(y), int(z)) for x, y, z in np.ndindex(shape)]
+    for _ in range(1500):
+        walls = dict.fromkeys(places, False)
+        starts = [places[k] for k in rng.permutation(len(places))[: rng.integers(1, 6)]]
+        for place in rng.permutation(places)[: rng.integers(3)].tolist():
+            walls[tuple(place)] = tuple(place) not in starts
+        paths = [starts]
+        for _ in range(rng.integers(4)):
+            steps = np.vstack([np.eye(3), -np.eye(3), np.zeros((3, 3))])[rng.integers(9, size=9)]
+            paths.append([tuple((np.array(p) + s).astype(int)) for p, s in zip(paths[-1], steps)])
+        goals = paths[-1] if labels else [paths[-1][k] for k in rng.permutation(len(starts))]
+        if rng.random() < 0.2:
+            changed = paths[rng.integers(len(paths))]
+            changed = paths[rng.integers(len(paths))] = list(changed)
+            changed[rng.integers(len(changed))] = tuple(rng.integers(-1, 4, size=3).tolist())
+        free = {place for place in places if not walls[place]}
+        if len({*goals} & free) < len(starts):
+            continue  # no instance
+        wall = np.array([walls[place] for place in places]).reshape(shape)
+        found = validate(np.array(paths), starts, goals, shape, wall, labels)
+        expected = judged_plainly(paths, starts, goals, walls, labels)
+        if found:
+            assert expected == (found.makespan, found.sum_of_costs, found.moves)
+            instance = check_instance(starts, goals, shape, wall)
+            _, moves = check_paths(as_vertices(np.array(paths), shape), instance, labels)
+            np.testing.assert_array_equal(MOVES[moves], np.diff(paths, axis=0))
+        else:
+            assert expected[0] in found.reason and expected[1:] == (found.robot, found.time)
+            assert (found.makespan, found.sum_of_costs, found.moves) == (0, 0, 0)
+        verdicts.append(expected[0] if not found else "")
+    assert len({*verdicts}) == 8
 
 
 def test_damaged_plans_are_judged_as_by_the_other_checker(shared_data):
