@@ -41,6 +41,12 @@ def test_other_points_are_refused(points: Any, reason: str) -> None:
         checked_points("starts", np.array(points), CONFIG, 2)
 
 
+def test_what_heights_are_divided_by_is_relative_to_the_other_axes() -> None:
+    config = MlrDmpcConfig(scaling=(2.0, 2.0, 6.0))
+    with pytest.raises(ValueError, match="when heights are divided by 3, but"):
+        checked_points("starts", np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.1]]), config, 2)
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

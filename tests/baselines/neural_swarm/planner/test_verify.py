@@ -57,6 +57,9 @@ def test_a_good_plan_has_no_shortcoming() -> None:
     assert (check.goal_error_m, check.goal_speed, check.force_ratio) == (0.0, 0.0, 0.0)
     assert check.box_excess == check.defect == 0.0
     assert check.clearance_ratio == check.distance_ratio == np.inf
+    whole = there_and_back()
+    out = Trajectories(whole.states[:3], whole.controls[:2], np.zeros((3, 1, 3)), DT)
+    np.testing.assert_array_equal(roll_out(alone(), out), out.states)
 
 
 def test_controls_too_weak_end_elsewhere() -> None:
