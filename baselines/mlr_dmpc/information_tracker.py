@@ -6,6 +6,7 @@ and its contents if they are known; trajectories that it does not fly are rememb
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -85,7 +86,7 @@ class InformationTrackers:
         slots = numbers.argmax(axis=1)[:, None]
         found = np.take_along_axis(self._contents, slots, axis=1)
         found[np.take_along_axis(numbers, slots, axis=1) == _FREE] = None
-        newest: list[Trajectory | None] = found[:, 0].tolist()
+        newest: list[Trajectory | None] = found.ravel().tolist()
         return newest
 
     def settled(self, round_: int) -> BoolArray:
@@ -127,7 +128,7 @@ class InformationTrackers:
         self.possible[drones, slots] = True
         self.located[drones], self.confirmed[drones] = True, round_
         unknown = ~self._known[drones, slots]
-        for drone, slot in zip(drones[unknown].tolist(), slots[unknown].tolist(), strict=True):
+        for drone, slot in zip(drones[unknown].tolist(), slots[unknown].tolist()):
             self._contents[drone, slot] = at_rest(drone)
             self._known[drone, slot] = self._contents[drone, slot] is not None
         self._forget(drones)
@@ -146,8 +147,8 @@ class InformationTrackers:
 
     def strike(self, planned: Mapping[int, int]) -> None:
         """Plans by number, each of which was sent to one drone alone, or to none."""
-        recent = self.possible & (self.numbers >= min(planned, default=0))
-        for drone, slot in np.argwhere(recent).tolist() if planned else ():
+        recent = self.possible & (self.numbers >= min(planned, default=math.inf))
+        for drone, slot in np.argwhere(recent).tolist():
             if planned.get(int(self.numbers[drone, slot]), drone) != drone:
                 self.possible[drone, slot] = False
 

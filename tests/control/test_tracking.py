@@ -114,6 +114,25 @@ def test_compiled_agrees_with_plain(wildness, config):
         assert saturated > 500 if wildness == 1.0 else saturated < 300 * len(places) - 500
 
 
+def test_a_set_point_moves_on_by_its_derivatives_until_the_next_step() -> None:
+    controller, rng, shape = TrackingController(TEAM), np.random.default_rng(5), (1, len(TEAM), 3)
+    state = hover_state(TEAM, rng.normal(size=shape[1:]))
+    moments = {name: rng.normal(size=shape) for name in ("velocity", "acceleration", "jerk")}
+    turn = {"yaw": rng.normal(size=shape[:2]), "yaw_rate": rng.normal(size=shape[:2])}
+    controller.commands(state, Setpoint.hold(state.position.copy())._replace(**moments, **turn))
+    v, a, j, t = *moments.values(), 1.0 / 240.0
+    expected = {
+        "position": state.position + v * t + a * t**2 / 2 + j * t**3 / 6,
+        "velocity": v + a * t + j * t**2 / 2,
+        "acceleration": a + j * t,
+        "jerk": j,
+        "yaw": turn["yaw"] + turn["yaw_rate"] * t,
+    }
+    for name, value in expected.items():
+        moved = controller._loop.world.drones[f"setpoint_{name}"]
+        np.testing.assert_allclose(moved, value, rtol=0, atol=1e-14)
+
+
 def test_reset_forgets_only_the_masked_environments() -> None:
     config = ControllerConfig(adaptation=NeuralFly())
     one, fresh = (TrackingController(TEAM, 2, config) for _ in range(2))

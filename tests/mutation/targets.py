@@ -11,7 +11,12 @@ _CONTACT = (
 )
 _MOTORS = ("tests/test_motors.py",)
 _TRACKING = (
-    *("tests/control/test_tracking.py", "tests/control/test_mixer.py", "-k", "not adaptive"),
+    *(
+        "tests/control/test_tracking.py",
+        "tests/control/test_mixer.py",
+        "-k",
+        "not adaptive or 0.03 and Observer",
+    ),
 )
 _TRACKER = ("tests/baselines/mlr_dmpc/test_tracker.py",)
 _PATHS = ("tests/baselines/rth3d/test_validation.py", "-k", "ring or broken or follow or obstacles")

@@ -163,7 +163,7 @@ def test_a_lost_drone_is_located_anew_from_nothing(heard: Tracker) -> None:
     heard.add(plan.identity, plan)
     heard.all.lose()
     assert not heard.covering and not heard.up_to_date(5) and not heard.up_to_date(0)
-    assert not heard.settled(9)
+    assert not heard.settled(9) and (heard.all.confirmed == -1).all()
     heard.locate(REST.identity, 7, None)
     assert heard.candidates == [REST] and heard.missing == []
     assert heard.sole is REST  # its contents were remembered
@@ -178,6 +178,23 @@ def test_contents_of_the_last_three_are_kept_for_others(heard: Tracker) -> None:
     heard.locate(plans[0].identity, 9, None)
     assert [heard.contents(p.identity) is p for p in plans] == [True] * 4
     assert heard.contents(REST.identity) is None
+
+
+@pytest.mark.parametrize("order", [range(5, 14), range(13, 4, -1), (9, 5, 13, 7, 11, 6, 12, 8, 10)])
+def test_the_three_newest_contents_are_kept_in_whatever_order_they_came(heard, order) -> None:
+    for k in order:
+        heard.all.learn(1, planned(k))
+    heard.locate(REST.identity, 14, None)
+    kept = [k for k in range(5, 14) if heard.contents(planned(k).identity) is not None]
+    assert kept == [11, 12, 13] and heard.sole is REST
+
+
+def test_rows_do_not_grow_with_the_time_that_a_drone_flies(heard: Tracker) -> None:
+    width = heard.all.numbers.shape[1]
+    for k in range(5, 50):
+        heard.add(planned(k).identity, planned(k))
+        heard.locate(planned(k).identity, k, None)
+    assert heard.all.numbers.shape[1] == width
 
 
 def test_what_it_says_at_rest_does_not_overwrite(heard: Tracker) -> None:
