@@ -332,7 +332,7 @@ _NEW = (
     _of_own("crowd-swaps-8", "Every 5 s each drone is given another's goal.",
             "pursuit_v0", _ROUND, 64, layout="swap-goals", num_drones=8),
     _of_own("crowd-chase-8", "Goals are beside others, wherever these are.",
-            "pursuit_v0", _AWARE, 64, layout="chase", num_drones=8),
+            "pursuit_v0", "air-blind", 64, layout="chase", num_drones=8),
     _new("crowd-random-32", _RANDOM, "swap-random-16", _ROUND, 64, num_drones=32),
     _new("crowd-random-64", _RANDOM, "swap-random-16", _DETOUR, 32, num_drones=64),
     _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
