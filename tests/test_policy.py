@@ -453,10 +453,13 @@ def test_tasks_in_the_hall_are_solved_by_imitation(name, episodes):
     assert rate >= (all_ if episodes > 16 else few)
 
 
-@pytest.mark.parametrize("episodes", [4, pytest.param(64, marks=pytest.mark.slow)])
-def test_a_circle_of_32_is_swapped_by_imitation(episodes):
-    """The benchmark's episodes, none of which a script without the true state solves."""
-    given = {"layout": "circle", "num_drones": 32, "horizon_s": 16.0}
+@pytest.mark.parametrize(
+    ("team", "episodes"),
+    [(16 * "L", 8), (32 * "S", 4), pytest.param(32 * "S", 64, marks=pytest.mark.slow)],
+)
+def test_large_circles_are_swapped_by_imitation(team, episodes):
+    """Of 32 the benchmark's episodes, none of which a script without the true state solves."""
+    given = {"layout": "circle", "team": team, "horizon_s": 16.0}
     assert successes("swap-dagger", "swap_v1", frozen_seeds(2026, episodes), **given) >= 0.98
 
 

@@ -126,7 +126,7 @@ def test_what_just_touches_is_no_collision() -> None:
 
 
 @pytest.mark.parametrize("drones", [4, 28])
-def test_of_two_that_are_equally_near_the_first_is_touched(drones: int) -> None:
+def test_of_those_that_are_equally_near_the_first_is_touched(drones: int) -> None:
     """Few, and many; places are binary fractions, so that distances are equal to the last bit."""
     step, near = 1.5 * SMALL.radius, 0.09375
     positions = np.stack([np.arange(drones) * 4 * step, np.ones(drones), np.ones(drones)], axis=1)
@@ -201,6 +201,9 @@ def test_an_obstacle_gives_back_a_part() -> None:
     expected = np.array([1.0, 0.5, 0.0]) + (1 + RESTITUTION) * np.sqrt(0.5) * n
     np.testing.assert_allclose(speed[0], expected, atol=1e-12)
     np.testing.assert_allclose(place[0], 0.125 * n + [0.0, 0.0, 1.0], atol=1e-12)
+    touching, towards = [[-0.125, 0.0, 0.5]], [[1.0, 0.0, 0.0]]
+    place, speed = bounced(touching, towards, rows=rows)
+    assert place.tolist() == touching and speed.tolist() == towards
 
 
 def test_a_drone_inside_an_obstacle_goes_back_as_it_came() -> None:
