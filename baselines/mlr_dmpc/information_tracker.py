@@ -128,7 +128,7 @@ class InformationTrackers:
         self.possible[drones, slots] = True
         self.located[drones], self.confirmed[drones] = True, round_
         unknown = ~self._known[drones, slots]
-        for drone, slot in zip(drones[unknown].tolist(), slots[unknown].tolist()):
+        for drone, slot in zip(drones[unknown].tolist(), slots[unknown].tolist(), strict=True):
             self._contents[drone, slot] = at_rest(drone)
             self._known[drone, slot] = self._contents[drone, slot] is not None
         self._forget(drones)

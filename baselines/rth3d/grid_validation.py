@@ -153,7 +153,7 @@ def check_paths(
 def as_vertices(paths: npt.NDArray[np.integer], shape: Shape) -> Paths:
     """The vertices (T + 1, n) of paths (T + 1, n, 3), with -1 for those outside the grid."""
     found = np.empty(paths.shape[:2], dtype=np.int32)
-    for vertices, places in zip(found, paths):
+    for vertices, places in zip(found, paths, strict=True):
         inside = ((places >= 0) & (places < shape)).all(axis=1)
         vertices[:] = np.where(inside, numbers(places, shape), -1)
     return found
