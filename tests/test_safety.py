@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from scipy.optimize import linprog
 
@@ -97,28 +98,40 @@ def test_collisions_collapse(name, most):
     assert sum(metrics["collided_drones"] > 0 for metrics in found) <= most  # without: 25 of 64
 
 
-def test_who_comes_fast_from_behind_seven_others_is_seen_by_the_filter_of_a_policy():
-    class Last:
-        """The last drone accelerates along -x, the others stay."""
+class Wishes:
+    """Each drone always asks for the same action, its own of (N, 3)."""
 
-        requires: Mapping[str, Any] = {"action": "acceleration", "decision_rate": 20}
-        privileged = False
+    privileged = False
 
-        def reset(self, env, seed):
-            pass
+    def __init__(self, decision_rate: int, actions: npt.ArrayLike) -> None:
+        self.requires: Mapping[str, Any] = {
+            "action": "acceleration",
+            "decision_rate": decision_rate,
+        }
+        self._actions = np.array(actions, np.float32)
 
-        def act(self, observations, view):
-            fast = {"drone_8": np.array([-1, 0, 0], np.float32)}
-            return {name: fast.get(name, np.zeros(3, np.float32)) for name in observations}
+    def reset(self, env, seed):
+        pass
 
+    def act(self, observations, view):
+        return dict(zip(observations, self._actions, strict=True))
+
+
+def test_who_comes_fast_from_behind_seven_others_is_seen_in_time():
+    """In a flight of the policy, and in a scene that no training changes."""
     own = load("swap-dagger+filter")
     assert isinstance(own, SafetyFilter)
+    for agent, collided in ((own, 0), (SafetyFilter(own.agent), 2)):
+        env = swap_v1.parallel_env(num_drones=32, layout="random", **agent.requires)
+        assert fly_episode(env, agent, 3648066264)["collided_drones"] == collided
+        env.close()
     angles = np.deg2rad(np.linspace(50.0, 310.0, 7))  # of seven around the first, with a gap
     around = np.stack([0.6 * np.cos(angles), 0.6 * np.sin(angles), 0.0 * angles], axis=1)
     start = np.vstack([np.zeros(3), around, (2.4, 0.0, 0.0)]) + np.array((-1.0, 0.0, 1.2))
     apart = []
     for watched in (7, own.safety.num_neighbors):
-        agent = SafetyFilter(Last(), Safety(num_neighbors=watched))
+        wishes = Wishes(20, [*np.zeros((8, 3)), (-1.0, 0.0, 0.0)])  # the last comes
+        agent = SafetyFilter(wishes, Safety(num_neighbors=watched))
         env = swap_v1.parallel_env(num_drones=9, horizon_s=3.0, **agent.requires)
         flown = fly_episode(env, agent, 0, options={"start": start})
         apart.append(flown["minimum_separation_m"])
@@ -127,19 +140,8 @@ def test_who_comes_fast_from_behind_seven_others_is_seen_by_the_filter_of_a_poli
 
 
 def test_walls_are_kept_away_from():
-    class Outwards:
-        requires: Mapping[str, Any] = {"action": "acceleration", "decision_rate": 10}
-        privileged = False
-
-        def reset(self, env, seed):
-            pass
-
-        def act(self, observations, view):
-            corner = np.array([1.0, 0.3, -1.0], np.float32)
-            return dict(zip(observations, (corner, -corner), strict=True))
-
     for safety, crashes in ((Safety(), 0), (Safety(walls=False), 1)):
-        agent = SafetyFilter(Outwards(), safety)
+        agent = SafetyFilter(Wishes(10, [(1.0, 0.3, -1.0), (-1.0, -0.3, 1.0)]), safety)
         assert not isinstance(agent, BatchAgent)
         options = {**agent.requires, "physics": "batch", "horizon_s": 4.0}
         env = swap_v0.parallel_env(num_drones=2, **options)
