@@ -41,6 +41,7 @@ from swarm_envs.training.curriculum.curriculum_report import (
 )
 from swarm_envs.training.force_model import fit, load_network
 from swarm_envs.training.force_model.evaluate import predict_rows
+from swarm_envs.training.force_model.pipeline import CHECKPOINT
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import (
     begin_manifest,
@@ -206,12 +207,13 @@ def _fit_all(
 ) -> dict[str, Any]:
     """Fit a model to all flights so far, or resume or read that fit: what its report says."""
     folder = _round_folder(config, number)
-    table, said = folder / "rows.npz", folder / "fit" / "learned.json"
-    if not (table.exists() and said.exists()):
+    table, out = folder / "rows.npz", folder / "fit"
+    said = out / "learned.json"
+    # The last that a fit does is to remove its checkpoint.
+    if not (table.exists() and said.exists()) or (out / CHECKPOINT).exists():
         save_rows(table, interaction_rows(flights, config.label))
         steps = config.last_steps if number == len(config.stages) else config.steps
-        differ = any(vars(config.errors).values())
-        out, seed = folder / "fit", config.seed
+        differ, seed = any(vars(config.errors).values()), config.seed
         fit(simulated_fit_config(table, out, steps, seed, config.progress, differ))
     found: dict[str, Any] = json.loads(said.read_text())
     return found
