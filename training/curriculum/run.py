@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.agents.policy import CHECKPOINT
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
@@ -41,7 +42,6 @@ from swarm_envs.training.curriculum.curriculum_report import (
 )
 from swarm_envs.training.force_model import fit, load_network
 from swarm_envs.training.force_model.evaluate import predict_rows
-from swarm_envs.training.force_model.pipeline import CHECKPOINT
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import (
     begin_manifest,

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from swarm_envs.agents.policy import CHECKPOINT
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
@@ -84,8 +85,6 @@ REPORTS = {
     "wake": "wake-fit.json",
 }
 """File of the report, by kind."""
-CHECKPOINT = "checkpoint.safetensors"
-"""File that a killed training continues from."""
 
 
 @typed
