@@ -208,6 +208,8 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         ("--features raw", "unknown features 'raw'; valid: 'full-1'"),
         ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
         ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
+        ("--algo sac --sac.batch-size 300001", "must be at most 300000, the --sac.buffer-size"),
+        ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),
         ("--drones 4 0", "--drones is (4, 0)"),
         ("--set-hidden 0", "--set-hidden is '0', but must be a sequence, each an integer"),
         ("--activation relu --algo sac", "--algo sac has no such option"),

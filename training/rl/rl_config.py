@@ -292,6 +292,12 @@ class RlConfig(AirOptions, RunOptions):
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
                 f"rollout: drones of all environments x --n-steps, such as {size}"
             )
+        held, batch = self._off_policy.buffer_size, self._off_policy.batch_size
+        if not self.on_policy and batch > held:
+            raise ValueError(
+                f"--{self.algo}.batch-size is {batch}, but must be at most {held}, the "
+                f"--{self.algo}.buffer-size that it is drawn from"
+            )
 
     @property
     def on_policy(self) -> bool:
