@@ -28,7 +28,7 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.training.rl import teachers
 from swarm_envs.training.rl.dagger import DaggerLearner
-from swarm_envs.training.rl.labels import Teacher, teacher_of
+from swarm_envs.training.rl.labels import Teacher, teachers_of
 from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.ppo import PpoLearner
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
@@ -45,17 +45,21 @@ def learner(**given: Any) -> DaggerLearner:
     return DaggerLearner(RlConfig(**{**OPTIONS, **given}), "swap_v1")
 
 
-@pytest.mark.parametrize(
-    ("part", "drones", "name"),
-    [("random", 4, "a"), ("circle", 4, "b"), ("random", 16, "c"), ("circle", 16, "d.py:A")],
-)
-def test_the_last_teacher_that_fits_teaches(part, drones, name):
-    assert teacher_of(("a", "circle=b", "16=c", "circle,16=d.py:A"), part, drones) == name
+def test_the_last_teacher_that_fits_teaches():
+    taught = [("random", 4), ("circle", 4), ("random", 16), ("circle", 16)]
+    teachers = ("a", "circle=b", "16=c", "circle,16=d.py:A")
+    assert teachers_of(teachers, taught) == ["a", "b", "c", "d.py:A"]
 
 
 def test_where_nobody_teaches_is_named():
     with pytest.raises(ValueError, match="none teaches 4 drones in 'random'; first name one"):
-        teacher_of(("circle=a", "16=b"), "random", 4)
+        teachers_of(("circle=a", "16=b"), [("random", 4)])
+
+
+@pytest.mark.parametrize("idle", ["rnadom=b", "16=b", "circle,8=b"])
+def test_a_teacher_of_nothing_is_named(idle):
+    with pytest.raises(ValueError, match=f"has '{idle}', which teaches nothing here: the parts"):
+        teachers_of(("a", idle), [("random", 4), ("circle", 4), ("random", 8)])
 
 
 @pytest.mark.parametrize(
@@ -220,7 +224,9 @@ def test_an_agent_may_label_all_environments_at_once():
 
 
 def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered():
-    made = learner(drones=(2, 4), environments=40, dagger=DaggerConfig(buffer_size=700))
+    made = learner(
+        drones=(2, 4), environments=40, dagger=DaggerConfig(batch_size=64, buffer_size=700)
+    )
     assert [core.num_envs for core in made.env.cores] == [12, 5, 3] * 2
     assert [core.num_drones for core in made.env.cores] == [2] * 3 + [4] * 3
     for core in made.env.cores:
@@ -404,13 +410,15 @@ def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
         assert np.array_equal(found[name], tensor), name
 
 
-def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
+@pytest.mark.parametrize("algo", ["ppo", "mappo"])
+def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path, algo):
     """By the gradient of the divergence of normal distributions of the same deviation."""
     first = make(drones=4, **SET)
-    config = replace(first.config, start=str(saved(first, tmp_path)), start_kl=3.0, seed=9)
+    start = {"algo": algo, "start": str(saved(first, tmp_path)), "start_kl": 3.0}
+    config = replace(first.config, seed=9, **start)
     learner: Any = make_learner(config, "swap_v0")
-    values = learner.env.observe(rows_of(learner))
-    before = first.model.predict(values, deterministic=True)[0]
+    values = learner.env.reset()
+    before = first.model.predict(values[:, : first.sizes.width], deterministic=True)[0]
     np.testing.assert_allclose(learner.model.predict(values, deterministic=True)[0], before)
     model, seen = learner.model, torch.from_numpy(values)
     with torch.no_grad():

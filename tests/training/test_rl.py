@@ -425,7 +425,7 @@ def test_twin_critics_are_two_networks():
 
 
 def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
-    options = SacConfig(train_freq=5, learning_starts=1000, buffer_size=120)
+    options = SacConfig(train_freq=5, learning_starts=1000, batch_size=64, buffer_size=120)
     given = {"on_contact": "end_team", "steps": 200, "seed": 0, "sac": options}
     made = small("sac", drones=2, environments=4, **given)
     made.fly(range(2))

@@ -25,7 +25,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import Blueprint
 from swarm_envs.training.rl.encoders import Actor
-from swarm_envs.training.rl.labels import Teacher, teacher_of
+from swarm_envs.training.rl.labels import Teacher, teachers_of
 from swarm_envs.training.rl.learner import Entry, Learner, Watch
 from swarm_envs.training.rl.recipes import recipe_of
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -55,17 +55,18 @@ class DaggerLearner(Learner):
 
     def make_env(self, blueprints: list[Blueprint], share: int) -> SharedPolicyVecEnv:
         """The parts of every team's curriculum, each with its share of environments."""
-        parts, counts, teachers = [], [], []
+        parts, counts, taught = [], [], []
         for blueprint in blueprints:
             found = recipe_of(blueprint.task.name).parts(blueprint.task, self.config)
             given = [max(1, round(portion * share)) for portion, _ in found.values()]
             counts += [share - sum(given[1:]), *given[1:]]
             for part, (_, task) in found.items():
                 parts.append(blueprint._replace(task=task))
-                teachers.append(teacher_of(self.config.dagger.teacher, part, len(task.team)))
+                taught.append((part, len(task.team)))
         if min(counts) < 1:
             raise ValueError(f"--environments is {self.config.environments}, too few for all parts")
-        self._teachers = [Teacher(n, b) for n, b in zip(teachers, parts, strict=True)]
+        names = teachers_of(self.config.dagger.teacher, taught)
+        self._teachers = [Teacher(n, b) for n, b in zip(names, parts, strict=True)]
         return SharedPolicyVecEnv(parts, counts, self.config.seed)
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:

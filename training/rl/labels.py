@@ -12,6 +12,7 @@ those of agents that give accelerations are velocities to a student that gives t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Protocol, runtime_checkable
@@ -32,7 +33,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
-__all__ = ["Teacher", "teacher_of"]
+__all__ = ["Teacher", "teachers_of"]
 
 _CHANGED = 1e-3  # Change of an action from which on others count as having caused it
 _APPROACH, _DAMPING = 4.0, 6.0
@@ -50,19 +51,32 @@ class CoreTeacher(Protocol):
         """Its actions (E, N, width) in the present true state."""
 
 
-def teacher_of(teachers: tuple[str, ...], part: str, drones: int) -> str:
-    """The teacher's name for a part of the curriculum and a size of teams: the last that fits."""
-    here, found = {part, str(drones)}, None
-    for given in teachers:
-        place, _, name = given.rpartition("=")
-        if {word for word in place.split(",") if word} <= here:
-            found = name
-    if found is None:
+def teachers_of(teachers: tuple[str, ...], taught: Sequence[tuple[str, int]]) -> list[str]:
+    """Name the teacher of each part of the curriculum and size of teams: the last that fits.
+
+    Raises:
+        ValueError: one of them has no teacher, or a teacher has none of them.
+    """
+    chosen = [_last_that_fits(teachers, part, drones) for part, drones in taught]
+    for k in sorted({*range(len(teachers))} - {*chosen}):
+        parts, sizes = (sorted(set(values)) for values in zip(*taught, strict=True))
+        raise ValueError(
+            f"--dagger.teacher has {teachers[k]!r}, which teaches nothing here: the parts are "
+            f"{', '.join(parts)}, the teams of {', '.join(map(str, sizes))} drones, and the last "
+            "teacher that fits both teaches"
+        )
+    return [teachers[k].rpartition("=")[2] for k in chosen]
+
+
+def _last_that_fits(teachers: tuple[str, ...], part: str, drones: int) -> int:
+    here = {part, str(drones), ""}
+    fit = [k for k, given in enumerate(teachers) if {*given.rpartition("=")[0].split(",")} <= here]
+    if not fit:
         raise ValueError(
             f"--dagger.teacher is {teachers}, but none teaches {drones} drones in {part!r}; first "
             "name one without a place before it"
         )
-    return found
+    return fit[-1]
 
 
 class Teacher:

@@ -253,7 +253,8 @@ class TeamPpo(PPO):  # type: ignore[misc]  # SB3's base has no types here
         at_means = slope[:, None] * away / deviation
         at_deviations = slope @ (squares - 1.0) - self.ent_coef
         if self.start is not None and self.start_kl:
-            apart = (means - self.start(batch.observations)).numpy() / deviation
+            seen = batch.observations[:, : self.start.trunks.spec.sizes.width]
+            apart = (means - self.start(seen)).numpy() / deviation
             at_means += self.start_kl / count * apart / deviation
             at_deviations -= self.start_kl * np.square(apart).mean(axis=0)
         log_std.grad += torch.from_numpy(at_deviations)
