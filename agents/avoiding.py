@@ -80,7 +80,9 @@ class CruiseAgent(RowAgent):
     requires: Mapping[str, Any] = MappingProxyType(
         {"action": "acceleration", "observation": "flat", "decision_rate": 20}
     )
-    straight = True  # Whether it flies straight to its goal wherever others are
+    most_crossing: int | None = 12
+    """As of `StraightLineAgent`, but faster: up to seven drones on a circle all succeed; of nine to
+    twelve as `fast-line` 72 to 100 % and as `orca` 44 to 100, of 13 none and 3 (256 episodes)."""
 
     def __init__(self, cruise: Cruise | None = None) -> None:
         self.cruise = cruise or Cruise()
@@ -132,7 +134,7 @@ class RoundaboutAgent(CruiseAgent):
     """
 
     requires: Mapping[str, Any] = MappingProxyType({**CruiseAgent.requires, "num_neighbors": 7})
-    straight = False
+    most_crossing = None
 
     def __init__(self, cruise: Cruise | None = None, rule: Roundabout | None = None) -> None:
         super().__init__(cruise)

@@ -426,7 +426,10 @@ class PolicyAgent(RowAgent):
                 f"{', '.join(sorted(others))}; train one with them by `swarm-envs train --team`"
             )
         if task.obstacles and not note.num_obstacles:
-            raise ValueError("this policy was trained without obstacles, and does not see any")
+            raise ValueError(
+                f"this policy was trained without obstacles and sees none of the "
+                f"{len(task.obstacles)} here; train one by `swarm-envs train --num-obstacles`"
+            )
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
         """The mean (..., width) of what the policy would draw, for rows (..., row width).

@@ -98,7 +98,10 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
             raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
         agent = load_agent(inner, environment)
         if isinstance(agent, SafetyFilter):
-            raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
+            raise ValueError(
+                f"name is {name!r}, but {inner!r} flies behind a filter already; name it without "
+                "'+filter'"
+            )
         own = agent.policy.note.safety if isinstance(agent, PolicyAgent) else None
         return SafetyFilter(agent, own)
     if name in POLICIES:

@@ -46,9 +46,6 @@ from swarm_envs.vehicles import VEHICLES
 
 __all__ = ["ACTED"]
 
-MOST_AT_ONCE = 13
-"""Of drones that fly straight through one place at the same time, what a filter keeps apart: in
-circles of 13 all succeed, of 14 two in five, of 15 none."""
 _ONE_PLACE_M = 0.3
 ACTED = 1e-3
 """A change of an acceleration counts from this size on, m/s^2."""
@@ -80,6 +77,14 @@ class Safety:
     """Whether walls, floor and ceiling are kept away from too."""
     num_neighbors: Count = 7
     """How many neighbours are watched, if the agent does not itself observe more."""
+
+    def __post_init__(self) -> None:
+        """Refuse to let neighbours be passed nearer than the sum of radii."""
+        if self.margin_m < self.aside_m:
+            raise ValueError(
+                f"margin_m is {self.margin_m}, but must be at least aside_m, {self.aside_m}: so "
+                "much nearer than that margin a neighbour may be passed; give a smaller aside_m too"
+            )
 
     def barrier(self, radial: bool) -> Barrier:
         """The same as kernels take it; `radial` as of `velocity_barrier`."""
@@ -144,7 +149,7 @@ class SafetyFilter:
 
         Raises:
             ValueError: the environment lacks what is required; the agent flies straight, and more
-                than `MOST_AT_ONCE` ways cross in one place; or as the agent's reset.
+                than its `most_crossing` ways cross in one place; or as the agent's reset.
         """
         check_requirements(env, self)
         columns = observation_columns({field.name: field.where for field in env.observation_layout})
@@ -154,8 +159,9 @@ class SafetyFilter:
         self._dropped = slice(first + observed * width, first + watched * width)
         self._columns = columns
         self._barrier = self.safety.barrier(radial=not env.core.task.old_filter)
-        if self._barrier.radial and getattr(self.agent, "straight", False):
-            _check_crossing(env.view)
+        most = getattr(self.agent, "most_crossing", None)
+        if self._barrier.radial and most is not None:
+            _check_crossing(env.view, most)
         self._arena = np.array(env.core.task.arena)
         rows = LIMITS + WALLS + columns.num_obstacles + watched
         self._scratch = BarrierWorkspace(
@@ -227,7 +233,7 @@ class SafetyFilter:
         return self._statistics.report()
 
 
-def _check_crossing(view: View) -> None:
+def _check_crossing(view: View, most: int) -> None:
     """Refuse straight ways of too many drones through one place.
 
     All of them contract together, each pressed on by those behind it, and from some radius on no
@@ -236,11 +242,11 @@ def _check_crossing(view: View) -> None:
     """
     half = 0.5 * (view.state.position + view.goals)
     apart = np.linalg.norm(half[:, None] - half, axis=-1)
-    most = int((apart < _ONE_PLACE_M).sum(axis=1).max())
-    if most > MOST_AT_ONCE:
+    crossing = int((apart < _ONE_PLACE_M).sum(axis=1).max())
+    if crossing > most:
         raise ValueError(
-            f"{most} drones that fly straight would meet in one place, but a safety filter keeps "
-            f"at most {MOST_AT_ONCE} apart there; the agent 'roundabout' flies this"
+            f"{crossing} drones that fly straight would meet in one place, but of this agent a "
+            f"safety filter keeps at most {most} apart there; the agent 'roundabout' flies this"
         )
 
 

@@ -309,17 +309,25 @@ def test_version_0_of_the_tasks_keeps_its_filter():
         env.close()
 
 
-def test_too_many_straight_ways_through_one_place_are_refused():
-    agent = load("straight-line+filter")
-    for task, drones, layout in ((swap_v1, 16, "random"), (swap_v1, 13, "circle"),
+@pytest.mark.parametrize(("name", "most"), [("straight-line+filter", 13), ("fast-line", 12)])
+def test_too_many_straight_ways_through_one_place_are_refused(name, most):
+    agent = load(name)
+    for task, drones, layout in ((swap_v1, 16, "random"), (swap_v1, most, "circle"),
                                  (swap_v0, 16, "circle")):  # fmt: skip
         env = task.parallel_env(num_drones=drones, layout=layout, **agent.requires)
         env.reset(seed=0)
         agent.reset(env, 0)
-    env = swap_v1.parallel_env(num_drones=16, layout="circle", **agent.requires)
+    env = swap_v1.parallel_env(num_drones=most + 1, layout="circle", **agent.requires)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"16 drones .* at most 13 .* 'roundabout' flies this"):
+    why = rf"{most + 1} drones .* at most {most} .* 'roundabout' flies this"
+    with pytest.raises(ValueError, match=why):
         agent.reset(env, 0)
+
+
+def test_a_margin_that_lets_drones_touch_is_refused():
+    with pytest.raises(ValueError, match=r"margin_m is 0.02, but must be at least aside_m, 0.03"):
+        Safety(margin_m=0.02)
+    assert Safety(margin_m=0.0, aside_m=0.0).margin_m == 0.0
 
 
 @pytest.mark.parametrize("name", ["fast-line", "orca", "roundabout"])
