@@ -53,6 +53,8 @@ class Teams:
 
     def __init__(self, teacher: str, envs: int, drones: int, seed: int = 0) -> None:
         self.agent = load(teacher)
+        if not hasattr(self.agent, "act_batch"):
+            raise SystemExit(f"{teacher!r} has no act_batch and cannot teach; take 'fast-line'")
         options: dict[str, Any] = {"num_drones": drones, "force_rate": 48, "horizon_s": 6.0}
         options |= self.agent.requires
         self.neighbors = options.setdefault("num_neighbors", 7)
@@ -120,7 +122,7 @@ def main(arguments: list[str] | None = None) -> list[float]:
     parser.add_argument("--steps", type=int, default=400_000, help="decisions of single drones")
     parser.add_argument("--envs", type=int, default=64, help="teams that fly at once")
     parser.add_argument("--drones", type=int, default=8, help="of a team")
-    parser.add_argument("--teacher", default="roundabout", help="an agent's name, or its file")
+    parser.add_argument("--teacher", default="roundabout", help="an agent with act_batch")
     given = parser.parse_args(arguments)
     torch.manual_seed(0)
     torch.set_num_threads(1)
