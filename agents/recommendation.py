@@ -16,7 +16,8 @@ from typing import Any, Literal
 from swarm_envs import task_family
 from swarm_envs.agents.avoiding import TUNED
 from swarm_envs.agents.registry import load_agent
-from swarm_envs.arguments import Count, typed
+from swarm_envs.arguments import typed
+from swarm_envs.envs.setting import NumDrones
 from swarm_envs.vehicles import SMALL, Team, parse_team
 
 __all__ = ["AVOIDS", "FILE", "recommended"]
@@ -40,7 +41,7 @@ def _rows() -> list[Mapping[str, Any]]:
 def recommended(
     task: str,
     *,
-    num_drones: Count | None = None,
+    num_drones: NumDrones | None = None,
     team: str | None = None,
     learned: bool | None = None,
     privileged: bool | None = None,

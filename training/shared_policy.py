@@ -76,7 +76,12 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         **options: Any,
     ) -> None:
         blueprints = _blueprints(task, options)
-        counts = [num_envs] * len(blueprints) if isinstance(num_envs, int) else num_envs
+        counts = num_envs if isinstance(num_envs, Sequence) else [num_envs] * len(blueprints)
+        if len(counts) != len(blueprints):
+            raise ValueError(
+                f"num_envs is {num_envs!r}, but must be a number, or one for each of "
+                f"{len(blueprints)} teams"
+            )
         if features is not None:
             check_name("features", features, FEATURE_SETS)
         self.cores = tuple(

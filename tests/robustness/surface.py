@@ -106,7 +106,7 @@ def _simulated(**given: Any) -> None:
 
 def calls(folder: Path) -> dict[str, Call]:
     """Public functions in valid calls; what they write goes into the folder."""
-    shared = dict.fromkeys(EnvConfig.__annotations__)
+    shared = dict(vars(EnvConfig()))
     shared |= {"physics": "batch", "interactions": "none", "action": "acceleration"}
     shared |= {"precision": "float64", "decision_rate": 48, "force_rate": 240}
     shared |= {"observation": "flat", "num_neighbors": 1}

@@ -13,9 +13,12 @@ from tests.robustness.hostile import hostile_values, judge
 LIMIT_BYTES = 8 * 2**30
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def values(tmp_path_factory):
-    """Hostile values; and little more memory than is used, for numbers that would fill it."""
+    """Hostile values; and little more memory than is used, for numbers that would fill it.
+
+    Files are made anew for each test: a function that writes takes some of them.
+    """
     before = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, before[1]))
