@@ -27,7 +27,7 @@ FILE = "recommended.json"
 AVOIDS = frozenset({*TUNED, "crowd-dagger+filter"})
 """Agents that steer around obstacles wherever they stand."""
 _WAITS = {("crowd-dagger+filter", "circle")}
-"""Agents and layouts among whose obstacles drones wait for each other until the time is over."""
+"""Agents and layouts among whose obstacles drones wait for each other: `roundabout` is faster."""
 
 
 @cache

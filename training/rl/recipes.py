@@ -37,6 +37,7 @@ from swarm_envs.tasks.columns import COLUMN_LAYOUTS
 from swarm_envs.tasks.crowd import CROWD_LAYOUTS, CrowdTask
 from swarm_envs.tasks.formation import FormationTask, nearest_places
 from swarm_envs.tasks.motion import REST, Motion
+from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement, draw_apart
 from swarm_envs.tasks.pursuit import PURSUIT_LAYOUTS
 from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
@@ -141,7 +142,7 @@ def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
     else:
         given = {"obstacles": task.obstacles, "success": None}
     changed: Any = task  # a dataclass, as every task is
-    tasks = {name: replace(changed, **recipe.layouts[name], **given) for name in names}
+    tasks = {name: replace(changed, **{**given, **recipe.layouts[name]}) for name in names}
     return {name: (1 / len(names), part) for name, part in tasks.items()}
 
 
@@ -320,8 +321,14 @@ _TIMED: Mapping[str, Any] = {
 }
 _STACKS: Mapping[str, Any] = {"stack": {"gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)}}
 """What the layout is learned in: the default's and the benchmark's gaps and payloads."""
-_CROWDS: Mapping[str, Any] = {"buildings": {"reach_m": (0.8, 2.2)}}
-"""Ways between towers are as short as the benchmark's, and as the default's shorter ones."""
+_COLUMNS = (Column((1.0, 1.0), 0.15), Column((-0.7, -0.4), 0.15))
+_CROWDS: Mapping[str, Any] = {
+    "buildings": {"reach_m": (0.8, 2.2)},
+    "column": {"layout": "open", "obstacles": _COLUMNS[:1]},
+    "columns": {"layout": "open", "obstacles": _COLUMNS},
+}
+"""Ways between towers are as short as the benchmark's, and as the default's shorter ones. With one
+column or two, rows have places for obstacles that stay empty, and obstacles that are far away."""
 _GATES: Mapping[str, Any] = {
     "reward_weights": {},
     "measures": {
@@ -369,7 +376,9 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "delivery": _of_air("docks", **_TIMED),
         "gates": _of_air("slalom", **_GATES),
         "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),
-        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0, _CROWDS),
+        "crowd": _of_scores(
+            (*CROWD_LAYOUTS, "column", "columns"), "throughput_per_min", 40.0, _CROWDS
+        ),
     }
 )
 """Every task that can be learned, by its name without the version."""
