@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs import formation_v0
+from swarm_envs import crowd_v0, formation_v0
 from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.swap_v0 import blueprint
@@ -154,6 +154,19 @@ def test_a_formation_layout_is_a_mission_by_name():
         formation_v0.blueprint(layout="cube", labels="random")
     with pytest.raises(ValueError, match="did you mean 'cube'"):
         formation_v0.blueprint(layout="cubes")
+
+
+def test_crowds_are_learned_with_few_obstacles_too():
+    config = with_recipe(options(task="crowd", algo="dagger"), "crowd_v0")
+    found = recipe_of("crowd_v0").parts(crowd_v0.blueprint(num_drones=16).task, config)
+    assert sum(share for share, _ in found.values()) == pytest.approx(1.0)
+    stand = {name: len(task.obstacles) for name, (_, task) in found.items()}
+    assert {name: stand[name] for name in ("open", "column", "columns")} == {
+        "open": 0,
+        "column": 1,
+        "columns": 2,
+    }
+    assert min(stand["forest"], stand["buildings"]) >= 3  # as many as a row has places for
 
 
 @pytest.mark.parametrize("task", ["formation", "ring"])

@@ -64,7 +64,10 @@ class DaggerLearner(Learner):
                 parts.append(blueprint._replace(task=task))
                 taught.append((part, len(task.team)))
         if min(counts) < 1:
-            raise ValueError(f"--environments is {self.config.environments}, too few for all parts")
+            raise ValueError(
+                f"--environments is {self.config.environments}, but each of {len(counts)} parts of "
+                f"the training needs one or more; give at least {len(counts)}"
+            )
         names = teachers_of(self.config.dagger.teacher, taught)
         self._teachers = [Teacher(n, b) for n, b in zip(names, parts, strict=True)]
         return SharedPolicyVecEnv(parts, counts, self.config.seed)

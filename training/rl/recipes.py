@@ -131,19 +131,32 @@ def _whole(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
 ALL = "all"  # Name of all layouts of a task together
 
 
+_COLUMNS = (Column((1.0, 1.0), 0.15), Column((-0.7, -0.4), 0.15))
+_FEW: Mapping[str, Any] = {
+    "column": {"layout": "open", "obstacles": _COLUMNS[:1]},
+    "columns": {"layout": "open", "obstacles": _COLUMNS},
+}
+"""Crowds in which places for obstacles in a row stay empty, and obstacles are far away: a policy
+that had never seen them hovered 0.4 m off its goals."""
+
+
 def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
-    """The layout of a run, or each of `ALL`, with its own obstacles and success."""
-    recipe = recipe_of(task.name)
+    """The layout of a run, or each of `ALL`, with its own obstacles and success.
+
+    Of a crowd also `column` and `columns`, open ones with one and two.
+    """
     if config.layout != ALL:
         return _whole(task, config)
-    names = recipe.evaluated[ALL]
+    recipe = recipe_of(task.name)
+    options = {name: recipe.layouts[name] for name in recipe.evaluated[ALL]}
     if isinstance(task, CrowdTask):
-        given = {"obstacles": (), "success": task.success}
+        options |= _FEW
+        given: Mapping[str, Any] = {"obstacles": (), "success": task.success}
     else:
         given = {"obstacles": task.obstacles, "success": None}
     changed: Any = task  # a dataclass, as every task is
-    tasks = {name: replace(changed, **{**given, **recipe.layouts[name]}) for name in names}
-    return {name: (1 / len(names), part) for name, part in tasks.items()}
+    parts = {name: replace(changed, **{**given, **own}) for name, own in options.items()}
+    return {name: (1 / len(parts), part) for name, part in parts.items()}
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -321,14 +334,8 @@ _TIMED: Mapping[str, Any] = {
 }
 _STACKS: Mapping[str, Any] = {"stack": {"gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)}}
 """What the layout is learned in: the default's and the benchmark's gaps and payloads."""
-_COLUMNS = (Column((1.0, 1.0), 0.15), Column((-0.7, -0.4), 0.15))
-_CROWDS: Mapping[str, Any] = {
-    "buildings": {"reach_m": (0.8, 2.2)},
-    "column": {"layout": "open", "obstacles": _COLUMNS[:1]},
-    "columns": {"layout": "open", "obstacles": _COLUMNS},
-}
-"""Ways between towers are as short as the benchmark's, and as the default's shorter ones. With one
-column or two, rows have places for obstacles that stay empty, and obstacles that are far away."""
+_CROWDS: Mapping[str, Any] = {"buildings": {"reach_m": (0.8, 2.2)}}
+"""Ways between towers are as short as the benchmark's, and as the default's shorter ones."""
 _GATES: Mapping[str, Any] = {
     "reward_weights": {},
     "measures": {
@@ -376,9 +383,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "delivery": _of_air("docks", **_TIMED),
         "gates": _of_air("slalom", **_GATES),
         "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),
-        "crowd": _of_scores(
-            (*CROWD_LAYOUTS, "column", "columns"), "throughput_per_min", 40.0, _CROWDS
-        ),
+        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0, _CROWDS),
     }
 )
 """Every task that can be learned, by its name without the version."""
