@@ -26,8 +26,8 @@ FILE = "recommended.json"
 """Its name, in the folder of the agents."""
 AVOIDS = frozenset({*TUNED, "crowd-dagger+filter"})
 """Agents that steer around obstacles wherever they stand."""
-_WAITS = {("crowd-dagger+filter", "circle")}
-"""Agents and layouts among whose obstacles drones wait for each other: `roundabout` is faster."""
+_SLOW_AROUND = {("crowd-dagger+filter", "circle")}
+"""Agents and layouts in which drones wait for each other around obstacles, longer than scripts."""
 
 
 @cache
@@ -86,7 +86,7 @@ def recommended(
     names = [name for name, about in agents.items() if named.items() <= about.items()]
     if obstacles:
         scripts = [name for name in names if not agents[name]["learned"]]
-        avoid = [n for n in names if n in AVOIDS and (n, row["layout"]) not in _WAITS]
+        avoid = [n for n in names if n in AVOIDS and (n, row["layout"]) not in _SLOW_AROUND]
         names = avoid or scripts
     for name in names:
         if _takes(name, crew):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs import crowd_v0, formation_v0
+from swarm_envs import crowd_v0, formation_v0, pursuit_v0
 from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.swap_v0 import blueprint
@@ -156,17 +156,24 @@ def test_a_formation_layout_is_a_mission_by_name():
         formation_v0.blueprint(layout="cubes")
 
 
-def test_crowds_are_learned_with_few_obstacles_too():
+def test_crowds_are_learned_with_few_obstacles_too_and_with_those_of_the_run():
     config = with_recipe(options(task="crowd", algo="dagger"), "crowd_v0")
-    found = recipe_of("crowd_v0").parts(crowd_v0.blueprint(num_drones=16).task, config)
-    assert sum(share for share, _ in found.values()) == pytest.approx(1.0)
-    stand = {name: len(task.obstacles) for name, (_, task) in found.items()}
-    assert {name: stand[name] for name in ("open", "column", "columns")} == {
-        "open": 0,
-        "column": 1,
-        "columns": 2,
+    for given, more in (((), 0), ("column=0:1.1:0.1", 1)):
+        task = crowd_v0.blueprint(num_drones=16, layout="open", obstacles=given).task
+        found = recipe_of("crowd_v0").parts(task, config)
+        assert sum(share for share, _ in found.values()) == pytest.approx(1.0)
+        stand = {name: len(part.obstacles) - more for name, (_, part) in found.items()}
+        assert [stand.pop(name) for name in ("open", "column", "columns")] == [0, 1, 2]
+        assert min(stand["forest"], stand["buildings"]) >= 3  # as many as a row has places for
+
+
+def test_each_layout_of_a_pursuit_is_learned_with_its_own_success():
+    config = with_recipe(options(task="pursuit", algo="dagger"), "pursuit_v0")
+    found = recipe_of("pursuit_v0").parts(pursuit_v0.blueprint(num_drones=4).task, config)
+    assert {part.success for _, part in found.values()} == {
+        pursuit_v0.blueprint(num_drones=4, layout=name).task.success for name in found
     }
-    assert min(stand["forest"], stand["buildings"]) >= 3  # as many as a row has places for
+    assert len(found) == 3
 
 
 @pytest.mark.parametrize("task", ["formation", "ring"])

@@ -34,7 +34,7 @@ from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Placement, Task
 from swarm_envs.tasks.columns import COLUMN_LAYOUTS
-from swarm_envs.tasks.crowd import CROWD_LAYOUTS, CrowdTask
+from swarm_envs.tasks.crowd import CROWD_LAYOUTS
 from swarm_envs.tasks.formation import FormationTask, nearest_places
 from swarm_envs.tasks.motion import REST, Motion
 from swarm_envs.tasks.obstacles import Column
@@ -131,32 +131,20 @@ def _whole(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
 ALL = "all"  # Name of all layouts of a task together
 
 
-_COLUMNS = (Column((1.0, 1.0), 0.15), Column((-0.7, -0.4), 0.15))
-_FEW: Mapping[str, Any] = {
-    "column": {"layout": "open", "obstacles": _COLUMNS[:1]},
-    "columns": {"layout": "open", "obstacles": _COLUMNS},
-}
-"""Crowds in which places for obstacles in a row stay empty, and obstacles are far away: a policy
-that had never seen them hovered 0.4 m off its goals."""
-
-
 def layout_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
-    """The layout of a run, or each of `ALL`, with its own obstacles and success.
-
-    Of a crowd also `column` and `columns`, open ones with one and two.
-    """
+    """The layout of a run, or each of `ALL` and what is trained beside them."""
     if config.layout != ALL:
         return _whole(task, config)
     recipe = recipe_of(task.name)
-    options = {name: recipe.layouts[name] for name in recipe.evaluated[ALL]}
-    if isinstance(task, CrowdTask):
-        options |= _FEW
-        given: Mapping[str, Any] = {"obstacles": (), "success": task.success}
-    else:
-        given = {"obstacles": task.obstacles, "success": None}
+    flown = {name: recipe.layouts[name] for name in recipe.evaluated[ALL]} | dict(recipe.beside)
     changed: Any = task  # a dataclass, as every task is
-    parts = {name: replace(changed, **{**given, **own}) for name, own in options.items()}
-    return {name: (1 / len(parts), part) for name, part in parts.items()}
+    parts = {}
+    for name, own in flown.items():
+        stand = (*task.obstacles, *own.get("obstacles", ()))
+        # The success of `task` is that of its own layout: each part has the default for its layout.
+        given = {"success": type(changed).success, **own, "obstacles": stand}
+        parts[name] = (1 / len(flown), replace(changed, **given))
+    return parts
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -259,6 +247,8 @@ class Recipe:
     """of those options of `RlConfig` that are None unless they are given"""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
+    beside: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """what is trained beside all layouts, but never evaluated: options of the task by name"""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: _WHOLE_CLOCK)
     """of the reward in training; those of proximity and of a crash come from the options, and
     those of `at_goal` and `tracking` are for a whole clock, in every version"""
@@ -312,6 +302,7 @@ def _of_scores(
     score: str,
     full: float,
     more: Mapping[str, Any] = MappingProxyType({}),
+    beside: Mapping[str, Any] = MappingProxyType({}),
 ) -> Recipe:
     """Of tasks that give goal after goal; `more` are further options of layouts, by name."""
     names = {name: {"layout": name, **more.get(name, {})} for name in layouts}
@@ -319,6 +310,7 @@ def _of_scores(
         layouts={ALL: names[layouts[0]], **names},
         defaults={**_REACH, "layout": ALL, "horizon_s": None},
         evaluated={ALL: tuple(layouts)},
+        beside=beside,
         reward_weights={},
         parts=layout_parts,
         features=FULL,
@@ -336,6 +328,13 @@ _STACKS: Mapping[str, Any] = {"stack": {"gap_m": (0.28, 0.42), "payload_kg": (0.
 """What the layout is learned in: the default's and the benchmark's gaps and payloads."""
 _CROWDS: Mapping[str, Any] = {"buildings": {"reach_m": (0.8, 2.2)}}
 """Ways between towers are as short as the benchmark's, and as the default's shorter ones."""
+_COLUMNS = (Column((1.0, 1.0), 0.15), Column((-0.7, -0.4), 0.15))
+_FEW_COLUMNS: Mapping[str, Any] = {
+    "column": {"layout": "open", "obstacles": _COLUMNS[:1]},
+    "columns": {"layout": "open", "obstacles": _COLUMNS},
+}
+"""Crowds in which places for obstacles in a row stay empty, and obstacles are far away: a policy
+that had never seen them hovered 0.4 m off its goals."""
 _GATES: Mapping[str, Any] = {
     "reward_weights": {},
     "measures": {
@@ -383,7 +382,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "delivery": _of_air("docks", **_TIMED),
         "gates": _of_air("slalom", **_GATES),
         "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),
-        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0, _CROWDS),
+        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0, _CROWDS, _FEW_COLUMNS),
     }
 )
 """Every task that can be learned, by its name without the version."""
