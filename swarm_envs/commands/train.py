@@ -54,10 +54,11 @@ def run_train(config: RlConfig) -> None:
 
 
 def setting(config: RlConfig) -> list[str]:
-    """The largest team and the layout that the run was trained with, as `evaluate` takes them."""
+    """The largest team and the place that the run was trained with, as `evaluate` takes them."""
     words = ["--task", config.task]
-    if config.layout is not None:
-        words += ["--layout", config.layout]
+    for name in ("layout", "obstacles", "world"):
+        if value := getattr(config, name):
+            words += [f"--{name}", value]
     largest = max(config.team_sizes)
     if config.team:
         return [*words, "--team", config.team[config.team_sizes.index(largest)]]

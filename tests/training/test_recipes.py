@@ -47,6 +47,16 @@ def test_what_is_not_given_is_the_recipes():
     assert with_recipe(given, "formation_v0") == given
 
 
+def test_obstacles_are_observed_wherever_there_are_any():
+    """A policy that sees none is refused among them."""
+    for name, given, seen in (
+        *(("crowd_v0", {}, 3), ("gates_v0", {}, 3), ("pursuit_v0", {}, 0), ("swap_v1", {}, 0)),
+        ("swap_v1", {"obstacles": "column=1:1:0.1"}, 3),
+        ("crowd_v0", {"num_obstacles": 0}, 0),
+    ):
+        assert with_recipe(options(algo="dagger", **given), name).num_obstacles == seen
+
+
 @pytest.mark.parametrize("task", RECIPES)
 def test_layouts_are_refused_with_the_list(task):
     with pytest.raises(ValueError, match="unknown --layout 'spiral'") as error:

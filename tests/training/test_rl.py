@@ -127,6 +127,10 @@ def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
         ({}, "--task swap --drones 4"),
         ({"layout": "circle", "drones": (2, 4)}, "--task swap --layout circle --drones 4"),
         ({"team": ("SL", "SSLL"), "environments": 64}, "--task swap --team SSLL"),
+        (
+            {"obstacles": "column=1:1:0.1", "world": "hall"},
+            "--task swap --obstacles column=1:1:0.1 --world hall --drones 4",
+        ),
     ],
 )
 def test_a_run_says_how_it_is_flown_as_it_was_trained(options, words):

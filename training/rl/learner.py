@@ -258,7 +258,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
 
 def senses_of(config: RlConfig) -> tuple[int, bool, bool]:
     """What a run's policy observes besides neighbors: M, and whether loads and forces."""
-    return config.num_obstacles, bool(config.observe_load), config.observe_force
+    return config.num_obstacles or 0, bool(config.observe_load), config.observe_force
 
 
 def _without_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -247,6 +247,7 @@ class Recipe:
     """of those options of `RlConfig` that are None unless they are given"""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
+    has_obstacles: bool = False  # of its own, in some layout
     beside: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """what is trained beside all layouts, but never evaluated: options of the task by name"""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: _WHOLE_CLOCK)
@@ -302,7 +303,7 @@ def _of_scores(
     score: str,
     full: float,
     more: Mapping[str, Any] = MappingProxyType({}),
-    beside: Mapping[str, Any] = MappingProxyType({}),
+    **given: Any,
 ) -> Recipe:
     """Of tasks that give goal after goal; `more` are further options of layouts, by name."""
     names = {name: {"layout": name, **more.get(name, {})} for name in layouts}
@@ -310,13 +311,13 @@ def _of_scores(
         layouts={ALL: names[layouts[0]], **names},
         defaults={**_REACH, "layout": ALL, "horizon_s": None},
         evaluated={ALL: tuple(layouts)},
-        beside=beside,
         reward_weights={},
         parts=layout_parts,
         features=FULL,
         features_of_types=FULL,
         measures={"success": success, "collision": collision, score: _metric(score)},
         cost={score: -1.0 / full},
+        **given,
     )
 
 
@@ -336,6 +337,7 @@ _FEW_COLUMNS: Mapping[str, Any] = {
 """Crowds in which places for obstacles in a row stay empty, and obstacles are far away: a policy
 that had never seen them hovered 0.4 m off its goals."""
 _GATES: Mapping[str, Any] = {
+    "has_obstacles": True,
     "reward_weights": {},
     "measures": {
         "success": success,
@@ -382,7 +384,14 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "delivery": _of_air("docks", **_TIMED),
         "gates": _of_air("slalom", **_GATES),
         "pursuit": _of_scores(PURSUIT_LAYOUTS, "share_on_goal", 1.0),
-        "crowd": _of_scores(CROWD_LAYOUTS, "throughput_per_min", 40.0, _CROWDS, _FEW_COLUMNS),
+        "crowd": _of_scores(
+            CROWD_LAYOUTS,
+            "throughput_per_min",
+            40.0,
+            _CROWDS,
+            has_obstacles=True,
+            beside=_FEW_COLUMNS,
+        ),
     }
 )
 """Every task that can be learned, by its name without the version."""
@@ -401,7 +410,9 @@ def with_recipe(config: RlConfig, task: str) -> RlConfig:
             has such a controller.
     """
     recipe = recipe_of(task)
-    defaults = {**recipe.defaults, **_OF_ALGORITHM.get(config.algo, {})}
+    seen = 3 if recipe.has_obstacles or config.obstacles else 0  # As many as environments show
+    of_task = {"num_obstacles": seen, **recipe.defaults}
+    defaults = {**of_task, **_OF_ALGORITHM.get(config.algo, {})}
     missing = [k for k in defaults if config.uses(k) and getattr(config, k) is None]
     whole = replace(config, **{k: defaults[k] for k in missing})
     check_name("--layout", whole.layout, recipe.layouts)

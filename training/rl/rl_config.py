@@ -189,8 +189,8 @@ class RlConfig(AirOptions, RunOptions):
     """evaluations of the interaction force per second in training"""
     num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
     """K, the number of observed neighbors"""
-    num_obstacles: Annotated[int, Range(0)] = 0
-    """M, the number of observed obstacles"""
+    num_obstacles: Annotated[int, Range(0)] | None = None
+    """M, the number of observed obstacles; default: 3 where there are any"""
     observe_load: bool | None = None
     """observe thrust margins, masses and charges; default: the task's"""
     observe_force: bool = False

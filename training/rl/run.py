@@ -168,7 +168,7 @@ def policy_note(learner: Learner, task: str) -> PolicyNote:
         per_type=config.per_type,
         fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
         activation=config.activation,
-        num_obstacles=config.num_obstacles,
+        num_obstacles=config.num_obstacles or 0,
         observe_load=bool(config.observe_load),
         observe_force=config.observe_force,
         controller=config.controller or "",
