@@ -20,21 +20,18 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-order quick stale test-all test-compat coverage mutation matrix lint format bench \
+.PHONY: help demo test test-order test-all test-compat coverage matrix lint format bench \
 	bench-against docs films clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make test-order  the same in reversed and in random order'
-	@echo 'make quick     lint what changed, and the tests nearest to it; about a minute'
-	@echo 'make stale     what was computed from force models that have changed since'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
-	@echo 'make mutation  which small mistakes in physics, trackers and validators the tests notice'
 	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
-	@echo 'make lint      ruff, mypy, and the words of docs and messages'
+	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
@@ -67,14 +64,6 @@ test: $(VENV)/.dev
 test-order: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto --dist loadfile --order reversed
 	$(BIN)/python -m pytest -n auto --dist loadfile --order $(shell date +%s)
-
-# What changed since the last commit, or in it.
-quick: $(VENV)/.dev
-	$(BIN)/python -m tests.helpers.quick
-
-# Weights, figures and tables that were computed from models that have changed since.
-stale: $(VENV)/.dev
-	$(BIN)/python -m tests.helpers.stale
 
 test-all: $(VENV)/.dev test-compat
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'slow or not slow'
@@ -114,13 +103,6 @@ coverage: $(VENV)/.dev
 	$(BIN)/python -m tests.helpers.coverage_table build/coverage/files.json
 	$(BIN)/python -m coverage report --format total
 
-$(VENV)/.mutation: $(VENV)/.dev
-	$(INSTALL) -e '.[mutation]'
-	@touch $@
-
-mutation: $(VENV)/.mutation
-	$(BIN)/python -m tests.mutation --json build/mutation.json
-
 # `make matrix MATRIX='--rows oldest 3.13 --python 3.13=/path/to/python'`; a few minutes a row.
 matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.packaging.matrix $(MATRIX)
@@ -129,7 +111,6 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy swarm_envs tests
-	$(BIN)/python -m tests.helpers.vocabulary
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

@@ -32,7 +32,6 @@ from swarm_envs.errors import unknown_name
 from tests.helpers.browsers import OVERFLOW, PATIENCE_MS, chromium
 from tests.helpers.imports import OUTER, ROOT, SOURCES, files_below
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
-from tests.helpers.vocabulary import EVERYWHERE, READ, found_in, prose_of
 
 WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
 _BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -65,23 +64,6 @@ def test_every_agent_is_in_the_gallery():
     assert {
         f.name for f in (DOCS / "films").iterdir() if f"(films/{f.name})" not in gallery
     } == set()
-
-
-UNCOUNTED = {
-    *("generated", "tasks"),
-    *("commands.md", "equations.md", "glossary.md", "public.md", "mlr-dmpc/proof.md"),
-}
-"""Of the docs: what is generated, the pages of tasks, the reference and proofs."""
-
-
-def test_the_docs_are_short():
-    counted = [
-        page
-        for page in DOCS.rglob("*.md")
-        if UNCOUNTED.isdisjoint((name := page.relative_to(DOCS)).parts)
-        and name.as_posix() not in UNCOUNTED
-    ]
-    assert sum(len(page.read_text("utf-8").split()) for page in counted) <= 24_000
 
 
 def test_every_page_is_in_a_table_of_contents():
@@ -278,18 +260,6 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
         state_tables.expand("<!-- state table: DRONES -->")
 
 
-def test_words_that_the_field_does_not_use_are_found_with_their_lines():
-    text = "One line.\nThe run goes\non, and is\ndrawn anew.\n"
-    assert [found[:2] for found in found_in(text, EVERYWHERE)] == [(3, "anew"), (1, "goes on")]
-    assert all(re.compile(phrase) and usual for phrase, usual in (EVERYWHERE | READ).items())
-
-
-def test_code_on_pages_is_no_prose(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("a\n```sh\nbegin anew\n```\nanew\n")
-    assert [found[0] for found in found_in(prose_of(page), EVERYWHERE)] == [4]
-
-
 @pytest.mark.parametrize("block", BLOCKS)
 def test_block_runs(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # where it may leave files
@@ -299,7 +269,6 @@ def test_block_runs(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_the_readme_s_first_program_succeeds(capsys: pytest.CaptureFixture[str]) -> None:
     loops = [b for b in _BLOCK.findall((ROOT / "README.md").read_text()) if "env.step(" in b]
-    assert 10 <= len(loops[0].splitlines()) <= 25
     exec(compile(loops[0], "block", "exec", dont_inherit=True), {"__name__": "block"})
     assert capsys.readouterr().out.startswith("True ")
 

@@ -13,13 +13,10 @@ OPTIONAL = {
     "ray": ("ray",),
     "minari": ("minari", "h5py"),
     "quadprog": ("quadprog",),
-    "mutation": ("cosmic_ray",),
     "docs": ("sphinx", "furo", "myst_parser", "torch", "stable_baselines3"),
 }
 """By extra, the packages that it brings, by the names they import as."""
-OPTIONAL["all"] = tuple(
-    sorted({p for e in OPTIONAL if e not in ("docs", "mutation") for p in OPTIONAL[e]})
-)
+OPTIONAL["all"] = tuple(sorted({p for e in OPTIONAL if e != "docs" for p in OPTIONAL[e]}))
 EVERY_OPTIONAL = frozenset(package for packages in OPTIONAL.values() for package in packages)
 
 BASE = ("modules", "first step", "agents", "demo", "fly", "evaluate", "README", "quickstart")
