@@ -159,7 +159,7 @@ EVERYTHING = Randomization(
 class Flight:
     """A flight of environments: what flies, what it is told, and which seeds it is flown with."""
 
-    task: str = "swap_v0"  # which task
+    task: str = "swap_v1"  # which task
     engine: str = "batch"  # `batch` or `bullet`
     options: Mapping[str, Any] = field(default_factory=dict)  # options of the task's `parallel_env`
     draw: Draw = _gentle  # what draws the actions
@@ -281,7 +281,7 @@ class PhysicsAlone:
     def fly(self, seed: int) -> Flown:
         """Fly it; half way some environments are set to another state."""
         engine = {"batch": BatchPhysics, "bullet": BulletPhysics}[self.engine]
-        physics = engine(self.team, num_envs=self.envs, interactions="learned-v0")
+        physics = engine(self.team, num_envs=self.envs, interactions="learned")
         rng, log = np.random.default_rng(seed), Log()
         shape = (self.envs, len(physics.team))
         hover = physics.state.rotor_thrust.copy()
@@ -353,6 +353,47 @@ class ForcesAlone:
         return log.flown()
 
 
+_LEVELS: dict[str, Draw] = {
+    "acceleration": _to_a_wall,
+    "velocity": _uniform(1.0),
+    "ctbr": _uniform(0.1, 0.05),
+    "rotors": _tumbling,
+    "setpoint": _to([0.0, 0.0, 1.0], 0.02),
+}
+"""Every action level, with actions that soon lead to a contact."""
+_WORLDS = ("ideal", "hall")
+_CONTACTS = ("end_team", "end_pair", "bounce")
+_LAYOUTS: dict[str, tuple[dict[str, Any], ...]] = {
+    "columns_v0": ({"layout": "stack"}, {"layout": "sprint"}),
+    "gates_v0": ({"team": "LSS"},),
+    "delivery_v0": ({"num_drones": 5},),
+    "pursuit_v0": tuple({"layout": name} for name in ("moving", "swap-goals", "chase")),
+    "crowd_v0": tuple({"layout": n, "num_drones": 8} for n in ("open", "forest", "buildings")),
+    "swap_v1": ({"team": "LSS*S"},),
+}
+
+
+def _worlds_and_contacts() -> dict[str, Any]:
+    """Return flights of each task with each layout, action level, world and `on_contact`.
+
+    Each value of these occurs with each task, but not each combination of them.
+    """
+    flights: dict[str, Any] = {}
+    for number, (task, layouts) in enumerate(_LAYOUTS.items()):
+        for level, (action, draw) in enumerate(_LEVELS.items()):
+            layout = layouts[level % len(layouts)]
+            world = _WORLDS[(level + number) % 2]
+            contact = _CONTACTS[(level + number) % 3]
+            options = {**layout, "action": action, "world": world, "on_contact": contact}
+            flight = Flight(task, options=options, draw=draw, envs=3, decisions=60, resets_every=4)
+            flights[f"{task} by {action}, {world}, {contact}"] = flight
+        options = {**layouts[-1], "world": "hall"}
+        flights[f"Bullet, {task}"] = Flight(
+            task, "bullet", options, envs=2, seeds=(1,), decisions=20
+        )
+    return flights
+
+
 def _flights() -> dict[str, Any]:
     """Every flight by its name: batches, single environments, Bullet, then parts alone."""
     start = np.array([[-0.5, 0.0, 1.0], [0.5, 0.1, 1.1], [0.0, 0.6, 0.9]])
@@ -397,7 +438,7 @@ def _flights() -> dict[str, Any]:
         {},
     )
     circle = mixed | {"layout": "circle", "action": "velocity", "interactions": "wake"}
-    single = load("learned-v0").with_precision("float32")
+    single = load("learned").with_precision("float32")
     ctbr = four | calm | {"action": "ctbr", "decision_rate": 240}
     return {
         "swaps by acceleration": batch(four | {"threads": 1}, **three),
@@ -409,11 +450,11 @@ def _flights() -> dict[str, Any]:
         "stacks, float32, forces 48 a second": batch(
             stack | {"interactions": single, "force_rate": 48}
         ),
-        "rings by body rates": batch(ctbr, rates, task="ring_v0", decisions=60),
+        "rings by body rates": batch(ctbr, rates, task="ring_v1", decisions=60),
         "rings by rotors, into the floor": batch(
-            four | calm | rotors, falling, task="ring_v0", decisions=60, resets_every=3
+            four | calm | rotors, falling, task="ring_v1", decisions=60, resets_every=3
         ),
-        "formations by set-points": batch(mission, _near, task="formation_v0", decisions=50),
+        "formations by set-points": batch(mission, _near, task="formation_v1", decisions=50),
         "26 drones": batch(many, envs=1, decisions=20),
         "26 drones each, two threads": batch(many | two | {"interactions": "wake"}, decisions=20),
         "pairwise forces": batch(stack | pairs | {"team": "LSS*S"}),
@@ -431,13 +472,14 @@ def _flights() -> dict[str, Any]:
         ),
         "a swap goes on": Flight(options=everything, decisions=60),
         "a swap goes on from a snapshot": Flight(options=everything, decisions=60, returns_at=20),
+        **_worlds_and_contacts(),
         "Bullet by acceleration": bullet(four),
         "Bullet by velocity": bullet(
-            four | {"action": "velocity", "force_rate": 48}, task="ring_v0"
+            four | {"action": "velocity", "force_rate": 48}, task="ring_v1"
         ),
         "Bullet by body rates": bullet(stack | {"action": "ctbr"}, rates),
         "Bullet by rotors": bullet(mixed | rotors | {"interactions": "wake"}, _uniform(0.02, 0.05)),
-        "Bullet by set-points": bullet(mission | {"horizon_s": 0.4}, _near, task="formation_v0"),
+        "Bullet by set-points": bullet(mission | {"horizon_s": 0.4}, _near, task="formation_v1"),
         "Bullet, pairwise forces": bullet(stack | pairs, seeds=(1,)),
         "Bullet, 26 drones": bullet(many, seeds=(1,), decisions=20),
         "Bullet, successes": bullet(meeting, **reached),
@@ -455,10 +497,8 @@ def _flights() -> dict[str, Any]:
         "BulletPhysics, 2 x 5": PhysicsAlone("bullet", "LSS*SL", 2, seeds=(1,)),
         "tracking": TrackingAlone(ControllerConfig(velocity_integral_limit=0.05)),
         "tracking with compensation": TrackingAlone(wake, seeds=(1,)),
-        "forces, learned": ForcesAlone(lambda: load("learned-v0")),
-        "forces, learned, float32": ForcesAlone(
-            lambda: load("learned-v0").with_precision("float32")
-        ),
+        "forces, learned": ForcesAlone(lambda: load("learned")),
+        "forces, learned, float32": ForcesAlone(lambda: load("learned").with_precision("float32")),
         "forces, wake": ForcesAlone(lambda: load("wake")),
         "forces, pairwise": ForcesAlone(pairwise_model),
     }
