@@ -37,6 +37,7 @@ class Row(NamedTuple):
     accepted: tuple[float, float] | None = None
     """Least and largest result that agrees with the paper; None if there is nothing to compare."""
     reason: str = ""  # why the result is outside, if that is known
+    explains: tuple[float, float] = (-math.inf, math.inf)  # results that the reason explains
     spread: tuple[float, float] | None = None  # range over which the result scatters
     spread_is: str = ""  # such as "quartiles" or "least and largest"
 
@@ -47,7 +48,8 @@ class Row(NamedTuple):
             return "nothing to compare"
         if self.accepted[0] <= self.result <= self.accepted[1]:
             return "agrees"
-        return f"differs: {self.reason}" if self.reason else "differs, unexplained"
+        known = self.reason and self.explains[0] <= self.result <= self.explains[1]
+        return f"differs: {self.reason}" if known else "differs, unexplained"
 
 
 def within(value: float, share: float) -> tuple[float, float]:
