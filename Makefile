@@ -31,7 +31,7 @@ help:
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
 	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
-	@echo 'make lint      ruff and mypy'
+	@echo 'make lint      ruff, mypy and import-linter'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
@@ -111,6 +111,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy swarm_envs tests
+	$(BIN)/lint-imports --no-cache
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

@@ -30,8 +30,8 @@ from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.cli import COMMANDS, main
 from swarm_envs.errors import unknown_name
 from tests.helpers.browsers import OVERFLOW, PATIENCE_MS, chromium
-from tests.helpers.imports import OUTER, ROOT, SOURCES, files_below
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
+from tests.helpers.sources import OUTER, ROOT, SOURCES, files_below
 
 WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
 _BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)

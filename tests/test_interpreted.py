@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.helpers.imports import ROOT
 from tests.helpers.scenarios import SCENARIOS
+from tests.helpers.sources import ROOT
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.imports import ROOT, files_below
+from tests.helpers.sources import ROOT, files_below
 from tests.packaging.rows import EVERY_OPTIONAL
 from tests.packaging.steps import INSIDE
 

@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Any
 from unittest import mock
 
-from tests.helpers.imports import ROOT
+from tests.helpers.sources import ROOT
 
 NEVER = 1 << 60
 _OPERATIONS = ("replace", "rename", "mkdir", "unlink", "fsync", "sendfile")  # of `os`

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from tests.helpers.imports import ROOT
+from tests.helpers.sources import ROOT
 
 DOCS = ROOT / "docs"
 GENERATED = DOCS / "generated"  # what commands wrote, and pages include

@@ -10,7 +10,7 @@ import tomllib
 
 import pytest
 
-from tests.helpers.imports import ROOT
+from tests.helpers.sources import ROOT
 from tests.packaging.lower_bounds import lowest
 from tests.packaging.matrix import table
 from tests.packaging.rows import EVERY_OPTIONAL, OPTIONAL, ROWS

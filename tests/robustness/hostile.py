@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.helpers.imports import ROOT
+from tests.helpers.sources import ROOT
 
 REFUSALS = (ValueError, TypeError, OSError, ImportError)
 """What may be raised for a bad argument, if the message names it."""

@@ -31,7 +31,7 @@ from swarm_envs.training.interaction_rows import read_rows
 from swarm_envs.trajectories import ramped_line, rest_to_rest
 from swarm_envs.vehicles import parse_team, team_string
 from swarm_envs.viewing.trajectory import read_trajectory
-from tests.helpers.imports import SOURCES
+from tests.helpers.sources import SOURCES
 
 STARTS, GOALS = np.array([[0.0, 0, 1], [1.0, 0, 1]]), np.array([[0.0, 1, 1], [1.0, 1, 1]])
 CORNERS = [[0, 0, 0], [3, 3, 3]]

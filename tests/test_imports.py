@@ -1,0 +1,78 @@
+"""What an import loads and refuses, and which names examples import.
+
+Which module may import which is checked by import-linter (`make lint`).
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from tests.helpers.sources import OUTER, ROOT, SOURCES
+
+
+def python(script: str) -> subprocess.CompletedProcess[str]:
+    """Run a script in a process of its own, from the checkout's root."""
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("bare", OUTER)
+def test_bare_names_refuse_to_be_imported(bare):
+    done = python(f"import {bare}")
+    assert done.returncode == 1
+    assert re.search(rf"ImportError: .*\bimport swarm_envs\.{bare}\b", done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [
+        ("swarm_envs", ("torch", "matplotlib", "scipy.optimize", "pybullet")),
+        ("swarm_envs.swap_v1", ("torch", "matplotlib", "imageio")),
+        ("swarm_envs.cli", ("torch", "matplotlib", "pybullet")),
+    ],
+)
+def test_importing_loads_nothing_heavy(module, absent):
+    done = python(f"import sys, {module}; print([m for m in {absent!r} if m in sys.modules])")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+
+
+def test_no_array_is_unpickled():
+    for name, file in SOURCES.items():
+        assert not re.search(r"allow_pickle=(?!False)", file.read_text("utf-8")), name
+
+
+def examples() -> Iterator[tuple[str, str]]:
+    """Yield name and text of every piece of Python that the documentation shows."""
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
+        for block in re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.M | re.S):
+            yield page.name, block
+    for file in (*(ROOT / "examples").rglob("*.py"), *(ROOT / "docs/assignments").glob("*.py")):
+        yield file.name, file.read_text("utf-8")
+    for file in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        for cell in json.loads(file.read_text("utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                text = re.sub(r"^(\s*)[%!].*", r"\1pass", "".join(cell["source"]), flags=re.M)
+                yield file.name, text
+
+
+def imported(text: str) -> Iterator[tuple[str, str]]:
+    """Yield pairs of a module of the package and a name that a piece of Python imports of it."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and node.module in SOURCES:
+            yield from ((node.module, alias.name) for alias in node.names)
+
+
+def test_examples_import_only_public_names():
+    for place, text in examples():
+        for module, name in imported(text):
+            listed = getattr(importlib.import_module(module), "__all__", ())
+            assert name in listed or f"{module}.{name}" in SOURCES, f"{place}: {module}.{name}"
