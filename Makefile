@@ -110,7 +110,7 @@ matrix: $(VENV)/.dev
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy swarm_envs tests
+	$(BIN)/mypy swarm_envs tests benchmarks
 	$(BIN)/lint-imports --no-cache
 
 format: $(VENV)/.dev
@@ -120,15 +120,15 @@ format: $(VENV)/.dev
 # `make bench PEERS=/path/to/python`: an environment with gym-pybullet-drones and crazyflow.
 PEERS ?= $(BIN)/python
 bench: $(VENV)/.dev
-	$(BIN)/python -m tests.benchmarks.forces
-	$(BIN)/python -m tests.benchmarks.throughput --peers $(PEERS)
-	$(BIN)/python -m tests.benchmarks.batched --peers $(PEERS)
-	$(BIN)/python -m tests.benchmarks.live
+	$(BIN)/python -m benchmarks.forces
+	$(BIN)/python -m benchmarks.throughput --peers $(PEERS)
+	$(BIN)/python -m benchmarks.batched --peers $(PEERS)
+	$(BIN)/python -m benchmarks.live
 
 # `make bench-against REF=d9123f6`; the other tree and cached kernels are kept in build/against.
 REF ?= HEAD
 bench-against: $(VENV)/.dev
-	$(BIN)/python -m tests.benchmarks.against --ref $(REF) \
+	$(BIN)/python -m benchmarks.against --ref $(REF) \
 		$(if $(filter-out $(BIN)/python,$(PEERS)),--peers $(PEERS)) $(AGAINST)
 
 # Without a network, and any warning is an error.
@@ -142,4 +142,4 @@ films: $(VENV)/.dev
 
 clean:
 	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find swarm_envs agents baselines training tests -name __pycache__ -prune -exec rm -rf {} +
+	find swarm_envs agents baselines training tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

@@ -1,7 +1,7 @@
 """Speed of other packages, each in a process of its own, pinned to one core.
 
-    PYTHON tests/benchmarks/peers.py gym-pybullet-drones PYB 4 3
-    PYTHON tests/benchmarks/peers.py crazyflow 48 240 1024 4 3
+    PYTHON benchmarks/peers.py gym-pybullet-drones PYB 4 3
+    PYTHON benchmarks/peers.py crazyflow 48 240 1024 4 3
 
 prints agent-steps per second of CPU time, one number a repetition, as JSON. Their requirements
 exclude each other's and ours now and then, so `--peers PYTHON` of the benchmarks names the
@@ -29,7 +29,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-Row = dict[str, Any]  # as in `tests.benchmarks.rows`
+Row = dict[str, Any]  # as in `benchmarks.rows`
 
 DRONES_PEER, BATCH_PEER = "gym-pybullet-drones", "crazyflow"
 MODULES = {DRONES_PEER: "gym_pybullet_drones", BATCH_PEER: "crazyflow"}
@@ -57,7 +57,7 @@ def batch_peer_row(python: str, rates: str, envs: int, drones: int, repetitions:
 
 def _measured(python: str, peer: str, *arguments: object) -> Row:
     """Value and spread as a peer's process measured them, or a note why there are none."""
-    from tests.benchmarks.rows import spread  # ours: the peer's interpreter never comes here
+    from benchmarks.rows import spread  # ours: the peer's interpreter never comes here
 
     row: Row = {"unit": "agent-steps/s"}
     found = Path(shutil.which(python) or python).absolute()

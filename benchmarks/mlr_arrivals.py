@@ -1,6 +1,6 @@
 """When drones have arrived under MLR-DMPC, with fixed planes and `HT`, and by default.
 
-    python -m tests.benchmarks.mlr_arrivals [--flights 6] [--scenes swap formations circle ...]
+    python -m benchmarks.mlr_arrivals [--flights 6] [--scenes swap formations circle ...]
 
 A flight's excess is its time over the longest that one of its drones would need alone, from rest to
 rest at the limits of speed, acceleration and jerk.
@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.rows import Row, sentence
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, circle_swap, formation
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.simulate import simulate
 from swarm_envs.state import FloatArray
-from tests.benchmarks.rows import Row, sentence
 from tests.helpers.mlr_rounds import scattered
 
 DRONES, LIMIT_S = 16, 60.0

@@ -1,7 +1,7 @@
 """Speed of one environment, and of gym-pybullet-drones beside it where it is installed.
 
     make bench
-    python -m tests.benchmarks.throughput --json speed.json --peers PYTHON
+    python -m benchmarks.throughput --json speed.json --peers PYTHON
 
 CPU time, median of repetitions; `make` sets one thread. An agent-step is one drone flying one
 decision: 48 a second, on physics at 240 Hz, with `learned` forces as often as `force_rate` says.
@@ -19,11 +19,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs import swap_v0
+from benchmarks.against_worker import HOVER_DECISIONS, cpu_seconds
+from benchmarks.peers import EFFECTS, peer_row
+from benchmarks.rows import Row, run, spread
+from swarm_envs import swap_v1
 from swarm_envs.physics import bullet_available
-from tests.benchmarks.against_worker import HOVER_DECISIONS, cpu_seconds
-from tests.benchmarks.peers import EFFECTS, peer_row
-from tests.benchmarks.rows import Row, run, spread
 
 SIZES = {"bullet": (4, 16), "batch": (4, 16, 64)}
 SPACING = 0.14  # between neighbours of a packed layer, m: 2 cm more than where small drones touch
@@ -46,7 +46,7 @@ def environment_row(
     engine: str, num_drones: int, start: str, force_rate: int, repetitions: int
 ) -> Row:
     """Agent-steps per second of a PettingZoo environment; every repetition has its own start."""
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         num_drones=num_drones,
         physics=engine,
         interactions="learned",

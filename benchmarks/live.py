@@ -1,6 +1,6 @@
 """Python's time for a frame of the live viewer, with a page that reads all of them.
 
-python -m tests.benchmarks.live
+python -m benchmarks.live
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""One tree's side of `tests.benchmarks.against`: measures when it is asked to.
+"""One tree's side of `benchmarks.against`: measures when it is asked to.
 
-    PYTHONPATH=TREE python -P tests/benchmarks/against_worker.py            answers on a pipe
-    PYTHONPATH=TREE python -P tests/benchmarks/against_worker.py first      first steps, once
+    PYTHONPATH=TREE python -P benchmarks/against_worker.py            answers on a pipe
+    PYTHONPATH=TREE python -P benchmarks/against_worker.py first      first steps, once
 
 It runs in trees of other days as well: it uses only what has stayed the same in the package, and
-nothing of the tests. A line of JSON asks, a line of JSON answers.
+nothing of this folder. A line of JSON asks, a line of JSON answers.
 """
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import json
 import os
 import sys
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+TASK = "swap_v1" if importlib.util.find_spec("swarm_envs.swap_v1") else "swap_v0"  # of 0.1.0
 HOVER_DECISIONS = 96  # flown before the clock starts: 2 s
 
 Call = Callable[[], object]
@@ -31,7 +33,7 @@ Call = Callable[[], object]
 def environment(engine: str, drones: int, **options: Any) -> Call:
     """A decision of a PettingZoo environment whose drones hover."""
     env = importlib.import_module("swarm_envs").make(
-        "swap_v0", num_drones=drones, physics=engine, horizon_s=1e6, end_on_success=False, **options
+        TASK, num_drones=drones, physics=engine, horizon_s=1e6, end_on_success=False, **options
     )
     still = {agent: np.zeros(3, np.float32) for agent in env.possible_agents}
     env.reset(seed=0)
@@ -42,14 +44,14 @@ def environment(engine: str, drones: int, **options: Any) -> Call:
 
 def reset(engine: str, drones: int) -> Call:
     """A reset of a PettingZoo environment."""
-    env = importlib.import_module("swarm_envs").make("swap_v0", num_drones=drones, physics=engine)
+    env = importlib.import_module("swarm_envs").make(TASK, num_drones=drones, physics=engine)
     env.reset(seed=0)
     return partial(env.reset)
 
 
 def hovering(envs: int, drones: int, placed: Any = None, threads: int = 1, **options: Any) -> Any:
     """Many environments that have hovered for a while, and zeros as actions."""
-    blueprint = importlib.import_module("swarm_envs.swap_v0").blueprint
+    blueprint = importlib.import_module(f"swarm_envs.{TASK}").blueprint
     fixed = {"physics": "batch", "threads": threads, "horizon_s": 1e6, "end_on_success": False}
     task, config, _ = blueprint(num_drones=drones, **fixed, **options)
     core = importlib.import_module("swarm_envs.envs.core").SwarmCore(task, config, envs)
@@ -81,7 +83,7 @@ def training(**options: Any) -> Call:
     except ModuleNotFoundError:  # release 0.1.0
         make_config = importlib.import_module(f"{rl}.config").TrainConfig
     config = make_config(out=Path("never"), steps=10**9, threads=1, **options)
-    learner = importlib.import_module(f"{rl}.learner").make_learner(config, "swap_v0")
+    learner = importlib.import_module(f"{rl}.learner").make_learner(config, TASK)
 
     def fly() -> None:
         begin = next(starts)
@@ -112,7 +114,7 @@ def first_steps() -> dict[str, float]:
     """CPU time of this process until each engine has made its first step, s, in turn."""
     found, begin = {}, time.process_time()
     physics = importlib.import_module("swarm_envs.physics")
-    swap = importlib.import_module("swarm_envs.swap_v0")
+    swap = importlib.import_module(f"swarm_envs.{TASK}")
     engines = ("bullet", "batch") if physics.bullet_available() else ("batch",)
     for engine in engines:
         env = swap.parallel_env(num_drones=4, physics=engine)

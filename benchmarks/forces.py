@@ -1,9 +1,9 @@
 """Speed of the interaction forces, and of the same networks in torch.
 
     make bench
-    python -m tests.benchmarks.forces --json forces.json
+    python -m benchmarks.forces --json forces.json
 
-CPU time of one thread, median of repetitions, shipped `learned` weights, small and large drones
+CPU time of one thread, median of repetitions, the weights of `deep-set`, small and large drones
 in turn, every pair inside the interaction volume, all above the anchor height. `kernel` is the
 compiled function, called from Python; `forces` is the model's method, with all its checks.
 """
@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.against_worker import cpu_seconds
+from benchmarks.rows import Row, run, spread
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
 from swarm_envs.vehicles import parse_team
-from tests.benchmarks.against_worker import cpu_seconds
-from tests.benchmarks.rows import Row, run, spread
 
 Array = npt.NDArray[Any]
 
@@ -52,7 +52,7 @@ def torch_forces(dtype: str, position: Array, velocity: Array, team: str) -> Cal
     from swarm_envs.training.force_model import load_network
 
     torch.set_num_threads(1)
-    weights = resources.files("swarm_envs.interactions").joinpath("weights/learned-v0.safetensors")
+    weights = resources.files("swarm_envs.interactions").joinpath("weights/deep-set.safetensors")
     with resources.as_file(weights) as path:
         network = load_network(path).to(getattr(torch, dtype))
     p, v = (torch.from_numpy(a).to(getattr(torch, dtype)) for a in (position, velocity))
@@ -84,7 +84,7 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
     if way == "torch" and importlib.util.find_spec("torch") is None:
         return row | {"value": None, "note": "not installed"}
     position, velocity = states(num_envs, num_drones)
-    team, model = team_of(num_drones), load("learned-v0").with_precision(dtype)
+    team, model = team_of(num_drones), load("deep-set").with_precision(dtype)
     calls: dict[str, Callable[[], Callable[[], Any]]] = {
         "kernel": lambda: kernel_forces(model, position, velocity, team),
         "forces": lambda: partial(model.forces, position, velocity, team),

@@ -1,6 +1,6 @@
 """How long MLR-DMPC takes for a trajectory and for a round, without message loss.
 
-    python -m tests.benchmarks.mlr_dmpc [--drones 4 8 16 32 64 128 256] [--plans 400]
+    python -m benchmarks.mlr_dmpc [--drones 4 8 16 32 64 128 256] [--plans 400]
         [--planes fixed] [--picture scale.png] [--json FILE]
 
 A trajectory's time holds the building of its rows, the solver and the check. A round's planning is
@@ -19,11 +19,11 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.rows import Row, sentence
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned
 from swarm_envs.files import write_json
-from tests.benchmarks.rows import Row, sentence
 from tests.helpers.mlr_rounds import scattered
 
 Planes = Literal["relinearised", "fixed"]

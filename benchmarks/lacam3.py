@@ -1,6 +1,6 @@
 """LaCAM* next to LaCAM3 in C++, on the obstacle families of the tests with other seeds.
 
-    python -m tests.benchmarks.lacam3 lacam3/build/main [--seeds 20]
+    python -m benchmarks.lacam3 lacam3/build/main [--seeds 20]
 
 LaCAM3 (Kei18/lacam3) plans flat grids alone; on the others only ours is counted. It runs on one
 thread, until its first plan or for 10 s. The checker of ../shared/tools checks every plan of ours,
@@ -20,13 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.rows import aligned
 from swarm_envs.baselines.rth3d import GridInstance, PlanNotFound, plan
 from swarm_envs.baselines.rth3d.benchmark_files import write_benchmark
 from tests.baselines.rth3d.cases import load_checker
 from tests.baselines.rth3d.test_lacam import clutter, crowds, holes, mazes
-from tests.benchmarks.rows import aligned
 
-SHARED = Path(__file__).parents[3] / "shared"
+SHARED = Path(__file__).parents[2] / "shared"
 FIRST_SEED = 1000
 METHODS = ("lacam", "auto")
 

@@ -1,7 +1,7 @@
 """Speed of many environments at once, how cost and memory grow, and crazyflow beside.
 
     make bench
-    python -m tests.benchmarks.batched --json batched.json --plot speed.png --peers PYTHON
+    python -m benchmarks.batched --json batched.json --plot speed.png --peers PYTHON
 
 An agent-step is one drone flying one decision: 48 a second, on physics at 240 Hz, with `learned`
 forces as often as `force_rate` says; its time is the CPU's, one thread, but for the rows of
@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.against_worker import cpu_seconds, hovering
+from benchmarks.peers import RATES, batch_peer_row
+from benchmarks.rows import Row, number, run, spread
+from benchmarks.throughput import packed
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.interactions import load
-from tests.benchmarks.against_worker import cpu_seconds, hovering
-from tests.benchmarks.peers import RATES, batch_peer_row
-from tests.benchmarks.rows import Row, number, run, spread
-from tests.benchmarks.throughput import packed
 
 BATCH = (1024, 4)  # environments and drones of the headline
 ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)  # with 4 drones each: how cost grows with E
@@ -106,7 +106,7 @@ def _row(what: str, core: SwarmCore) -> Row:
 MEMORY_SCRIPT = """
 from pathlib import Path
 from typing import Any
-from tests.benchmarks.batched import make_core
+from benchmarks.batched import make_core
 make_core({envs}, {drones}, force_rate=48)
 print(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
 """

@@ -1,4 +1,4 @@
-"""What grading costs beyond `swarm-envs evaluate`: `python -m tests.benchmarks.grading`.
+"""What grading costs beyond `swarm-envs evaluate`: `python -m benchmarks.grading`.
 
 The swap assignment's starter flies 256 episodes of 8 drones as `evaluate` and as `grade` fly it,
 in turns, each in a process of its own; CPU time of all its processes. Then the grader's and the
@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.rows import Row, run, spread
 from swarm_envs import assignments, make
 from swarm_envs.commands.grading.confinement import descendants
 from swarm_envs.commands.grading.remote import RemoteBatchAgent, opened, remote_agent
-from tests.benchmarks.rows import Row, run, spread
 
 OPTIONS = {"task": "swap", "layout": "random", "drones": 8}
 STARTER = Path(assignments.__file__).parent / "swap" / "swap.py"

@@ -1,6 +1,6 @@
 """What adaptation is worth: a small drone below a large one, in air and masses that it knows not.
 
-`python -m tests.benchmarks.adaptation` prints the table of docs/adaptation.md: the worst height
+`python -m benchmarks.adaptation` prints the table of docs/adaptation.md: the worst height
 error of the small drone in the swaps of `swap_test("L2S")`, its median over the swaps with a 95 %
 interval (2,000 resamples), and how many swaps ended in a crash. The last three are in `wake`.
 """

@@ -1,7 +1,7 @@
 """Speed of this tree against another commit's, both in one run, measured in turn.
 
     make bench-against REF=d9123f6
-    python -m tests.benchmarks.against --ref d9123f6 --json against.json --peers PYTHON
+    python -m benchmarks.against --ref d9123f6 --json against.json --peers PYTHON
 
 CPU time of one thread, median of repetitions. Each tree has a process of its own that stays, and
 kernels cached in a folder of its own; the two are asked in turn, so that noise of the machine meets
@@ -27,11 +27,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from benchmarks.peers import RATES, batch_peer_row
+from benchmarks.rows import Row, run, spread
 from swarm_envs.physics import bullet_available
-from tests.benchmarks.peers import RATES, batch_peer_row
-from tests.benchmarks.rows import Row, run, spread
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parent.parent
 BUILD = ROOT / "build" / "against"  # where other commits' trees and everyone's cached kernels lie
 WORKER = Path(__file__).parent / "against_worker.py"
 LEAST_SECONDS = 0.2  # each repetition calls as often as fills this time in the other tree

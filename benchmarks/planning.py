@@ -1,7 +1,7 @@
 """How long the planner takes and how often it succeeds: a three-robot swap, and flights.
 
-    python tests/benchmarks/planning.py [--seeds 20] [--picture plan.png] [--json FILE]
-    python tests/benchmarks/planning.py --task swap --layout random --drones 4 [--seeds 20]
+    python benchmarks/planning.py [--seeds 20] [--picture plan.png] [--json FILE]
+    python benchmarks/planning.py --task swap --layout random --drones 4 [--seeds 20]
 
 Times are CPU times of one thread.
 """
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.rows import Row, sentence
 from swarm_envs import make
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
@@ -26,7 +27,6 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_line
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
-from tests.benchmarks.rows import Row, sentence
 
 STARTS = np.array([[0.0, -1.0, 1.2], [0.0, 1.0, 1.2], [0.0, 0.0, 1.2]])
 GOALS = STARTS[[1, 2, 0]]

@@ -1,7 +1,7 @@
 """Makespan, time and memory of RTH3D on the instances that its documentation speaks of.
 
-    python -m tests.benchmarks.rth3d [--only large mirror] [--seeds 1 2 3] [--json FILE]
-    python -m tests.benchmarks.rth3d --compile
+    python -m benchmarks.rth3d [--only large mirror] [--seeds 1 2 3] [--json FILE]
+    python -m benchmarks.rth3d --compile
 
 Every row is planned in a process of its own, after a small plan that loads the kernels. Times are
 CPU times, memory is the process's peak.
@@ -25,9 +25,9 @@ from typing import NamedTuple
 
 from tqdm import tqdm
 
+from benchmarks.rows import Row, aligned
 from swarm_envs.baselines.rth3d import METHODS, make_instance, plan
 from swarm_envs.files import write_json
-from tests.benchmarks.rows import Row, aligned
 
 SINGLE = ("rings",)  # Families that draw nothing at random: one seed is enough
 
