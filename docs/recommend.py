@@ -4,7 +4,8 @@
 
 What an agent did on a task replaces what the file says of it; the rest stays.
 
-Tasks are those of version 2 but for *robust* and *transfer*; see `swarm_envs.agents.recommended`.
+Of *robust*, only what is flown in the hall counts, and nothing of *transfer*; see
+`swarm_envs.agents.recommended`.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def recommendations(board: Board) -> list[dict[str, Any]]:
             "agents": _agents(board, task.id),
         }
         for task in known
-        if task.certificate and "team" not in task.options
+        if "team" not in task.options
         if task.task in _PLAIN or (task.task == "robust" and "world" in task.options)
     ]
 

@@ -1,7 +1,7 @@
 """Tune scripted agents on seeds that no benchmark flies.
 
     python -m examples.tune_agents --agent roundabout --trials 60 --out tune.jsonl
-    python -m examples.tune_agents --agent air-aware --task air-sprint-6-v3 --out sprint.jsonl
+    python -m examples.tune_agents --agent air-aware --task air-sprint-8-v3 --out sprint.jsonl
 
 Each trial changes some numbers of the best candidate so far and flies it, every candidate on the
 same seeds; the better one stays. `fast-line`, `orca` and `roundabout` fly random and circular swaps

@@ -150,7 +150,7 @@ def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, caps
 @pytest.mark.parametrize(
     "words",
     [
-        ["benchmark", "--agent", "hover", "--task", "swap-random-2-v1"],
+        ["benchmark", "--agent", "hover", "--task", "swap-random-2-v2"],
         ["collect", "--teams", "S"],
         ["curriculum"],
         ["demo"],

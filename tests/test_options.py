@@ -305,11 +305,11 @@ def test_train_flies_them(tmp_path):
 
 
 def test_the_benchmark_flies_them_under_another_id(tmp_path):
-    given = ["--task", "swap-random-2-v1", "--agent", "straight-line", "--episodes", "2"]
+    given = ["--task", "swap-random-2-v2", "--agent", "straight-line", "--episodes", "2"]
     more = [*WORDS, *CREW, "--no-replays", "--table", "csv"]
     assert main(["benchmark", "--out", str(tmp_path), *given, *more]) == 0
     (task,) = json.loads((tmp_path / "scores.json").read_text())["tasks"]
-    assert task["id"].startswith("swap-random-2-v1-") and "hall" in task["label"]
+    assert task["id"].startswith("swap-random-2-v2-") and "hall" in task["label"]
     assert task["options"]["team"] == "SSL" and "num_drones" not in task["options"]
 
 

@@ -39,9 +39,8 @@ class CellOptions:
     agent: list[str] = field(default_factory=lambda: ["*"])
     """agents: included names or patterns, such as `swap-*` (quoted), and custom agents as of
     `evaluate`, path/to/file.py:Class"""
-    task: list[str] = field(default_factory=lambda: ["*-v[23]"])
-    """task ids, such as `swap-circle-4-v2`, or patterns (quoted); `*-v1` are those of release
-    0.1.0; retired tasks match their full id only"""
+    task: list[str] = field(default_factory=lambda: ["*"])
+    """task ids, such as `swap-circle-4-v2`, or patterns (quoted)"""
     episodes: Count | None = None
     """number of episodes per agent and task; default: depends on the task and the speed of the
     agent"""

@@ -121,7 +121,7 @@ COMMANDS: Mapping[str, Run] = {
         *("--episodes", "60", "--workers", "2"),
     ),
     "benchmark": run(
-        *("benchmark", "--agent", "hover", "straight-line", "--task", "swap-*-2-v1"),
+        *("benchmark", "--agent", "hover", "straight-line", "--task", "swap-*-2-v2"),
         *("--episodes", "24", "--table", "csv", "--no-replays"),
     ),
     "plan": run("plan", "--grid", "24x24x12", "--density", "0.3"),

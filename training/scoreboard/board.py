@@ -40,13 +40,12 @@ class Metric:
 class TaskInfo:
     """One thing that is flown, a versioned setting of a task; label and help are for people."""
 
-    id: str  # Such as `swap-circle-4-v1`; another meaning has another version
-    task: str  # Its family: `swap`, `ring`, `formation`
+    id: str  # Such as `swap-circle-4-v2`; another meaning has another version
+    task: str  # Its family, such as `classic` or `air`
     label: str  # Short name
     options: Mapping[str, Any]  # Of `swarm_envs.make`, beside what an agent requires
     episodes: int  # Of each agent
-    environment: str | None = None
-    """First argument of `swarm_envs.make`; the first version of the task where there is none."""
+    environment: str  # First argument of `swarm_envs.make`
     help: str = ""  # Description
 
 
@@ -70,15 +69,7 @@ class Board:
             )
             for each in content["metrics"]
         ]
-        self.tasks = [
-            TaskInfo(
-                **_known(
-                    TaskInfo,
-                    {**each, "environment": each.get("environment") or f"{each['task']}_v0"},
-                )
-            )
-            for each in content["tasks"]
-        ]
+        self.tasks = [TaskInfo(**_known(TaskInfo, each)) for each in content["tasks"]]
         self.agents: dict[str, Entry] = {
             each["name"]: {"help": "", **each, "label": each.get("label") or each["name"]}
             for each in content["agents"]

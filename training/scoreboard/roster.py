@@ -152,6 +152,3 @@ def choose_agents(patterns: Sequence[str]) -> list[str]:
 def _may_be_loaded(name: str) -> bool:
     inner = name.removesuffix(FILTER)
     return inner in SHIPPED or ":" in inner or Path(inner).exists()
-
-
-choose = choose_agents  # Its name in 0.1.0

@@ -290,7 +290,3 @@ def _times(cells: Sequence[Evaluation]) -> list[EpisodeRow]:
         for k, episode in enumerate(cell.episodes)
         if episode["act_us"]
     ]
-
-
-Plan, run = BenchmarkPlan, fly_benchmark
-"""Their names in 0.1.0."""

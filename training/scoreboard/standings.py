@@ -235,6 +235,3 @@ def _standing(standing: Mapping[str, Any] | None) -> str:
     (low, high), flown, of = standing["interval"], standing["tasks"], standing["of"]
     part = "" if flown == of else f" ({flown} of {of})"
     return f"{standing['value']:.2f} [{low:.2f}, {high:.2f}]{part}"
-
-
-aligned = align_columns  # Its name in 0.1.0

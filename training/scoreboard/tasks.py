@@ -1,16 +1,13 @@
 """The benchmark's tasks: these tables are their definition.
 
-Version 1 flies version 0 of the environments, in the numbers of release 0.1.0. Version 2 flies the
-newest, in families: *classic*, the tasks of version 1 with clocks that are long enough for
-planners; *air*, those in which downwash decides; *crowd*, more drones, goals that go on or move;
-*robust*, other worlds, vehicles and engines; *transfer*, air in which nothing that ships was
-trained. Version 3 replaces two tasks of air, which agents that ignore the air have solved since. To
-add a task, add a row and its digest (`tests/training/scoreboard`).
+They come in families: *classic*, swaps, rings and formations, with clocks that are long enough for
+planners; *air*, tasks in which downwash decides; *crowd*, more drones, goals that go on or move;
+*robust*, other worlds, vehicles and engines; *transfer*, forces with which nothing that ships was
+trained. To add a task, add a row and its digest (`tests/training/scoreboard`).
 
 An id names what is flown for good: the task's version, every option, the force model by the digest
-of its weights, the seeds and the score. To change any of it is to make another benchmark, so the
-row gets a new version (`swap-circle-4-v2`). The old id keeps its meaning: it is retired, and flown
-only where it is named in full. A test holds the digest of each definition.
+of its weights, the seeds and the score. A change of any of these makes another benchmark, so the
+row gets a new version (`swap-circle-4-v3`). A test holds the digest of each definition.
 """
 
 from __future__ import annotations
@@ -53,15 +50,13 @@ class ScoredTask(TaskInfo):
     Slow agents fly the first so many of its episodes.
     """
 
-    environment: str  # First argument of `swarm_envs.make`
     score: Score  # What an episode is scored by
     clock_s: float  # How long an episode lasts at most, s
     full_score: tuple[str, float] | None = None
     """Where the score is `own`: the metric that is the task's own score, and what counts as 1."""
-    certificate: str = ""
+    certificate: str
     """Agent that succeeds in 95 % of the episodes or more: the task can be solved. With `@` and a
-    number behind it, within a clock of so many seconds. Empty in version 1."""
-    retired: bool = False  # Whether a newer version of the task has replaced it
+    number behind it, within a clock of so many seconds."""
 
     @property
     def drones(self) -> int:
@@ -94,13 +89,11 @@ def definition(task: ScoredTask) -> dict[str, Any]:
     How many episodes are flown is no part of it: fewer seeds are the first of more.
     """
     setting = task.setting
-    old = not task.certificate  # version 1, whose environments call this learned
-    air = "learned-v0" if old else setting["interactions"]
     world = Hall.of(setting.get("world", "ideal"))
     return {
         "environment": task.environment,
         "setting": setting,
-        "force_model": _force_model(air),
+        "force_model": _force_model(setting["interactions"]),
         "seed": SEED,
         "score": task.score,
         **({} if world is None else {"world": asdict(world)}),
@@ -130,33 +123,41 @@ def _force_model(name: str) -> str:
     return describe_model(load(name))["sha256"]
 
 
+_DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
+_ADAPTIVE = "tracking-compensated-adaptive"
+_AWARE, _TOP, _LINE = "air-aware", "air-on-top", "fast-line"
+
 _KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
     {
         "swap": ("time", 8.0, 256),
         "ring": ("tracking", 12.0, 128),
         "formation tour": ("shapes", 24.0, 64),
-        "formation shuffle": ("shapes", 8.0, 128),
+        "formation shuffle": ("time", 8.0, 128),
     }
 )
 """Score, clock in seconds, and episodes."""
+_LONG_S = 12.0  # The clock of swaps of 16 drones and more, in which planners arrive
 
 
-def _task(
-    family: str, layout: str | None, size: int | str, help_: str, team: str | None = None
+def _classic(
+    name: str, layout: str | None, size: int | str, help_: str, team: str | None = None
 ) -> ScoredTask:
-    """A task of so many small drones, or of a team, which is said in words too."""
-    score, clock_s, episodes = _KINDS.get(family) or _KINDS[f"{family} {layout}"]
-    options = {"layout": layout} if layout else {}
-    about = filter(None, (family, layout, team or f"{size} drones"))
+    """A swap, ring or formation of `size` small drones, or of a team, which `team` describes."""
+    score, clock_s, episodes = _KINDS.get(name) or _KINDS[f"{name} {layout}"]
+    options: dict[str, Any] = {"layout": layout} if layout else {}
+    options["num_drones" if isinstance(size, int) else "team"] = size
+    if name == "swap" and isinstance(size, int) and size >= 16:
+        options["horizon_s"] = clock_s = _LONG_S
     return ScoredTask(
-        id="-".join(filter(None, (family, layout, f"{size}-v1"))),
-        task=family,
-        environment=f"{family}_v0",
-        options={**options, "num_drones" if isinstance(size, int) else "team": size},
-        label=", ".join(about),
+        id="-".join(filter(None, (name, layout, f"{size}-v2"))),
+        task="classic",
+        environment=f"{name}_v1",
+        options=options,
+        label=", ".join(filter(None, (name, layout, team or f"{size} drones"))),
         help=help_,
         score=score,
         clock_s=clock_s,
+        certificate=_DETOUR,
         episodes=episodes,
     )
 
@@ -166,64 +167,47 @@ _CIRCLE = "Antipodal goals on a level circle: every way crosses the centre."
 _TOUR = "Plane, pyramid, cube, sphere and plane again, each drone to the place nearest to it."
 _SHUFFLE = "From a plane into a cube, places drawn: ways cross, above and below others."
 
-_TABLE = (
-    _task("swap", "random", 2, _RANDOM),
-    _task("swap", "random", 4, _RANDOM),
-    _task(
+_CLASSIC_ROWS = (
+    _classic("swap", "random", 2, _RANDOM),
+    _classic("swap", "random", 4, _RANDOM),
+    _classic(
         "swap",
         "random",
         "SSLL",
         f"{_RANDOM} Two small drones and two large ones.",
         "2 small + 2 large",
     ),
-    _task("swap", "random", 8, _RANDOM),
-    _task("swap", "random", 16, _RANDOM),
-    _task("swap", "circle", 2, "Two drones change places head on."),
-    _task("swap", "circle", 4, _CIRCLE),
-    _task("swap", "circle", 8, _CIRCLE),
-    _task("swap", "circle", 16, _CIRCLE),
-    _task(
+    _classic("swap", "random", 8, _RANDOM),
+    _classic("swap", "random", 16, _RANDOM),
+    _classic("swap", "circle", 2, "Two drones change places head on."),
+    _classic("swap", "circle", 4, _CIRCLE),
+    _classic("swap", "circle", 8, _CIRCLE),
+    _classic("swap", "circle", 16, _CIRCLE),
+    _classic(
         "swap",
         "stacked",
         "L2S",
         "A small drone passes right below a large one.",
         "large above small",
     ),
-    _task("swap", "stacked", 4, "Four planes of one small drone each, aligned half way."),
-    _task("ring", None, 4, "Two small drones on an upright circle, two on a level one."),
-    _task("ring", None, 5, "The paper's: three strong small drones upright, two large ones level."),
-    _task("ring", None, 8, "Eight small drones: five upright, three level."),
-    _task("ring", None, 16, "The paper's sixteen: three rings, three vehicle types."),
-    _task("formation", "tour", 8, _TOUR),
-    _task("formation", "tour", 16, _TOUR),
-    _task("formation", "shuffle", 8, _SHUFFLE),
-    _task("formation", "shuffle", 16, _SHUFFLE),
+    _classic("swap", "stacked", 4, "Four planes of one small drone each, aligned half way."),
+    _classic("ring", None, 4, "Two small drones on an upright circle, two on a level one."),
+    _classic(
+        "ring", None, 5, "The paper's: three strong small drones upright, two large ones level."
+    ),
+    _classic("ring", None, 8, "Eight small drones: five upright, three level."),
+    _classic("ring", None, 16, "The paper's sixteen: three rings, three vehicle types."),
+    _classic("formation", "tour", 8, _TOUR),
+    _classic("formation", "tour", 16, _TOUR),
+    _classic("formation", "shuffle", 8, _SHUFFLE),
+    _classic("formation", "shuffle", 16, _SHUFFLE),
 )
-
-_LONG_S = 12.0  # The clock of swaps of 16 drones and more, in which planners arrive
-
-
-def _classic(task: ScoredTask) -> ScoredTask:
-    """The task of version 1 in version 2."""
-    options, clock_s = dict(task.options), task.clock_s
-    if task.task == "swap" and task.drones >= 16:
-        options["horizon_s"] = clock_s = _LONG_S
-    return replace(
-        task,
-        id=task.id.replace("-v1", "-v2"),
-        task="classic",
-        environment=task.environment.replace("_v0", "_v1"),
-        options=options,
-        clock_s=clock_s,
-        score="time" if "shuffle" in task.id else task.score,
-        certificate="detour-compensated",
-    )
 
 
 def _new(
     name: str, help_: str, base: str, certificate: str, episodes: int, **options: Any
 ) -> ScoredTask:
-    """A row of version 2: another task of version 2, with other options.
+    """A row that is a classic one with other options.
 
     Args:
         name: the id without its version; its first word is the family.
@@ -258,7 +242,7 @@ def _of_own(
     version: int = 2,
     **options: Any,
 ) -> ScoredTask:
-    """A row of an environment that version 1 does not have; arguments as of `_new`."""
+    """A row of another environment than the classic ones; arguments as of `_new`."""
     score, clock_s, full_score = _SCORES[environment]
     return ScoredTask(
         id=f"{name}-v{version}",
@@ -272,11 +256,9 @@ def _of_own(
         full_score=full_score,
         certificate=certificate,
         episodes=episodes,
-        retired=name.startswith(_REPLACED) and version == 2,
     )
 
 
-_REPLACED = ("air-stack", "air-sprint")
 _SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingProxyType(
     {
         "columns_v0": ("time", 6.0, None),
@@ -288,7 +270,7 @@ _SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingPr
 )
 """Score, clock in seconds, and full score."""
 
-_CLASSIC = {task.id: task for task in map(_classic, _TABLE)}
+_CLASSIC = {task.id: task for task in _CLASSIC_ROWS}
 _HALL = "Force that no model knows, and a state that is estimated."
 _RANGING = "Mass, thrust and motors differ; observed as by radio ranging."
 _NOISE = {
@@ -298,9 +280,6 @@ _NOISE = {
     "position_noise_m": 0.08,
     "velocity_noise": 0.3,
 }
-_DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
-_ADAPTIVE = "tracking-compensated-adaptive"
-_AWARE, _TOP, _LINE = "air-aware", "air-on-top", "fast-line"
 _GOALS = "A reached goal gives another, 1 to 3 m away."
 _STACK = "Two columns of small drones, half with a payload: who is on top?"
 _MIXED = "Two columns of a large drone and two small ones, one with a payload: who is on top?"
@@ -308,8 +287,6 @@ _SPRINT = "Two columns of large drones and a small one, in at most 2 s, within 3
 _OTHER_AIR = "Air in which nothing that ships was trained."
 
 _NEW = (
-    _of_own("air-stack-8", _STACK, "columns_v0", _TOP, 128, layout="stack", num_drones=8),
-    _of_own("air-sprint-6", _SPRINT, "columns_v0", _AWARE, 128, layout="sprint", num_drones=6),
     _of_own("air-stack-8", _STACK, "columns_v0", _TOP, 128, 3, layout="stack", num_drones=8,
             gap_m=[0.28, 0.33], payload_kg=[0.013, 0.016]),
     _of_own("air-mixed-6", _MIXED, "columns_v0", _TOP, 128, 3, layout="stack", team="LSSLSS",
@@ -354,7 +331,7 @@ _NEW = (
 )  # fmt: skip
 
 TASKS: Mapping[str, ScoredTask] = MappingProxyType(
-    {task.id: task for task in (*_TABLE, *_CLASSIC.values(), *_NEW)}
+    {task.id: task for task in (*_CLASSIC_ROWS, *_NEW)}
 )
 """Every task by its id, in the order in which they are shown."""
 
@@ -365,8 +342,7 @@ def choose_tasks(
     """The tasks whose ids match any of the patterns, in the table's order.
 
     Args:
-        patterns: ids, or such as `swap-*` (`*`, `?`, `[...]` as in file names); retired tasks
-            match their own id alone.
+        patterns: ids, or such as `swap-*` (`*`, `?`, `[...]` as in file names).
         options: of the environment, to be changed in each.
 
     Raises:
@@ -380,10 +356,6 @@ def choose_tasks(
     chosen = [
         task
         for task in TASKS.values()
-        if task.id in patterns
-        or (not task.retired and any(fnmatchcase(task.id, pattern) for pattern in patterns))
+        if any(fnmatchcase(task.id, pattern) for pattern in patterns)
     ]
     return [task.changed(options) for task in chosen]
-
-
-choose = choose_tasks  # Its name in 0.1.0

@@ -62,7 +62,7 @@ class Unmade(Fine):
     def __init__(self): raise SystemExit('no')
 """
 )
-PAIR, FOUR = "swap-circle-2-v1", "swap-circle-4-v1"
+PAIR, FOUR = "swap-circle-2-v2", "swap-circle-4-v2"
 
 
 @pytest.fixture
@@ -126,12 +126,12 @@ def test_one_that_fails_scores_nothing_and_one_that_refuses_is_left_out(tmp_path
     agents = [f"{mine}:{name}" for name in ("Picky", "Raises")] + ["detour"]
     out = tmp_path / "out"
     assert benchmark(out, "--task", PAIR, FOUR, "--agent", *agents, "--episodes", "2") == 1
-    standings = content(out)["aggregates"]["swap"]
+    standings = content(out)["aggregates"]["classic"]
     assert standings[agents[1]]["value"] == 0.0
     assert (standings[agents[0]]["tasks"], standings[agents[0]]["of"]) == (1, 2)
     scores = [cells(out)["detour", task]["values"]["score"]["value"] for task in (PAIR, FOUR)]
     assert 0.3 < min(scores) <= standings["detour"]["value"] <= max(scores) < 1.0
-    profile = content(out)["profiles"]["swap"]
+    profile = content(out)["profiles"]["classic"]
     above = dict(zip(profile["thresholds"], profile["agents"]["detour"]["fraction"], strict=True))
     assert (above[0.0], above[1.0]) == (1.0, 0.0)
 
@@ -140,7 +140,7 @@ def test_the_table_has_every_episode_and_no_times(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "out"
     agents = ["swap-ppo", "detour", "formation-ppo"]
-    assert benchmark(out, "--task", FOUR, "ring-5-v1", "--agent", *agents, "--episodes", "3") == 0
+    assert benchmark(out, "--task", FOUR, "ring-5-v2", "--agent", *agents, "--episodes", "3") == 0
     table = parquet.read_table(out / "episodes.parquet").to_pylist()
     timing = parquet.read_table(out / "timing.parquet").to_pylist()
     assert not [name for name in table[0] if "act_us" in name]

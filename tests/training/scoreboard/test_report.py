@@ -258,22 +258,22 @@ REFUSED = {"success": False, "collided": False, "minimum_separation_m": None, "r
 )
 def test_the_rule_of_choice(episodes, index, why):
     seeded = [{**episode, "seed": 100 + k} for k, episode in enumerate(episodes)]
-    chosen = replays.choose_episode("swap-2-v1", "hover", seeded)
+    chosen = replays.choose_episode("swap-2-v2", "hover", seeded)
     assert chosen is not None
     assert chosen["seed"] == 100 + index
     assert chosen["episode"] == index
     assert chosen["success"] == episodes[index]["success"]
-    assert chosen["file"] == "replays/swap-2-v1--hover.html"
+    assert chosen["file"] == "replays/swap-2-v2--hover.html"
     assert why in chosen["why"]
 
 
 def test_what_was_not_flown_has_no_replay():
-    assert replays.choose_episode("swap-2-v1", "hover", [{**REFUSED, "seed": 1}]) is None
+    assert replays.choose_episode("swap-2-v2", "hover", [{**REFUSED, "seed": 1}]) is None
 
 
 def test_no_two_agents_share_a_page():
     names = [*AGENTS, "a/b.py:C", "a-b.py:C", "a b.py:C", "../x", "é" * 300, "runs/a", "runs/b/"]
-    files = [replays.file_of("swap-circle-2-v1", name) for name in names]
+    files = [replays.file_of("swap-circle-2-v2", name) for name in names]
     assert len(set(files)) == len(names)
     assert all(re.fullmatch(r"replays/[A-Za-z0-9][A-Za-z0-9._+-]{0,120}\.html", f) for f in files)
     assert replays.file_of("t", "swap-ppo-8+filter") == "replays/t--swap-ppo-8+filter.html"
@@ -310,7 +310,7 @@ def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_pat
     assert replays.record_replays(folder) == []
     pages = sorted((folder / "replays").glob("*.html"))
     assert [p.name for p in pages] == [
-        "swap-circle-2-v1--hover.html", "swap-circle-2-v1--random.html"
+        "swap-circle-2-v2--hover.html", "swap-circle-2-v2--random.html"
     ]  # fmt: skip
     assert all(p.stat().st_size < 60_000 for p in pages)
 
@@ -337,6 +337,6 @@ def test_what_goes_wrong_is_said_and_the_others_are_there(tmp_path):
     scored["cells"][0]["replay"]["success"] = True
     write_scores(folder, scored)
     unlike, unknown = sorted(replays.record_replays(folder), key=lambda line: "hoover" in line)
-    assert re.match(r"hover on swap-circle-2-v1: .* seed 11 fails now, unlike", unlike)
-    assert re.match(r"hoover on swap-circle-2-v1: ValueError: .*'hover'", unknown)
-    assert (folder / "replays" / "swap-circle-2-v1--hover.html").is_file()
+    assert re.match(r"hover on swap-circle-2-v2: .* seed 11 fails now, unlike", unlike)
+    assert re.match(r"hoover on swap-circle-2-v2: ValueError: .*'hover'", unknown)
+    assert (folder / "replays" / "swap-circle-2-v2--hover.html").is_file()

@@ -52,16 +52,16 @@ CONTENT = {
         "machine": {"cores": 2, "cpu": "A"},
         "versions": {"swarm_envs": "9"},
     },
-    "tasks": [{"id": f"swap-circle-{n}-v1", "task": "swap"} for n in (2, 4)]
-    + [{"id": "ring-5-v1", "task": "ring"}],
+    "tasks": [{"id": f"swap-circle-{n}-v2", "task": "swap"} for n in (2, 4)]
+    + [{"id": "ring-5-v2", "task": "ring"}],
     "agents": [{"name": "a", "privileged": True}, {"name": "b", "privileged": False}],
     "cells": [
-        cell("swap-circle-2-v1", "a", "flown", 0.875),
-        cell("swap-circle-4-v1", "a", "unsupported"),
-        cell("ring-5-v1", "a", "unsupported"),
-        cell("swap-circle-2-v1", "b", "failed"),
-        cell("swap-circle-4-v1", "b", "flown", 1.0),
-        cell("ring-5-v1", "b", "flown", 0.0),
+        cell("swap-circle-2-v2", "a", "flown", 0.875),
+        cell("swap-circle-4-v2", "a", "unsupported"),
+        cell("ring-5-v2", "a", "unsupported"),
+        cell("swap-circle-2-v2", "b", "failed"),
+        cell("swap-circle-4-v2", "b", "flown", 1.0),
+        cell("ring-5-v2", "b", "flown", 0.0),
     ],
     "aggregates": {"swap": {"a": STANDING, "b": {**STANDING, "tasks": 2}}, "ring": {}},
 }
@@ -173,8 +173,8 @@ def test_nothing_to_put_together_is_refused(scores):
         aggregate(scores)
 
 
-SWAP, STACKED = TASKS["swap-circle-4-v1"], TASKS["swap-stacked-L2S-v1"]
-RING, TOUR = TASKS["ring-5-v1"], TASKS["formation-tour-8-v1"]
+SWAP, STACKED = TASKS["swap-circle-4-v2"], TASKS["swap-stacked-L2S-v2"]
+RING, TOUR = TASKS["ring-5-v2"], TASKS["formation-tour-8-v2"]
 
 
 def flown(task, agent: str, seed: int) -> dict[str, Any]:
@@ -280,25 +280,6 @@ def test_every_metric_is_told_and_named_once():
 
 
 DIGESTS = {
-    "swap-random-2-v1": "9ff0162883c1d2cf",
-    "swap-random-4-v1": "e7c30b31763e349f",
-    "swap-random-SSLL-v1": "a5d662fd793d6c69",
-    "swap-random-8-v1": "4d7253509295a8bc",
-    "swap-random-16-v1": "9cd5e6ffd74db722",
-    "swap-circle-2-v1": "efddac6ce5b1071f",
-    "swap-circle-4-v1": "42268d0b7549f3eb",
-    "swap-circle-8-v1": "c357877194b5ea46",
-    "swap-circle-16-v1": "ec64acea1f0a897f",
-    "swap-stacked-L2S-v1": "c76aeb1310b2e328",
-    "swap-stacked-4-v1": "af2a2cdcb811a144",
-    "ring-4-v1": "9153b4591437593a",
-    "ring-5-v1": "e0f31911df666228",
-    "ring-8-v1": "d12d3129f38b7f45",
-    "ring-16-v1": "af3bc7add89e0fed",
-    "formation-tour-8-v1": "8080f4af7eb3dc31",
-    "formation-tour-16-v1": "26a820597bf48388",
-    "formation-shuffle-8-v1": "a260d7c5e1235cca",
-    "formation-shuffle-16-v1": "c1445b87194dcd64",
     "swap-random-2-v2": "3fafa2d1edc3a7bf",
     "swap-random-4-v2": "e5c18ebf83392ddb",
     "swap-random-SSLL-v2": "1eda464943fa208c",
@@ -318,8 +299,6 @@ DIGESTS = {
     "formation-tour-16-v2": "f00d07d6d565ebf8",
     "formation-shuffle-8-v2": "019fb262b9f343cc",
     "formation-shuffle-16-v2": "9cb8f0157d01c41a",
-    "air-stack-8-v2": "26e96a6bc859bcf7",
-    "air-sprint-6-v2": "55a7e75224f0615e",
     "air-stack-8-v3": "ca5c1b3a8be90eb3",
     "air-sprint-8-v3": "4ed68b21d7221661",
     "air-delivery-7-v2": "4944700c54317696",
@@ -349,24 +328,22 @@ DIGESTS = {
     "air-mixed-6-v3": "1512d8e965de3b3e",
 }
 """What each id has stood for since it was first used. A line here is never changed: what is flown
-otherwise gets a row with the next version, and the old row is marked as retired."""
-NEVER_AGAIN = {"robust-circle-8-hall-v2"}
-RETIRED = {"air-stack-8-v2", "air-sprint-6-v2"}
-V1_FAMILIES = {"swap", "ring", "formation", "classic"}
+otherwise gets a row with the next version in place of the old one."""
+NEVER_AGAIN = {"robust-circle-8-hall-v2", "air-stack-8-v2", "air-sprint-6-v2"}
+"""Ids that stood for something once, and must not stand for anything else."""
 SEEDS = [2727543821, 2207150826, 508070823]
 
 
 def test_no_id_stands_for_anything_else_than_before():
     assert {name: digest(task) for name, task in TASKS.items()} == DIGESTS
     assert not NEVER_AGAIN & set(TASKS)
-    assert {name for name, task in TASKS.items() if task.retired} == RETIRED
 
 
 def test_a_digest_sees_what_was_changed(monkeypatch):
-    task = TASKS["swap-circle-4-v1"]
+    task = TASKS["swap-circle-4-v2"]
     others = [
         replace(task, options={"layout": "circle", "num_drones": 5}),
-        replace(task, environment="formation_v0"),
+        replace(task, environment="formation_v1"),
         replace(task, score="shapes"),
     ]
     assert digest(replace(task, episodes=1, label="another", clock_s=1.0)) == DIGESTS[task.id]
@@ -384,9 +361,9 @@ def test_the_frozen_seeds_are_the_same_everywhere():
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
 def test_every_row_says_what_flies(task):
-    classic = r"(swap|ring|formation)-([a-z]+-)?[0-9LS]+-v[12]"
+    classic = r"(swap|ring|formation)-([a-z]+-)?[0-9LS]+-v2"
     new = rf"{task.task}-[a-z]+-[0-9LS]+(-[a-z]+)?-v[23]"
-    assert re.fullmatch(classic if task.task in V1_FAMILIES else new, task.id)
+    assert re.fullmatch(classic if task.task == "classic" else new, task.id)
     if task.setting["physics"] == "bullet" and not bullet_available():
         pytest.skip("no pybullet")
     env = make_scored(task.environment, json.loads(json.dumps(task.setting)))
@@ -398,15 +375,15 @@ def test_every_row_says_what_flies(task):
     env.close()
 
 
-def test_every_task_since_version_2_has_a_certificate():
+def test_every_task_has_a_certificate():
     for task in TASKS.values():
         name, _, clock_s = task.certificate.partition("@")
-        assert (name in SHIPPED) == (not task.id.endswith("-v1"))
+        assert name in SHIPPED
         assert not clock_s or float(clock_s) > task.clock_s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in TASKS if not name.endswith("-v1")])
+@pytest.mark.parametrize("name", TASKS)
 def test_the_certificate_solves_its_task(name):
     task = TASKS[name]
     agent_name, _, clock_s = task.certificate.partition("@")
@@ -425,7 +402,7 @@ def test_every_agent_that_ships_is_in_the_roster():
 
 
 def test_slow_agents_fly_the_first_of_the_episodes_of_fast_ones():
-    swap, tour = TASKS["swap-circle-4-v1"], TASKS["formation-tour-8-v1"]
+    swap, tour = TASKS["swap-circle-4-v2"], TASKS["formation-tour-8-v2"]
     for name, episodes in (("swap-ppo", 256), ("detour", 64), ("neural-swarm-planner", 32)):
         assert episodes_of(name, swap) == episodes
     assert episodes_of("neural-swarm-planner", tour) == LEAST
@@ -433,14 +410,12 @@ def test_slow_agents_fly_the_first_of_the_episodes_of_fast_ones():
 
 
 def test_patterns_choose_in_the_table_s_order():
-    chosen = choose_tasks(["ring-*-v1", "swap-circle-4-v1"])
+    chosen = choose_tasks(["ring-*-v2", "swap-circle-4-v2"])
     assert [task.id for task in chosen] == [
-        "swap-circle-4-v1",
-        *(name for name in TASKS if re.match("ring-.*-v1", name)),
+        "swap-circle-4-v2",
+        *(name for name in TASKS if re.match("ring-.*-v2", name)),
     ]
-    assert choose_tasks(["*"]) == [task for task in TASKS.values() if not task.retired]
-    named = [task.id for task in choose_tasks(["air-s*", "air-stack-8-v2"])]
-    assert named == ["air-stack-8-v2", "air-stack-8-v3", "air-sprint-8-v3"]
+    assert choose_tasks(["*"]) == list(TASKS.values())
     names = choose_agents(["a/b.py:Mine", "swap-ppo*", "hover", "a/b.py:Mine", "detour+filter"])
     wanted = ["hover", "swap-ppo", "swap-ppo+filter", "swap-ppo-8", "swap-ppo-8+filter"]
     assert names == [*wanted, "a/b.py:Mine", "detour+filter"]
