@@ -1,7 +1,4 @@
-"""Output that all papers' scripts share: JSON and CSV files, and a table beside the paper's values.
-
-Pictures are drawn with `swarm_envs.viewing.style.picture`.
-"""
+"""Output of all papers' scripts: JSON and CSV files, and a table beside the paper's values."""
 
 from __future__ import annotations
 
@@ -51,11 +48,16 @@ class Row(NamedTuple):
         known = self.reason and self.explains[0] <= self.result <= self.explains[1]
         return f"differs: {self.reason}" if known else "differs, unexplained"
 
+    def as_json(self) -> dict[str, Any]:
+        """Return what `comparison` prints, ready for JSON; NaN becomes None."""
+        result = self.result if math.isfinite(self.result) else None
+        kept = {key: getattr(self, key) for key in ("quantity", "paper", "spread", "difference")}
+        return kept | {"result": result}
+
 
 def within(value: float, share: float) -> tuple[float, float]:
     """Return the range of numbers within a share of a value: `within(10, 0.2)` is (8, 12)."""
-    margin = share * abs(value)
-    return value - margin, value + margin
+    return value - share * abs(value), value + share * abs(value)
 
 
 def format_number(value: float) -> str:
