@@ -191,7 +191,6 @@ COMMANDS: Mapping[str, Command] = {
     "grade": Command("grade submissions of a course", _in_module("grade")),
     "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
     "replay": Command("convert a recorded episode to a replay page", _in_module("replay", "fly")),
-    "plan": Command("plan paths on a grid for up to a million robots", _in_module("plan")),
     "show": Command("plan, fly, film and export a drone light show", _in_module("show")),
     "collect": Command(
         "collect flight logs in simulation",
@@ -233,7 +232,6 @@ EXAMPLES: Mapping[str, str] = {
     "assignment": "start controller my-controller",
     "show": "--shapes text:SWARM sphere heart --drones 100 --out show",
     "replay": "flight/trajectory.parquet --out flight.html",
-    "plan": "--grid 48x24x12 --density 0.333 --seed 1 --out plan",
     "collect": "--out flights --seed 0",
     "curriculum": "--quick --out runs/curriculum",
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",

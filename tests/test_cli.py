@@ -125,7 +125,6 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("assignment", "are required: command {list,start} (see"),
         ("curriculum --stages x", "unknown option '--stages'"),
         ("fly --on-contact explode", "unknown --on-contact 'explode'; valid"),
-        ("plan --grid 4", "--grid is '4', but must be two or three integers of at least 1, such"),
         (
             "fly --drones 4.5",
             "--drones is '4.5', but must be an integer of at least 1 and at most 100,000 (see",
@@ -148,7 +147,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("evaluate --policy swap-ppo", "did you mean '--agent'?"),
         ("record --episodes 3", "did you mean '--flights'?"),
         ("fit -o runs", "unknown option '-o'; did you mean '--out'?"),
-        ("plan --labels no", "--labels takes no value, but got 'no'"),
+        ("demo --video no", "--video takes no value, but got 'no'"),
     ],
 )
 def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_nearest(

@@ -111,7 +111,7 @@ def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path):
     assert target.read_text(encoding="utf-8") == "2\n"
 
 
-COMMANDS = ["plan --json", "fly --json", "evaluate --json", "demo --json"]
+COMMANDS = ["fly --json", "evaluate --json", "demo --json"]
 NO_FOLDERS = ["collect --out", "fit --data rows.npz --out", "demo --out"]
 
 
@@ -156,7 +156,6 @@ def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, caps
         ["demo"],
         ["evaluate", "--agent", "hover"],
         ["fit", "--data", __file__],
-        ["plan", "--grid", "6x6x6"],
         ["reproduce", "all"],
         ["reproduce", "dmpc-swarm", "--figure", "4"],
         ["reproduce", "neural-swarm2", "--figure", "5"],

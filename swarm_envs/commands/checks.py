@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from tqdm import tqdm
@@ -26,22 +25,13 @@ class Misuse(ValueError):
 
 
 @contextmanager
-def as_misuse(
-    *kinds: type[Exception], names: Mapping[str, str] = MappingProxyType({})
-) -> Iterator[None]:
-    """Turn ValueError, and errors of these kinds, into Misuse.
-
-    Args:
-        *kinds: of errors.
-        names: what a message calls an argument at its beginning, and what the command calls it.
-    """
+def as_misuse(*kinds: type[Exception]) -> Iterator[None]:
+    """Turn ValueError, and errors of these kinds, into Misuse."""
+    expected: tuple[type[Exception], ...] = (ValueError, *kinds)
     try:
         yield
-    except Exception as error:
-        if not isinstance(error, (ValueError, *kinds)):
-            raise
-        name, is_, rest = str(error).partition(" is ")
-        raise Misuse(names.get(name, name) + is_ + rest) from error
+    except expected as error:
+        raise Misuse(str(error)) from error
 
 
 class FlightBar:
@@ -107,15 +97,6 @@ def check_outputs(out: Path, json: Path | None, suffixes: tuple[str, ...] = ()) 
     check_folder("--out", out)
     if json is not None:
         check_file("--json", json, suffixes)
-
-
-def need_file(option: str, file: Path, what: str) -> None:
-    """Refuse a file that is to be read, but is not there."""
-    given = f"{option} is {str(file)!r}"
-    if not _exists(given, file):
-        raise Misuse(f"{given}, {what}, but there is no such file")
-    if file.is_dir():
-        raise Misuse(f"{given}, {what}, but that is a folder; name a file")
 
 
 def need_recording(file: Path) -> None:

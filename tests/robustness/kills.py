@@ -124,7 +124,6 @@ COMMANDS: Mapping[str, Run] = {
         *("benchmark", "--agent", "hover", "straight-line", "--task", "swap-*-2-v2"),
         *("--episodes", "24", "--table", "csv", "--no-replays"),
     ),
-    "plan": run("plan", "--grid", "24x24x12", "--density", "0.3"),
     "grade": _grade,
     "assignment": lambda out: command_line(["assignment", "start", "controller", str(out / "kit")]),
     "export": lambda out: command_line(["export", "force", "--out", str(out / "learned.h")]),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import re
 from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from swarm_envs.baselines.rth3d import (
     METHODS,
@@ -27,9 +28,9 @@ from swarm_envs.baselines.rth3d import (
 from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark, write_benchmark
 from swarm_envs.baselines.rth3d.compaction import compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
+from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
 from swarm_envs.baselines.rth3d.unlabelled import bottleneck, unlabelled_bound
 from swarm_envs.baselines.rth3d.ways import neighbor_table
-from swarm_envs.cli import main
 from tests.baselines.rth3d.cases import between, load_checker, maze, random_instance
 
 SLOW = pytest.mark.slow
@@ -268,20 +269,11 @@ def test_reflected_goals_skip_the_first_shuffles(walls):
         assert steps["balance starts"] == steps["balance goals"]
 
 
-def plan_by_command(out: Path, *asked: str) -> tuple[GridPlan, dict]:
-    """The plan that the command writes, and its facts."""
-    assert main(["plan", *asked, "--out", str(out)]) == 0
-    return GridPlan.load(out / "plan.npz"), json.loads((out / "plan.json").read_text())
-
-
-def test_it_plans_prints_and_writes(tmp_path, capsys):
-    asked = ["--grid", "12x9x6", "--density", "0.2", "--seed", "1", "--method", "rth3d-lba"]
-    found, facts = plan_by_command(tmp_path, *asked)
-    text = capsys.readouterr().out
-    assert facts["robots"] == 130 == len(found.starts)
-    assert facts["makespan"] == found.makespan and facts["valid"] is True
-    assert f"makespan {found.makespan}" in text and "guarantees a makespan of at most" in text
-    assert (tmp_path / "plan.png").stat().st_size > 10_000
+def test_a_plan_is_drawn(tmp_path):
+    found = plan(**make_instance("uniform", (12, 9, 6), 130, seed=1).fields())
+    plot_grid_plan(tmp_path / "plan.png", found)
+    with Image.open(tmp_path / "plan.png") as picture:
+        assert picture.size == (1210, 572)
 
 
 def test_compaction_gives_back_the_steps_that_it_saves():
@@ -385,13 +377,6 @@ def test_the_validator_wants_every_goal_taken():
     assert not report and report.robot == 0 and "end at its goal" in report.reason
 
 
-def test_the_command_plans_without_labels(tmp_path, capsys):
-    asked = ["--grid", "12x9x6", "--robots", "100", "--no-labels"]
-    found, facts = plan_by_command(tmp_path, *asked)
-    assert facts["labels"] is False and facts["lower_bound"] == found.lower_bound == found.makespan
-    assert "ratio 1.000, by flow" in capsys.readouterr().out
-
-
 MAP = "type octile\nheight 3\nwidth 5\nmap\n..@..\n.TG.S\n..O.W\n"
 SCEN = (
     "version 1\n"
@@ -434,14 +419,12 @@ def test_what_is_written_is_read_again(tmp_path):
         write_benchmark(*pair, make_instance("uniform", (4, 4, 2), 3))
 
 
-@pytest.mark.parametrize("more", [[], ["--robots", "2"], ["--no-labels", "--method", "lacam"]])
-def test_the_command_plans_a_benchmark(tmp_path, more):
-    pair = files(tmp_path, MAP.replace("T", "."))
-    asked = ["--map", str(pair[0]), "--scen", str(pair[1]), *more]
-    found, facts = plan_by_command(tmp_path, *asked)
-    given = read_benchmark(*pair, robots=2 if "--robots" in more else 3)
-    assert validate(found.paths, **given.fields(), labels="--no-labels" not in more)
-    assert facts["shape"] == [5, 3, 1]
+@pytest.mark.parametrize(("robots", "labels"), [(None, True), (2, True), (None, False)])
+def test_a_benchmark_is_planned(tmp_path, robots, labels):
+    given = read_benchmark(*files(tmp_path, MAP.replace("T", ".")), robots)
+    found = plan(**given.fields(), labels=labels)
+    assert validate(found.paths, **given.fields(), labels=labels)
+    assert found.shape == (5, 3, 1) and len(found.starts) == (robots or 3)
 
 
 @pytest.mark.parametrize("method", ["pibt", "lacam"])
@@ -477,46 +460,21 @@ def test_only_free_vertices_of_a_map_take_memory(tmp_path, monkeypatch, method):
         ("\t4\t1\t0", "\t0\t0\t0", "starts[0] and starts[1] are both"),
     ],
 )
-def test_malformed_files_are_refused_by_line(tmp_path, capsys, old, new, said):
+def test_malformed_files_are_refused_by_line(tmp_path, old, new, said):
     assert (MAP + SCEN).count(old) >= 1
     pair = files(tmp_path, MAP.replace(old, new, 1), SCEN.replace(old, new, 1))
-    assert main(["plan", "--map", str(pair[0]), "--scen", str(pair[1])]) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
-
-
-SMALL = ("--map", "small.map", "--scen", "small.scen")
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read_benchmark(*pair)
 
 
 @pytest.mark.parametrize(
-    ("asked", "code", "said"),
+    ("given", "said"),
     [
-        (["--grid", "12x9y6"], 2, "--grid is '12x9y6'"),
-        (["--density", "1.5"], 2, "--density is 1.5"),
-        (["--density", "0.1", "--robots", "5"], 2, "give one of them"),
-        (["--family", "unifrom"], 2, "did you mean 'uniform'"),
-        (["--save", "plan.pkl"], 2, "must end in .npz"),
-        (["--grid", "5x5x5", "--robots", "126"], 2, "--robots is 126, but"),
-        (["--grid", "8x8x8", "--family", "mirror"], 2, "--grid is (8, 8, 8), but every"),
-        (["--grid", "6x6x6", "--density", "0.5", "--method", "rth3d"], 1, "carry 72 at most"),
-        (["--grid", "6x6x6", "--time-limit-s", "1e-9", "--method", "rth3d"], 1, "time limit"),
-        (["--map", "small.map"], 2, "--map and --scen belong together"),
-        ([*SMALL, "--density", "0.1"], 2, "take the place of"),
-        ([*SMALL, "--robots", "4"], 2, "is 4, but"),
-        (
-            ["--map", "none.map", *SMALL[2:]],
-            2,
-            "--map is 'none.map', the grid with its obstacles, but there is no such file",
-        ),
-        (
-            [*SMALL[:3], "none.scen"],
-            2,
-            "--scen is 'none.scen', the robots' starts and goals on the map, but there is no such",
-        ),
-        (["--map", ".", *SMALL[2:]], 2, "but that is a folder; name a file"),
+        (("unifrom", (6, 6, 6), 5), "did you mean 'uniform'"),
+        (("uniform", (5, 5, 5), 126), "count is 126, but"),
+        (("mirror", (8, 8, 8), 4), "shape is (8, 8, 8), but every"),
     ],
 )
-def test_what_cannot_be_is_refused(tmp_path, monkeypatch, refused, asked, code, said):
-    given = files(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    assert said in refused("plan", *asked, codes=(code,))
-    assert sorted(tmp_path.iterdir()) == sorted(given)  # nothing is written
+def test_what_no_instance_has_is_refused(given, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        make_instance(*given)
