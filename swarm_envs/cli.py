@@ -186,7 +186,6 @@ COMMANDS: Mapping[str, Command] = {
         "fly one episode and write metrics, films, replays and trajectories", _in_module("fly")
     ),
     "evaluate": Command("evaluate agents on many episodes", _in_module("evaluate")),
-    "record": Command("record episodes of an agent as a Minari dataset", _in_module("record")),
     "benchmark": Command("evaluate every agent on every benchmark task", _in_module("benchmark")),
     "grade": Command("grade submissions of a course", _in_module("grade")),
     "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
@@ -226,7 +225,6 @@ EXAMPLES: Mapping[str, str] = {
     "demo": "--out demo",
     "fly": "--layout stacked --team L2S --agent tracking --seed 1 --out flight",
     "evaluate": "--layout random --agent swap-ppo straight-line --episodes 64 --json out.json",
-    "record": "--task swap --drones 8 --agent roundabout --flights 256",
     "benchmark": "--out board --workers 2",
     "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
     "assignment": "start controller my-controller",

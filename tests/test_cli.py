@@ -91,7 +91,6 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("fly --world hal", "unknown --world 'hal'; did you mean 'hall'?"),
         ("grade --assignment contoller", "did you mean 'controller'?"),
         ("train --algo=pppo", "unknown --algo 'pppo'; did you mean 'ppo'?"),
-        ("record --rows teem", "did you mean 'team'?"),
         ("assignment strat swap", "did you mean 'start'?"),
         ("fit --logs.guard-s abc", "--logs.guard-s is 'abc', but must be finite and not negative"),
         (
@@ -145,7 +144,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("fly --gama 0.9", "unknown option '--gama' (see"),
         ("fly --model swap-ppo", "did you mean '--agent'?"),
         ("evaluate --policy swap-ppo", "did you mean '--agent'?"),
-        ("record --episodes 3", "did you mean '--flights'?"),
+        ("demo --episodes 3", "did you mean '--swaps'?"),
         ("fit -o runs", "unknown option '-o'; did you mean '--out'?"),
         ("demo --video no", "--video takes no value, but got 'no'"),
     ],

@@ -313,7 +313,7 @@ def test_the_benchmark_flies_them_under_another_id(tmp_path):
     assert task["options"]["team"] == "SSL" and "num_drones" not in task["options"]
 
 
-@pytest.mark.parametrize("command", ["fly", "evaluate", "record", "train"])
+@pytest.mark.parametrize("command", ["fly", "evaluate", "train"])
 def test_a_team_and_another_number_of_drones_contradict_each_other(command, tmp_path, refused):
     said = refused(command, "--team", "SSL", "--drones", "5", "--out", tmp_path / "out")
     assert "--drones is 5, but --team SSL has 3; give one of them" in said

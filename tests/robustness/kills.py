@@ -129,7 +129,6 @@ COMMANDS: Mapping[str, Run] = {
     "export": lambda out: command_line(["export", "force", "--out", str(out / "learned.h")]),
     "fly": lambda out: command_line([*FLY, "--trajectory", str(out / "flight.npz")]),
     "replay": _replay,
-    "record": run("record", "--drones", "2", "--horizon-s", "1", "--flights", "4"),
     "show": lambda out: command_line([*SHOW, "--skyc", str(out / "show.skyc")]),
     "demo": run("demo", "--swaps", "1", "--no-video"),
     "reproduce": run("reproduce", "rth3d", "--figure", "5", "--runs", "2", "--largest", "2000"),

@@ -1,0 +1,95 @@
+"""Minari: record flights of an agent as a dataset for offline learning.
+
+pip install 'swarm-envs[minari]'
+python examples/record_minari.py --agent roundabout --drones 8 --episodes 256 --name swap/eight-v0
+
+prints how many flights succeeded, where the dataset is, and how to load it. An episode is one
+flight of the team through the joint Gymnasium interface; `infos["success"]` is the success of its
+flight. Minari keeps datasets in `~/.minari/datasets`, or in the folder that the environment
+variable MINARI_DATASETS_PATH names. `dataset.recover_environment()` makes the environment again, in
+which the seed and the actions of an episode give the same observations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import minari
+import numpy as np
+import tyro
+from minari.data_collector import EpisodeBuffer
+from tqdm import tqdm
+
+import swarm_envs  # noqa: F401  (registers the environments)
+from swarm_envs.agents import load
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the recording."""
+
+    env: str = "swarm_envs/Swap-v1"
+    """Gymnasium id of an environment that flies a whole team"""
+    agent: str = "roundabout"
+    """name of an agent, or the folder of a trained policy"""
+    drones: int = 4
+    """number of drones"""
+    episodes: int = 64
+    """number of flights"""
+    seed: int = 0
+    """random seed of the first flight; each further flight has the next one"""
+    name: str = "swap/roundabout-v0"
+    """id of the dataset, as Minari writes it"""
+
+
+def fly(env: Any, agent: Any, seed: int) -> EpisodeBuffer:
+    """Fly one episode and return it as Minari takes it."""
+    parallel = env.unwrapped.parallel
+    observation, _ = env.reset(seed=seed)
+    agent.reset(parallel, seed)
+    steps, ended = [], False
+    while not ended:
+        rows = observation.reshape(1, len(parallel.possible_agents), -1)
+        actions = agent.act(parallel.split(rows), parallel.view if agent.privileged else None)
+        joint = np.concatenate([*actions.values()]).astype(np.float32)
+        before = observation
+        observation, reward, terminated, truncated, info = env.step(joint)
+        steps.append((before, joint, reward, terminated, truncated))
+        ended = terminated or truncated
+    observations, joints, rewards, terminations, truncations = zip(*steps, strict=True)
+    success = np.full(len(steps) + 1, info["episode_metrics"]["success"], dtype=bool)
+    return EpisodeBuffer(
+        seed=seed,
+        observations=np.stack([*observations, observation]),
+        actions=np.stack(joints),
+        rewards=[*rewards],
+        terminations=[*terminations],
+        truncations=[*truncations],
+        infos={"success": success},
+    )
+
+
+def main(options: Options) -> float:
+    """Record the dataset and return the fraction of flights that succeeded."""
+    if options.name in minari.list_local_datasets():
+        raise SystemExit(f"there is a dataset {options.name!r} already; choose another --name")
+    agent: Any = load(options.agent)
+    requires = dict(agent.requires)
+    if "controller" in requires:  # Minari saves options as JSON, which can hold a name
+        requires["controller"] = options.agent
+    env = gymnasium.make(options.env, num_drones=options.drones, physics="batch", **requires)
+    seeds = range(options.seed, options.seed + options.episodes)
+    flights = [fly(env, agent, seed) for seed in tqdm(seeds, unit="flight")]
+    about = {"algorithm_name": options.agent, "requirements": ["swarm-envs"]}
+    dataset = minari.create_dataset_from_buffers(options.name, flights, env=env, **about)
+    env.close()
+    successes = sum(bool(flight.infos["success"][-1]) for flight in flights)
+    print(f"{successes} of {options.episodes} flights succeeded; wrote {dataset.storage.data_path}")
+    print(f"load it by: minari.load_dataset({options.name!r})")
+    return successes / options.episodes
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

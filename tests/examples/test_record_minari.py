@@ -1,0 +1,58 @@
+"""The example that records a dataset: Minari loads it, and its environment flies the same again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v1
+from swarm_envs.agents import fly_episode, load
+
+minari = pytest.importorskip("minari", reason="the extra `minari`")
+pytest.importorskip("h5py")
+pytestmark = pytest.mark.filterwarnings("default::UserWarning")
+
+
+@pytest.mark.parametrize("agent", ["roundabout", "tracking"])
+def test_the_recovered_environment_repeats_every_flight(
+    agent: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from examples.record_minari import Options, main
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    options = Options(agent=agent, drones=2, episodes=2, seed=3, name="swap/tiny-v0")
+    successes = [flown(agent, seed) for seed in (3, 4)]
+    assert main(options) == sum(successes) / 2
+    printed = capsys.readouterr().out
+    assert f"{sum(successes)} of 2 flights succeeded; wrote {tmp_path}" in printed
+    assert "minari.load_dataset('swap/tiny-v0')" in printed
+    dataset = minari.load_dataset("swap/tiny-v0")
+    env = dataset.recover_environment()
+    about = [*dataset.storage.get_episode_metadata([0, 1])]
+    for episode, success, seed in zip(dataset, successes, (3, 4), strict=True):
+        assert about[seed - 3]["seed"] == seed
+        assert np.all(episode.infos["success"] == success)
+        check_repeats(env, episode, seed)
+    env.close()
+    with pytest.raises(SystemExit, match="choose another --name"):
+        main(options)
+
+
+def flown(name: str, seed: int) -> bool:
+    agent = load(name)
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", **agent.requires)
+    return bool(fly_episode(env, agent, seed=seed)["success"])
+
+
+def check_repeats(env: Any, episode: Any, seed: int) -> None:
+    assert not (episode.terminations | episode.truncations)[:-1].any()
+    observed, _ = env.reset(seed=seed)
+    np.testing.assert_array_equal(observed, episode.observations[0])
+    for t, action in enumerate(episode.actions):
+        observed, reward, terminated, truncated, _ = env.step(action)
+        np.testing.assert_array_equal(observed, episode.observations[t + 1])
+        assert reward == pytest.approx(episode.rewards[t], abs=1e-12)
+    assert terminated or truncated
