@@ -171,9 +171,9 @@ def _export(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _in_module(name: str, module: str = "") -> Callable[[Sequence[str]], int]:
-    """A command whose module has `<Name>Options` and `run_<name>`."""
-    place = f"commands.{module or name}"
+def _in_module(name: str) -> Callable[[Sequence[str]], int]:
+    """Return a command whose module has `<Name>Options` and `run_<name>`."""
+    place = f"commands.{name}"
     return _command(name, f"{place}:{name.title()}Options", f"{place}:run_{name}")
 
 
@@ -189,7 +189,6 @@ COMMANDS: Mapping[str, Command] = {
     "benchmark": Command("evaluate every agent on every benchmark task", _in_module("benchmark")),
     "grade": Command("grade submissions of a course", _in_module("grade")),
     "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
-    "replay": Command("convert a recorded episode to a replay page", _in_module("replay", "fly")),
     "show": Command("plan, fly, film and export a drone light show", _in_module("show")),
     "collect": Command(
         "collect flight logs in simulation",
@@ -229,7 +228,6 @@ EXAMPLES: Mapping[str, str] = {
     "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
     "assignment": "start controller my-controller",
     "show": "--shapes text:SWARM sphere heart --drones 100 --out show",
-    "replay": "flight/trajectory.parquet --out flight.html",
     "collect": "--out flights --seed 0",
     "curriculum": "--quick --out runs/curriculum",
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",

@@ -52,7 +52,7 @@ def test_help_explains_every_option(call, capsys):
     assert end.value.code == 0
     text = capsys.readouterr().out
     # What draws nothing at random needs no seed.
-    assert "--seed" in text or call in (["replay"], ["assignment"], ["export", "trajectory"])
+    assert "--seed" in text or call in (["assignment"], ["export", "trajectory"])
     assert "--out" in text or call == ["assignment"]
     example = f"{PROGRAM} {' '.join(call)} {EXAMPLES[' '.join(call)]}"
     assert f"Example: {example}" in " ".join(text.split())

@@ -1,4 +1,4 @@
-"""The commands `fly` and `replay`: what they write, what they refuse, what they call a failure."""
+"""The command `fly`: what it writes, what it refuses, what it calls a failure."""
 
 from __future__ import annotations
 
@@ -141,20 +141,6 @@ def test_the_best_agent_among_obstacles_sees_them(capsys):
 def test_a_policy_on_vehicles_it_was_not_measured_on_says_so(agent, team, noted, capsys):
     assert main(["fly", "--agent", agent, "--team", team, "--physics", "batch"]) == 0
     assert ("was not trained with vehicles" in capsys.readouterr().out) is noted
-
-
-def test_a_recorded_flight_becomes_a_page_and_nothing_else_does(capsys, tmp_path):
-    recorded, page = tmp_path / "a.npz", tmp_path / "a.html"
-    (tmp_path / "b.npz").write_text("text")
-    for name, code in (("none.npz", 2), ("b.npz", 1)):
-        assert main(["replay", str(tmp_path / name), "--out", str(page)]) == code
-    error = capsys.readouterr().err
-    assert "there is no file" in error and "not an npz file; `swarm-envs fly" in error
-    assert not page.exists()
-    assert main([*STACKED, "--horizon-s", "0.5", "--trajectory", str(recorded)]) == 0
-    assert main(["replay", str(recorded), "--out", str(page)]) == 0
-    assert str(page) in capsys.readouterr().out
-    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
 
 
 @pytest.mark.skipif(not bullet_available(), reason="pybullet draws")

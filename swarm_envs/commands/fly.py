@@ -1,4 +1,4 @@
-"""`swarm-envs fly`, one episode and what can be looked at afterwards, and `swarm-envs replay`."""
+"""`swarm-envs fly`: one episode, its metrics, its trajectory, its replay page and its film."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
 from tqdm import tqdm
 
 from swarm_envs import TASKS, __version__, make, task_family
@@ -18,9 +17,7 @@ from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
     as_misuse,
-    check_file,
     command_options,
-    need_recording,
     output_files,
 )
 from swarm_envs.envs.randomization import Randomization
@@ -370,31 +367,3 @@ def _write_files(files: Mapping[str, Path], recording: Recording) -> None:
             _write_video(path, recording)
         hint = "; open it in a browser" if option == "replay" else ""
         print(f"wrote {path}{hint}", flush=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReplayOptions:
-    """Convert a recorded flight to a page that plays in a browser, without a network."""
-
-    file: Annotated[Path, tyro.conf.Positional]
-    """recording of `swarm-envs fly --trajectory`, .parquet or .npz"""
-    out: Path = Path("replay.html")
-    """output page"""
-    video: Path | None = None
-    """also write a film, .mp4 or .gif"""
-
-
-def run_replay(options: ReplayOptions) -> None:
-    """Read, draw and write."""
-    from swarm_envs.viewing.trajectory import check_trajectory_path, read_trajectory
-
-    check_file("--out", options.out, (".html",))
-    files = {"replay": options.out}
-    if options.video is not None:
-        check_file("--video", options.video, (".mp4", ".gif"))
-        files["video"] = options.video
-    _check_writers(files)
-    need_recording(options.file)
-    with as_misuse():
-        check_trajectory_path(options.file)
-    _write_files(files, read_trajectory(options.file))

@@ -93,13 +93,6 @@ def _grade(out: Path) -> int:
     return command_line([*grade, "--out", table])
 
 
-def _replay(out: Path) -> int:
-    flight = _inputs() / "flight.npz"
-    if not flight.exists():
-        command_line([*FLY, "--trajectory", str(flight)])
-    return command_line(["replay", str(flight), "--out", str(out / "flight.html")])
-
-
 def _curriculum(out: Path) -> int:
     from tests.training.test_curriculum import TINY
 
@@ -128,7 +121,6 @@ COMMANDS: Mapping[str, Run] = {
     "assignment": lambda out: command_line(["assignment", "start", "controller", str(out / "kit")]),
     "export": lambda out: command_line(["export", "force", "--out", str(out / "learned.h")]),
     "fly": lambda out: command_line([*FLY, "--trajectory", str(out / "flight.npz")]),
-    "replay": _replay,
     "show": lambda out: command_line([*SHOW, "--skyc", str(out / "show.skyc")]),
     "demo": run("demo", "--swaps", "1", "--no-video"),
     "reproduce": run("reproduce", "rth3d", "--figure", "5", "--runs", "2", "--largest", "2000"),

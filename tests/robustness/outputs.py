@@ -31,7 +31,7 @@ from swarm_envs.cli import main as command_line
 from tests.robustness.kills import COMMANDS, Run, differences
 
 PATIENCE_S = 600  # A command that takes longer hangs
-FILES = {"export": "learned.h", "fly": "flight.npz", "replay": "flight.html", "show": "show.skyc"}
+FILES = {"export": "learned.h", "fly": "flight.npz", "show": "show.skyc"}
 """Files that a command replaces, whoever wrote them."""
 NOTE, BEFORE = "note.txt", b"what was there before"
 BARS = re.compile(r"%\||\?|it/s|kernels, once|pybullet build|phase|episode/s|^\s*$")
