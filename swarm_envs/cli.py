@@ -208,12 +208,6 @@ COMMANDS: Mapping[str, Command] = {
             "train", "training.rl.rl_config:RlConfig", "commands.train:run_train", prefixes=True
         ),
     ),
-    "train-sweep": Command(
-        "train with several seeds and options",
-        _command(
-            "train-sweep", "commands.train_sweep:SweepOptions", "commands.train_sweep:run_sweep"
-        ),
-    ),
     "fit": Command("fit a force model to flight logs", _fit),
     "export": Command("export flights, policies and force models to real drones", _export),
     "reproduce": Command("reproduce figures and tables of the papers", _reproduce),
@@ -231,7 +225,6 @@ EXAMPLES: Mapping[str, str] = {
     "collect": "--out flights --seed 0",
     "curriculum": "--quick --out runs/curriculum",
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
-    "train-sweep": "--seeds 0 1 2 --set drones=4 --compare hidden=64,64 hidden=32,32 --out runs/b",
     "fit --residual": "--data flights --out runs/residual",
     "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
     "export trajectory": "flight/trajectory.parquet --out real --tolerance 0.01",

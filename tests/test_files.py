@@ -161,7 +161,6 @@ def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, caps
         ["reproduce", "neural-swarm2", "--figure", "5"],
         ["reproduce", "rth3d", "--figure", "5"],
         ["train", "--drones", "2", "--steps", "1000"],
-        ["train-sweep", "--seeds", "0", "1"],
     ],
     ids=lambda words: " ".join(words[:2]),
 )

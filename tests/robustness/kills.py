@@ -47,9 +47,6 @@ OFF_POLICY += ["--sac.batch-size", "32", "--sac.train-freq", "4"]
 DAGGER = [*RL, "--steps", "3000", "--checkpoint-rollouts", "6", "--dagger.gradient-steps", "2"]
 DAGGER += ["--dagger.batch-size", "32", "--dagger.buffer-size", "500", "--dagger.train-freq", "4"]
 DAGGER += ["--dagger.teacher", "fast-line", "circle=roundabout"]
-SWEEP = ["drones=2", "environments=8", "n_steps=8", "batch_size=64", "hidden=8,8", "steps=2000"]
-SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "n_epochs=1"]
-SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
 FLY = ["fly", "--agent", "hover", "--drones", "2", "--horizon-s", "0.5", "--physics", "batch"]
 SHOW = ["show", "--shapes", "sphere", "star", "--drones", "6", "--hold-s", "0.5"]
 FIT = ["--steps", "40", "--batch-size", "64", "--checkpoint-every", "10", "--no-progress"]
@@ -108,7 +105,6 @@ COMMANDS: Mapping[str, Run] = {
     "train mappo": run("train", "--algo", "mappo", *ON_POLICY),
     "train sac": run("train", "--algo", "sac", *OFF_POLICY),
     "train dagger": run("train", "--algo", "dagger", *DAGGER),
-    "train-sweep": run("train-sweep", "--seeds", "0", "1", "--set", *SWEEP, "--episodes", "6"),
     "evaluate": run(
         *("evaluate", "--drones", "2", "--horizon-s", "1", "--agent", "hover", "tracking"),
         *("--episodes", "60", "--workers", "2"),

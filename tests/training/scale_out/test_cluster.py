@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import socket
 from collections import deque
@@ -15,12 +14,10 @@ pytest.importorskip("ray")
 import ray
 from ray.cluster_utils import Cluster
 
-from swarm_envs.cli import main
 from swarm_envs.training.scale_out.jobs import Job, Serial
 from swarm_envs.training.scale_out.options import RayWorkers
 from tests.helpers import small_jobs
 from tests.helpers.small_jobs import alive, wait_for
-from tests.training.scale_out.test_sweep import SWEEP
 
 # Nothing is told to anybody; and nodes have time to begin where others use the processors.
 os.environ.update({"RAY_USAGE_STATS_ENABLED": "0", "RAY_raylet_start_wait_time_s": "120"})
@@ -74,25 +71,3 @@ def test_where_nobody_listens_is_said_at_once():
         address = f"127.0.0.1:{free.getsockname()[1]}"  # bound, so that nobody else listens there
         with pytest.raises(ConnectionError, match="no Ray cluster was found at '127"):
             RayWorkers(address)
-
-
-@pytest.mark.slow
-def test_a_sweep_on_a_cluster_that_loses_a_node(cluster, tmp_path):
-    """The policies and what they add up to are those of one process, though half the nodes die."""
-    longer = ["steps=6000", "checkpoint-rollouts=2"]
-    sweep = [*SWEEP[: SWEEP.index("--episodes")], *longer, "--episodes", "6"]
-    assert main([*sweep, "--out", str(tmp_path / "one")]) == 0
-    victim, out = cluster.add_node(**NODE), tmp_path / "many"
-
-    def kill_in_the_middle() -> None:
-        wait_for(lambda: len(list(out.glob("runs/*/checkpoint.safetensors"))) == 2)
-        cluster.remove_node(victim, allow_graceful=False)
-
-    with ThreadPoolExecutor(1) as other:
-        killed = other.submit(kill_in_the_middle)
-        assert main([*sweep, "--out", str(out), "--ray", cluster.address]) == 0
-        killed.result()
-    for policy in (tmp_path / "one").glob("runs/*/policy.safetensors"):
-        assert (out / policy.relative_to(tmp_path / "one")).read_bytes() == policy.read_bytes()
-    one, many = (json.loads((tmp_path / n / "sweep.json").read_text()) for n in ("one", "many"))
-    assert many["variants"][0]["measured"] == one["variants"][0]["measured"]
