@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import math
 import signal
 import sys
 import threading
@@ -304,57 +303,8 @@ def _read(
     """
     from swarm_envs.commands.mistakes import read_options
 
-    words, description = [*_with_new_names(name, arguments)], _description(name, options)
-    return read_options(options, words, f"{PROGRAM} {name}", prefixes, description)
-
-
-_SB3 = {
-    "rollout": "n-steps",
-    "passes": "n-epochs",
-    "discount": "gamma",
-    "clip": "clip-range",
-    "entropy": "ent-coef",
-    "deviation": "log-std-init",
-    "sac.rollout": "sac.train-freq",
-    "sac.smoothing": "sac.tau",
-    "sac.temperature": "sac.ent-coef",
-}
-"""Options of trainings that have Stable-Baselines3's names since version 0.2."""
-_RENAMED: Mapping[str, Mapping[str, str]] = {
-    "train": {f"--{old}": f"--{now}" for old, now in _SB3.items()},
-    "train-sweep": {old: now.replace("-", "_") for old, now in _SB3.items()},  # as NAME=VALUE
-    "benchmark": {"--agents": "--agent", "--tasks": "--task"},
-    "grade": {"--work": "--agent"},
-    "export policy": {"--policy": "--agent"},
-}
-"""Old names of options by command: accepted for a version, with a note that names the new one."""
-_DEVIATION = "--deviation"
-"""An old name of which the value has changed, too: the new one is its logarithm."""
-
-
-def _with_new_names(name: str, arguments: Sequence[str]) -> Iterator[str]:
-    """Arguments with the options' new names; several settings may share a word of a sweep."""
-    new, last = _RENAMED.get(name, {}), ""
-    for word in arguments:
-        parts = []
-        for part in word.split(" "):
-            option, equals, value = part.partition("=")
-            if option in new:
-                sys.stderr.write(f"{PROGRAM} {name}: {option} is called {new[option]} now\n")
-            if last == _DEVIATION:
-                option = _logarithm(option)
-            elif equals and _DEVIATION.endswith(option) and option in new:
-                value = _logarithm(value)
-            parts.append(new.get(option, option) + equals + value)
-            last = option if option in new and not equals else ""
-        yield " ".join(parts)
-
-
-def _logarithm(deviation: str) -> str:
-    try:
-        return str(math.log(float(deviation)))
-    except ValueError as error:
-        raise Misuse(f"{_DEVIATION} is {deviation!r:.80}, but must be a number above 0") from error
+    description = _description(name, options)
+    return read_options(options, arguments, f"{PROGRAM} {name}", prefixes, description)
 
 
 def _description(name: str, options: type) -> str:

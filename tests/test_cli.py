@@ -215,24 +215,3 @@ def test_sigterm_leaves_no_partial_file(tmp_path, monkeypatch):
     monkeypatch.setattr("swarm_envs.commands.fly.run_fly", write)
     assert main(["fly"]) == 130
     assert not [*tmp_path.iterdir()]
-
-
-def test_old_names_of_options_are_accepted_for_a_version(capsys, tmp_path):
-    words = ["--rollout", "8", "--sac.smoothing=0.1", "--seed", "3"]
-    assert [*cli._with_new_names("train", words)] == [
-        *("--n-steps", "8", "--sac.tau=0.1", "--seed", "3")
-    ]
-    assert "--rollout is called --n-steps now" in capsys.readouterr().err
-    assert [*cli._with_new_names("train-sweep", ["--set", "passes=2"])] == ["--set", "n_epochs=2"]
-    assert [*cli._with_new_names("fly", ["--rollout"])] == ["--rollout"]
-    assert main(["export", "policy", "--policy", "hover", "--out", str(tmp_path / "a.h")]) == 2
-    assert "--policy is called --agent now" in capsys.readouterr().err
-    assert [*cli._with_new_names("train", ["--deviation", "1", "--deviation=1"])] == [
-        *("--log-std-init", "0.0", "--log-std-init=0.0")
-    ]
-    settings = ["--compare", "hidden=8 deviation=1", "hidden=9"]
-    assert [*cli._with_new_names("train-sweep", settings)][1:] == [
-        *("hidden=8 log_std_init=0.0", "hidden=9")
-    ]
-    assert main(["train", "--out", str(tmp_path), "--deviation", "-1"]) == 2
-    assert "--deviation is '-1', but must be a number above 0" in capsys.readouterr().err
