@@ -90,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--drones", type=int, nargs="+", default=SIZES, help="sizes of swarms")
     parser.add_argument("--plans", type=int, default=400, help="trajectories of each size")
-    parser.add_argument("--solver", default="daqp", help="daqp, quadprog or osqp")
+    parser.add_argument("--solver", default="daqp", help="daqp or osqp")
     parser.add_argument("--planes", default="relinearised", help="or fixed")
     parser.add_argument("--picture", type=Path, help="also draw the times there")
     parser.add_argument("--json", type=Path, help="also write the rows there")

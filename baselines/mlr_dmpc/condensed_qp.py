@@ -1,8 +1,8 @@
 """Plans as linear functions of few variables, and solvers of the quadratic programs in them.
 
 Each axis is a triple integrator with 15 jerks, of which three are spent on the rest at the end. The
-other twelve are scaled so that the quadratic part of the cost is half their squared length. So all
-solvers, DAQP and two more to check it by, solve min |y|^2 / 2 + slope . y, matrix @ y >= bound.
+other twelve are scaled so that the quadratic part of the cost is half their squared length. So both
+solvers, DAQP and OSQP to check it by, solve min |y|^2 / 2 + slope . y, matrix @ y >= bound.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -163,7 +162,6 @@ def solver(name: str) -> Solver:
 
     Raises:
         ValueError: there is no such solver; the message names the nearest.
-        ImportError: it is not installed; the message says how to install it.
     """
     return SOLVERS[check_name("solver", name, SOLVERS)]
 
@@ -172,32 +170,21 @@ def _daqp(
     slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
 ) -> QpSolution:
     sense = active.astype(np.int32)
-    y, _, flag, info = _module("daqp").solve(
+    import daqp
+
+    y, _, flag, info = daqp.solve(
         _identity(len(slope)), slope, -matrix, -bound, sense=sense, primal_tol=_TOLERANCE
     )
     return QpSolution(y, np.asarray(info["lam"]) != 0.0, flag == 1)
 
 
-def _quadprog(
-    slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
-) -> QpSolution:
-    if not len(bound):  # it wants one row at least
-        return QpSolution(-slope, active, True)
-    try:
-        y, _, _, _, multiplier, _ = _module("quadprog").solve_qp(
-            np.array(_identity(len(slope))), -slope, matrix.T.copy(), bound
-        )
-    except ValueError:  # how it says that no point satisfies every row
-        return QpSolution(np.zeros_like(slope), active, False)
-    return QpSolution(y, multiplier > 0.0, True)
-
-
 def _osqp(
     slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
 ) -> QpSolution:
+    import osqp
     from scipy import sparse
 
-    program: Any = _module("osqp").OSQP()
+    program: Any = osqp.OSQP()
     program.setup(
         sparse.identity(len(slope), format="csc"),
         slope,
@@ -221,17 +208,5 @@ def _identity(size: int) -> FloatArray:
     return np.eye(size)
 
 
-@cache
-def _module(name: str) -> ModuleType:
-    import importlib
-
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(
-            f"solver {name!r} needs the package {name}: pip install {name}"
-        ) from error
-
-
-SOLVERS: dict[str, Solver] = {"daqp": _daqp, "quadprog": _quadprog, "osqp": _osqp}
+SOLVERS: dict[str, Solver] = {"daqp": _daqp, "osqp": _osqp}
 """Every solver by its name."""

@@ -95,7 +95,7 @@ class MlrDmpcSwarm:
         recovery: True: by trackers; "paper": Algorithms 1 and 2 to the letter; False: loss is
             ignored, and drones collide.
         seed: of losses and detours: the same seed gives the same flight.
-        solver: `daqp`, `quadprog` or `osqp`.
+        solver: `daqp` or `osqp`.
         measure: of priorities, `end` or `next` (A2).
         informed: whether the units know the starts, as in the public simulation.
         outages: of compute units.
@@ -119,7 +119,7 @@ class MlrDmpcSwarm:
         loss: float | str | LossModel = 0.0,
         recovery: bool | Literal["paper"] = True,
         seed: Seed = 0,
-        solver: Literal["daqp", "quadprog", "osqp"] = "daqp",
+        solver: Literal["daqp", "osqp"] = "daqp",
         measure: Literal["end", "next"] = "end",
         informed: bool = True,
         outages: Sequence[UnitOutage] = (),

@@ -12,7 +12,6 @@ OPTIONAL = {
     "tensorboard": ("tensorboard", "torch", "stable_baselines3"),
     "ray": ("ray",),
     "minari": ("minari", "h5py"),
-    "quadprog": ("quadprog",),
     "docs": ("sphinx", "furo", "myst_parser", "torch", "stable_baselines3"),
 }
 """By extra, the packages that it brings, by the names they import as."""
