@@ -23,9 +23,9 @@ from swarm_envs.interactions import InteractionModel
 __all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
 
 POLICIES = (
-    *("swap-ppo", "swap-ppo-8", "swap-dagger", "gates-dagger", "pursuit-dagger", "crowd-dagger"),
+    *("swap-dagger", "gates-dagger", "pursuit-dagger", "crowd-dagger"),
     *("stack-dagger", "mixed-dagger", "sprint-dagger", "delivery-dagger"),
-    *("ring-dagger", "formation-ppo", "ring-ppo"),
+    "ring-dagger",
 )
 """Shipped agents that are trained policies: files of these names in `weights`."""
 SHIPPED: Mapping[str, str] = MappingProxyType(
@@ -88,7 +88,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     """
     name = os.fspath(name)
     if not name:
-        raise ValueError("name is '', but must be an agent's, such as 'swap-ppo'")
+        raise ValueError("name is '', but must be an agent's, such as 'swap-dagger'")
     if name.endswith(FILTER):
         from swarm_envs.agents.policy import PolicyAgent
         from swarm_envs.agents.safety import SafetyFilter

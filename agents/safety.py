@@ -103,7 +103,7 @@ class Safety:
 
 @typed
 class SafetyFilter:
-    """Flies as an agent does, but keeps its drones apart. By name: `swap-ppo+filter`.
+    """Flies as an agent does, but keeps its drones apart. By name: `swap-dagger+filter`.
 
     An agent that acts on arrays (`swarm_envs.agents.protocol.BatchAgent`) still does so: then the
     filter has `act_batch` too.

@@ -45,9 +45,9 @@ class Take(NamedTuple):
 
 HALL = {"team": "L2S", "layout": "stacked", "world": "hall"}
 FILMS = {
-    "swap": Take("swap_v1", "swap-ppo-8", {"num_drones": 8, "layout": "circle"}),
-    "ring": Take("ring_v1", "ring-ppo", {"num_drones": 5}),
-    "formation": Take("formation_v1", "formation-ppo", {"num_drones": 8}),
+    "swap": Take("swap_v1", "swap-dagger", {"num_drones": 8, "layout": "circle"}),
+    "ring": Take("ring_v1", "ring-dagger", {"num_drones": 5}),
+    "formation": Take("formation_v1", "swap-dagger", {"num_drones": 8}),
     "columns": Take("columns_v0", "air-aware", {}),
     "delivery": Take("delivery_v0", "delivery-dagger", {"num_drones": 7, "world": "hall"}),
     "crowd": Take("crowd_v0", "crowd-dagger+filter", {"num_drones": 16, "layout": "forest"}),
@@ -76,7 +76,6 @@ FILMS = {
     "random": Take("swap_v1", "random", {"num_drones": 4}),
     "straight-line": Take("swap_v1", "straight-line+filter", {"num_drones": 4}),
     "fast-line": Take("swap_v1", "fast-line", {"num_drones": 8, "layout": "random"}),
-    "swap-ppo": Take("swap_v1", "swap-ppo", {"num_drones": 4}),
     "tracking-adaptive": Take("swap_v1", "tracking-adaptive", HALL),
     "tracking-compensated-adaptive": Take("swap_v1", "tracking-compensated-adaptive", HALL),
     "air-blind": Take("delivery_v0", "air-blind", {}),

@@ -216,7 +216,7 @@ COMMANDS: Mapping[str, Command] = {
 EXAMPLES: Mapping[str, str] = {
     "demo": "--out demo",
     "fly": "--layout stacked --team L2S --agent tracking --seed 1 --out flight",
-    "evaluate": "--layout random --agent swap-ppo straight-line --episodes 64 --json out.json",
+    "evaluate": "--layout random --agent swap-dagger straight-line --episodes 64 --json out.json",
     "benchmark": "--out board --workers 2",
     "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
     "assignment": "start controller my-controller",
@@ -227,7 +227,7 @@ EXAMPLES: Mapping[str, str] = {
     "fit --residual": "--data flights --out runs/residual",
     "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
     "export trajectory": "flight/trajectory.parquet --out real --tolerance 0.01",
-    "export policy": "--agent swap-ppo --out policy.h",
+    "export policy": "--agent swap-dagger --out policy.h",
     "export force": "--model learned --out learned.h",
     "reproduce neural-swarm2": "--figure 5 --out runs/figure-5",
     "reproduce dmpc-swarm": "--figure 4 --out runs/figure-4",

@@ -516,7 +516,7 @@ from swarm_envs import agents
 from swarm_envs.agents import load
 class Agent:
     def __init__(self):
-        self.own = load('swap-ppo')
+        self.own = load('swap-dagger')
         self.requires, self.privileged = dict(self.own.requires), False
     def reset(self, env, seed): self.own.reset(env, seed)
     def act(self, observations, view):
@@ -550,13 +550,13 @@ class Peeks(Agent):
 
 
 def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path, capsys):
-    four = {"task": "swap", "layout": "random", "drones": 4}  # as many as `swap-ppo` flies
+    four = {"task": "swap", "layout": "random", "drones": 4}
     swap = dataclasses.replace(ASSIGNMENTS["swap"], flown=four)
     monkeypatch.setattr(grade, "ASSIGNMENTS", {"swap": swap})
     work, table, stolen = tmp_path / "swap.py", tmp_path / "grades.csv", tmp_path / "weights"
     work.write_text(STOLEN, encoding="utf-8")
     stolen.mkdir()
-    shipped = PACKAGE / "agents" / "weights" / "swap-ppo.safetensors"
+    shipped = PACKAGE / "agents" / "weights" / "swap-dagger.safetensors"
     (stolen / "policy.safetensors").write_bytes(shipped.read_bytes())
     source = tmp_path / "line" / "swap.py"
     source.parent.mkdir()
@@ -572,16 +572,16 @@ def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path,
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["copied"] for row in rows] == [
-        *("swap-ppo", "an agent behind SafetyFilter", ""),
-        *("swap-ppo", "StraightLineAgent", ""),
+        *("swap-dagger", "an agent behind SafetyFilter", ""),
+        *("swap-dagger", "StraightLineAgent", ""),
     ]
     assert [row["privileged"] == "True" for row in rows] == [
         name.endswith("Peeks") for name in works
     ]
-    assert "flies as swap-ppo" in capsys.readouterr().out
+    assert "flies as swap-dagger" in capsys.readouterr().out
 
 
-def _decisions(law, agent="swap-ppo", seeds=(0, 1)):
+def _decisions(law, agent="swap-dagger", seeds=(0, 1)):
     """Rows and actions of flights of four by a law of rows (N, width) and the observed fields."""
     requires = {**load(agent).requires, "physics": "batch"}
     env = swarm_envs.swap_v1.parallel_env(num_drones=4, layout="random", **requires)
@@ -596,13 +596,13 @@ def _decisions(law, agent="swap-ppo", seeds=(0, 1)):
     return env, kept
 
 
-@pytest.mark.parametrize("name", ["swap-ppo", "swap-ppo+filter"])
+@pytest.mark.parametrize("name", ["swap-dagger", "swap-dagger+filter"])
 @pytest.mark.parametrize("factor", [1.0, 0.8])
 def test_what_ships_is_known_by_its_acts(name, factor):
     agent: Any = load(name)
     agent.reset(swarm_envs.swap_v1.parallel_env(num_drones=4, **agent.requires), 0)
     env, kept = _decisions(lambda rows, _: factor * agent.act_batch(rows[None])[0], name)
-    assert copied_acts(env, kept).removesuffix("+filter") == "swap-ppo"
+    assert copied_acts(env, kept).removesuffix("+filter") == "swap-dagger"
 
 
 def test_a_shipped_force_model_is_known_by_what_it_predicts():

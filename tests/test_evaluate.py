@@ -140,8 +140,7 @@ def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys)
         ("{mine}:Missing", "unknown class 'Missing'"),
         ("{mine}:Picky", "requires num_drones=5, not 2"),
         ("none.py:Agent", "there is no file 'none.py'"),
-        ("ring-ppo", "this policy flies ring, but the environment's task is swap; set the task"),
-        ("swap-ppo", "for teams of 4 drones, but the environment has 2; set 4 (--drones)"),
+        ("ring-dagger", "this policy flies ring, but the environment's task is swap; set the task"),
     ],
 )
 def test_who_cannot_fly_is_refused_before_anybody_flies(name, why, tmp_path, mine, capsys):
@@ -183,7 +182,7 @@ def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
     assert "flown before" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["straight-line", "swap-ppo", "swap-ppo-8", "swap-dagger"])
+@pytest.mark.parametrize("name", ["straight-line", "swap-dagger"])
 def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
     options = {**agent.requires, "num_drones": 4, "horizon_s": 2.0, "physics": "batch"}
@@ -306,7 +305,7 @@ def test_fly_with_defaults_succeeds(capsys, tmp_path):
 
 def test_a_refusal_names_the_agent_that_can(capsys):
     arguments = ["--layout", "circle", "--drones", "16", "--physics", "batch"]
-    assert main(["fly", *arguments, "--agent", "swap-ppo"]) == 2
+    assert main(["fly", *arguments, "--agent", "neural-swarm-planner"]) == 2
     best = recommended("swap", num_drones=16, layout="circle")
     assert f"try --agent {best}" in capsys.readouterr().err
 

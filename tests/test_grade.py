@@ -102,7 +102,7 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
 
 def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
     """A pipe without an end, a device, a link to others' work, a source as large as a memory."""
-    shipped = STARTERS.parent / "agents" / "weights" / "swap-ppo.safetensors"
+    shipped = STARTERS.parent / "agents" / "weights" / "swap-dagger.safetensors"
     link, large, pipe = (tmp_path / part / "work.py" for part in ("link", "large", "pipe"))
     for file in (link, large, pipe):
         file.parent.mkdir()
@@ -115,7 +115,7 @@ def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
     (tmp_path / "d.safetensors").symlink_to(tmp_path / "nothing")
     assert copied_files(f"{work}:Fine") == ""
     (tmp_path / "e.safetensors").write_bytes(shipped.read_bytes())
-    assert copied_files(f"{work}:Fine") == "swap-ppo"
+    assert copied_files(f"{work}:Fine") == "swap-dagger"
     works = [f"{file}:Fine" for file in (link, large, pipe)]
     assert main(["grade", "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
     said = capsys.readouterr().out

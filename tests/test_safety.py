@@ -75,13 +75,13 @@ def test_who_is_far_from_everything_is_left_alone():
 
 
 def test_a_filtered_policy_flies_in_batches_as_it_flies_alone():
-    agent, seeds = load("swap-ppo+filter"), frozen_seeds(3, TIMED + 3)
+    agent, seeds = load("swap-dagger+filter"), frozen_seeds(3, TIMED + 3)
     assert isinstance(agent, SafetyFilter)
     assert isinstance(agent, BatchAgent)
     env = swap_v0.parallel_env(
         num_drones=4, horizon_s=1.5, **{**agent.requires, "physics": "batch"}
     )
-    assert env.core.config.num_neighbors == 7  # though the policy observes three
+    assert env.core.config.num_neighbors == 20  # though the policy observes seven
     for episode in list(evaluate_agent(env, agent, seeds))[TIMED:]:
         assert episode["metrics"] == fly_episode(env, agent, episode["seed"])
     counted = agent.statistics()

@@ -73,9 +73,9 @@ class PolicyOptions(HeaderOptions):
     """
 
     agent: str
-    """swap-ppo, swap-ppo-8, swap-dagger, gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger,
-    mixed-dagger, sprint-dagger, delivery-dagger, ring-dagger, formation-ppo, ring-ppo, a
-    .safetensors file, or the folder of a training run"""
+    """swap-dagger, gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger,
+    sprint-dagger, delivery-dagger, ring-dagger, a .safetensors file, or the folder of a training
+    run"""
 
 
 def _check_outputs(options: HeaderOptions) -> str:
@@ -111,8 +111,8 @@ def export_policy(options: PolicyOptions) -> None:
     if len(policies) != 1:
         kind = f"{len(policies)} trained policies" if policies else "no trained policy"
         raise Misuse(
-            f"agent {options.agent!r} is {kind}; name one, such as swap-ppo, or its .safetensors "
-            "file"
+            f"agent {options.agent!r} is {kind}; name one, such as swap-dagger, or its "
+            ".safetensors file"
         )
     policy, found = policies[0].policy, costs(policies[0].policy)
     text = policy_header(policy, name, options.seed)

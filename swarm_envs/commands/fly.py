@@ -103,9 +103,9 @@ class FlyOptions(EpisodeOptions):
     """agent; default: the best for the task in the benchmark. Names: hover, random, straight-line,
     fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also -compensated),
     tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive, air-aware,
-    air-nearest, air-on-top, neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, gates-dagger,
+    air-nearest, air-on-top, neural-swarm-planner, swap-dagger, gates-dagger,
     pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger, delivery-dagger,
-    ring-dagger, formation-ppo, ring-ppo. Also the folder of a trained policy, or
+    ring-dagger. Also the folder of a trained policy, or
     path/to/file.py:Class. The suffix +filter adds a safety filter"""
     seed: Seed = 0
     """random seed of the episode and the agent"""
@@ -302,23 +302,6 @@ def _print_summary(recording: Recording, agent: Agent) -> None:
     print("\n".join(f"  {label.ljust(width)}  {value}" for label, value in rows), end="\n\n")
     if agent.privileged:
         print("note: this agent sees the true state")
-    if others := _unmeasured(recording, agent):
-        print(f"note: {about.agent} was not trained with vehicles {', '.join(others)}")
-
-
-def _unmeasured(recording: Recording, agent: Agent) -> list[str]:
-    """Vehicles that a shipped policy, which refuses none, has not flown in its training."""
-    from swarm_envs.agents.policy import PolicyAgent
-    from swarm_envs.agents.registry import FILTER, SHIPPED
-
-    policy = getattr(agent, "agent", agent)  # behind a safety filter
-    name = recording.about.agent.removesuffix(FILTER)
-    if name not in SHIPPED or not isinstance(policy, PolicyAgent) or policy.policy.note.types:
-        return []
-    count = len(recording.team)
-    with closing(make(recording.about.task, num_drones=count, physics="batch")) as env:
-        trained = {vehicle.token for vehicle in env.core.task.team}  # of the default team
-    return sorted({vehicle.token for vehicle in recording.team} - trained)
 
 
 def _write_json(path: Path, recording: Recording) -> None:

@@ -20,9 +20,9 @@ AGENTS: dict[str, tuple[bool, float, float]] = {
     "tracking-compensated": (True, 0.41, 75.0),
     "detour": (True, 0.68, 420.0),
     "detour-compensated": (True, 0.75, 450.0),
-    "swap-ppo": (False, 0.78, 190.0),
-    "swap-ppo-8": (False, 0.74, 210.0),
-    "swap-ppo-8+filter": (False, 0.97, 800.0),
+    "swap-dagger": (False, 0.78, 190.0),
+    "crowd-dagger": (False, 0.74, 210.0),
+    "crowd-dagger+filter": (False, 0.97, 800.0),
     "neural-swarm-planner": (True, 0.88, 160.0),
     "mlr-dmpc": (True, 0.99, 5200.0),
     "mlr-dmpc-compensated": (True, 0.992, 5400.0),
@@ -100,7 +100,7 @@ def _task(family: str, setting: str) -> dict[str, Any]:
 
 def _cell(task: dict[str, Any], agent: str, rng: np.random.Generator) -> dict[str, Any]:
     cell = {"task": task["id"], "agent": agent, "values": {}, "replay": None, "episodes": 0}
-    if agent.startswith("swap-") and task["task"] != "swap":
+    if "dagger" in agent and task["task"] != "swap":
         reason = f"it was trained for swap, not {task['task']}"
         return {**cell, "status": "unsupported", "reason": reason}
     if agent == "neural-swarm-planner" and task["drones"] == 16:

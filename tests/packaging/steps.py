@@ -47,20 +47,20 @@ def demo(here: Installation) -> None:
 
 def fly(here: Installation) -> None:
     """A shipped policy flies an episode and solves it."""
-    here.command("fly", "--agent", "swap-ppo", "--seed", 3, "--json", "flight.json")
+    here.command("fly", "--agent", "swap-dagger", "--seed", 3, "--json", "flight.json")
     flown = json.loads((here.home / "flight.json").read_text(encoding="utf-8"))
     if not flown["metrics"]["success"]:
-        raise AssertionError(f"swap-ppo does not solve seed 3: {flown['metrics']}")
+        raise AssertionError(f"swap-dagger does not solve seed 3: {flown['metrics']}")
 
 
 def evaluate(here: Installation) -> None:
     """A shipped policy is scored, and solves what it solves elsewhere."""
-    task = ("--layout", "random", "--agent", "swap-ppo", "--episodes", 16, "--seed", 7)
+    task = ("--layout", "random", "--agent", "swap-dagger", "--episodes", 16, "--seed", 7)
     here.command("evaluate", *task, "--json", "scores.json")
     report = json.loads((here.home / "scores.json").read_text(encoding="utf-8"))
     rate = report["success_rate"]
     if rate < 0.8:
-        raise AssertionError(f"swap-ppo solves {rate:.0%} of 16 random swaps")
+        raise AssertionError(f"swap-dagger solves {rate:.0%} of 16 random swaps")
 
 
 def readme(here: Installation) -> None:
@@ -85,7 +85,7 @@ def refusals(here: Installation) -> None:
 def page(here: Installation) -> None:
     """The replay page of a flight, and its log in Parquet."""
     files = ("--replay", "replay.html", "--trajectory", "flight.parquet")
-    here.command("fly", "--agent", "swap-ppo", "--seed", 3, *files)
+    here.command("fly", "--agent", "swap-dagger", "--seed", 3, *files)
     _expect(here.home, "replay.html", "flight.parquet")
 
 

@@ -44,7 +44,7 @@ ROTA: tuple[dict[str, Any], ...] = (
 )
 """Options of the lives, in turn."""
 AGENTS = {
-    "swap": ("hover", "random", "straight-line", "tracking", "detour", "swap-ppo"),
+    "swap": ("hover", "random", "straight-line", "tracking", "detour", "swap-dagger"),
     "ring": ("hover", "random", "tracking", "tracking-compensated"),
     "formation": ("hover", "random", "straight-line", "tracking"),
 }

@@ -69,7 +69,7 @@ def test_a_teacher_of_nothing_is_named(idle):
         ("air-aware", {"decision_rate": 48}, "needs another controller .* --controller air-aware"),
         ("detour", {"action": "ctbr"}, "cannot teach actions of 'ctbr': its own are 'setpoint'"),
         ("roundabout", {"action": "rotors"}, "actions of 'rotors': its own are 'acceleration'"),
-        ("swap-ppo", {"decision_rate": 10}, "teams of 4 drones"),
+        ("pursuit-dagger", {}, "flies pursuit"),
     ],
 )
 def test_an_agent_that_cannot_teach_is_refused(name, given, why):

@@ -63,10 +63,6 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "air-on-top": Place("air, on top", "The same, with the heavy drones on top.", 2),
         "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
         "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
-        "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of four."),
-        "swap-ppo+filter": Place("swap PPO + filter", _FILTERED),
-        "swap-ppo-8": Place("swap PPO 8", f"{_POLICY} Trained on swaps of four and of eight."),
-        "swap-ppo-8+filter": Place("swap PPO 8 + filter", _FILTERED),
         "swap-dagger": Place("swap DAgger", f"{_POLICY} It imitates a roundabout."),
         "gates-dagger": Place("gates DAgger", f"{_POLICY} It imitates who settles the fastest."),
         "pursuit-dagger": Place(
@@ -85,10 +81,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "delivery-dagger": Place(
             "delivery DAgger", f"{_POLICY} It imitates ways that take just the time."
         ),
-        "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
-        "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
         "ring-dagger": Place("ring DAgger", f"{_POLICY} It imitates who leads set-points."),
-        "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),
         "neural-swarm-planner": Place(
             "Neural-Swarm2 planner", "Plans within bounds on the force, then tracks.", 8, 0.1
         ),

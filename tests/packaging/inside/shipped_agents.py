@@ -11,13 +11,12 @@ from swarm_envs.agents import load
 from swarm_envs.agents.registry import SHIPPED
 
 TASKS = {
-    **{"formation-ppo": "formation_v1", "ring-ppo": "ring_v1", "ring-dagger": "ring_v1"},
+    **{"ring-dagger": "ring_v1"},
     **{"gates-dagger": "gates_v0", "pursuit-dagger": "pursuit_v0"},
     **{f"{name}-dagger": "columns_v0" for name in ("stack", "mixed", "sprint")},
     **{"delivery-dagger": "delivery_v0", "crowd-dagger": "crowd_v0"},
 }
 TEAMS = {
-    **{"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5},
     **{"stack-dagger": 8, "sprint-dagger": 8, "delivery-dagger": 7, "crowd-dagger": 8},
 }
 """Numbers of drones, of agents that were made for so many; the others fly two."""

@@ -57,7 +57,7 @@ def kept_seeds(out: Path) -> dict[str, list[int]]:
 
 
 def test_processes_give_the_report_of_one(tmp_path, mine, capfd):
-    names = ["swap-ppo-8", f"{mine}:Fine", f"{mine}:Some"]
+    names = ["swap-dagger", f"{mine}:Fine", f"{mine}:Some"]
     outs = [tmp_path / "one", tmp_path / "two"]
     for out, more in zip(outs, ([], ["--workers", "2"]), strict=True):
         assert main(["evaluate", *QUICK, "--agent", *names, "--out", str(out), *more]) == 1

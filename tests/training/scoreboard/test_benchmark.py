@@ -98,7 +98,7 @@ def cells(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
 
 def test_who_fails_is_named_and_the_others_go_on(tmp_path, mine, capsys):
     names = ["Fine", "Raises", "Nan", "Picky", "Choosy", "Five", "Unmade"]
-    agents = ["hover", "swap-ppo", *(f"{mine}:{name}" for name in names)]
+    agents = ["hover", "swap-dagger", *(f"{mine}:{name}" for name in names)]
     out, copy = tmp_path / "out", tmp_path / "copy.json"
     few = ["--task", PAIR, FOUR, "--agent", *agents, "--episodes", "4", "--json", str(copy)]
     assert benchmark(out, *few) == 1
@@ -108,7 +108,7 @@ def test_who_fails_is_named_and_the_others_go_on(tmp_path, mine, capsys):
     assert json.loads(copy.read_text()) == content(out)
     found = cells(out)
     assert len(found) == 2 * len(agents)
-    assert {found[name, FOUR]["status"] for name in ("hover", "swap-ppo", "Fine")} == {"flown"}
+    assert {found[name, FOUR]["status"] for name in ("hover", "swap-dagger", "Fine")} == {"flown"}
     assert "decision 1: KeyError: 'nothing'" in found["Raises", FOUR]["reason"]
     assert "must be finite" in found["Nan", PAIR]["reason"]
     assert found["Nan", PAIR]["values"] == {}
@@ -139,7 +139,7 @@ def test_one_that_fails_scores_nothing_and_one_that_refuses_is_left_out(tmp_path
 def test_the_table_has_every_episode_and_no_times(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "out"
-    agents = ["swap-ppo", "detour", "formation-ppo"]
+    agents = ["swap-dagger", "detour", "gates-dagger"]
     assert benchmark(out, "--task", FOUR, "ring-5-v2", "--agent", *agents, "--episodes", "3") == 0
     table = parquet.read_table(out / "episodes.parquet").to_pylist()
     timing = parquet.read_table(out / "timing.parquet").to_pylist()
@@ -157,7 +157,7 @@ def test_the_table_has_every_episode_and_no_times(tmp_path):
 
 def test_processes_and_a_second_run_give_the_bytes_of_one(tmp_path, mine, capsys):
     few = ["--task", PAIR, FOUR, "--episodes", "20", "--table", "csv", "--agent"]
-    few += ["swap-ppo", "straight-line", "swap-ppo-8", f"{mine}:Nan", f"{mine}:Choosy"]
+    few += ["straight-line", "swap-dagger", f"{mine}:Nan", f"{mine}:Choosy"]
     outs = [tmp_path / "one", tmp_path / "two"]
     assert benchmark(outs[0], *few) == benchmark(outs[1], *few, "--workers", "2") == 1
     tables = [(out / "episodes.csv").read_bytes() for out in outs]
@@ -226,7 +226,7 @@ def test_what_cannot_be_flown_or_reported_is_misuse(tmp_path, refused):
     (tmp_path / "scores.json").write_text("{}")
     misused("--report", tmp_path, said="format is missing")
     misused(said="either --out DIR, to fly, or --report DIR")
-    misused("--out", tmp_path / "none", "--agent", "swap-pop", said="did you mean 'swap-ppo'")
+    misused("--out", tmp_path / "none", "--agent", "swap-daggr", said="did you mean 'swap-dagger'")
     misused("--out", tmp_path / "none", "--quick", "--episodes", "3", said="give one")
     misused("--out", tmp_path / "none", "--json", "out.txt", said="must end in .json")
     misused("--out", tmp_path, "--report", tmp_path, said="either --out DIR")

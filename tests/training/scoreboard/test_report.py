@@ -276,7 +276,7 @@ def test_no_two_agents_share_a_page():
     files = [replays.file_of("swap-circle-2-v2", name) for name in names]
     assert len(set(files)) == len(names)
     assert all(re.fullmatch(r"replays/[A-Za-z0-9][A-Za-z0-9._+-]{0,120}\.html", f) for f in files)
-    assert replays.file_of("t", "swap-ppo-8+filter") == "replays/t--swap-ppo-8+filter.html"
+    assert replays.file_of("t", "swap-dagger+filter") == "replays/t--swap-dagger+filter.html"
 
 
 def small_board(folder, *agents):

@@ -107,8 +107,8 @@ def test_another_metric_takes_the_place_and_keeps_the_order(open_page, content):
 
 def test_it_filters_agents_and_tasks(open_page):
     page = open_page(DESK)
-    page.fill("#filter", "PPO")
-    assert page.evaluate(NAMES) == ["swap-ppo-8+filter", "swap-ppo", "swap-ppo-8"]
+    page.fill("#filter", "DAGGER")
+    assert page.evaluate(NAMES) == ["crowd-dagger+filter", "swap-dagger", "crowd-dagger"]
     page.fill("#filter", "")
     page.uncheck("#privileged")
     assert len(page.evaluate(NAMES)) == 6

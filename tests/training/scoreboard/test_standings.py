@@ -403,7 +403,7 @@ def test_every_agent_that_ships_is_in_the_roster():
 
 def test_slow_agents_fly_the_first_of_the_episodes_of_fast_ones():
     swap, tour = TASKS["swap-circle-4-v2"], TASKS["formation-tour-8-v2"]
-    for name, episodes in (("swap-ppo", 256), ("detour", 64), ("neural-swarm-planner", 32)):
+    for name, episodes in (("swap-dagger", 256), ("detour", 64), ("neural-swarm-planner", 32)):
         assert episodes_of(name, swap) == episodes
     assert episodes_of("neural-swarm-planner", tour) == LEAST
     assert episodes_of("some/file.py:Mine", swap) == 64
@@ -416,8 +416,8 @@ def test_patterns_choose_in_the_table_s_order():
         *(name for name in TASKS if re.match("ring-.*-v2", name)),
     ]
     assert choose_tasks(["*"]) == list(TASKS.values())
-    names = choose_agents(["a/b.py:Mine", "swap-ppo*", "hover", "a/b.py:Mine", "detour+filter"])
-    wanted = ["hover", "swap-ppo", "swap-ppo+filter", "swap-ppo-8", "swap-ppo-8+filter"]
+    names = choose_agents(["a/b.py:Mine", "crowd-dagger*", "hover", "a/b.py:Mine", "detour+filter"])
+    wanted = ["hover", "crowd-dagger", "crowd-dagger+filter"]
     assert names == [*wanted, "a/b.py:Mine", "detour+filter"]
 
 
@@ -425,7 +425,7 @@ def test_patterns_choose_in_the_table_s_order():
 def test_what_is_no_name_is_refused_with_the_nearest(choose):
     wrong, right = {
         choose_tasks: ("swap-circle-4", "swap-circle-4-v2"),
-        choose_agents: ("swap-pop", "swap-ppo"),
+        choose_agents: ("swap-daggr", "swap-dagger"),
     }[choose]
     with pytest.raises(ValueError, match=f"did you mean '{right}'"):
         choose(["*", wrong])
