@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from swarm_envs.agents.registry import SHIPPED
 from tests.helpers.sources import ROOT, files_below
 from tests.packaging.rows import EVERY_OPTIONAL
 from tests.packaging.steps import INSIDE
@@ -135,13 +136,31 @@ def test_the_description_on_pypi_has_no_relative_links(wheel, tmp_path):
     assert "(https://example.org/r/blob/main/docs/install.md)" in shown
 
 
-def test_every_module_imports_from_an_installed_wheel(wheel, tmp_path):
+BLOCKED = """
+import runpy, sys
+
+class Nothing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in %r:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Nothing())
+script, sys.argv = sys.argv[1], sys.argv[1:]
+runpy.run_path(script, run_name="__main__")
+"""
+"""Runs a script where packages of extras cannot be imported."""
+
+
+def test_every_module_but_the_trainers_imports_from_a_wheel_without_extras(wheel, tmp_path):
     site = tmp_path / "site"
     install = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", site)
     run(*install, wheel, cwd=tmp_path)
     script = INSIDE / "every_module.py"  # which finds no `agents` and the like beside the package
-    output = run(script, *sorted(EVERY_OPTIONAL), cwd=tmp_path, PYTHONPATH=str(site))
+    absent = sorted(EVERY_OPTIONAL)
+    output = run("-c", BLOCKED % absent, script, *absent, cwd=tmp_path, PYTHONPATH=str(site))
     assert f"modules of {site}" in output
+    needing = re.findall(r"^(\S+) needs", output, re.MULTILINE)
+    assert {".".join(name.split(".")[:2]) for name in needing} == {"swarm_envs.training"}
     assert (site / "bin" / "swarm-envs").is_file()
     run("-c", MAKE_BY_NAME, cwd=tmp_path, PYTHONPATH=str(site))
 
@@ -181,6 +200,13 @@ with claimed(folder):
 assert (folder / "numbers.json").read_text() == '{\\n "one": 1\\n}\\n'
 assert not [path for path in folder.iterdir() if "partial" in path.name]
 """
+
+
+@pytest.mark.slow
+def test_without_extras_every_shipped_agent_flies():
+    script = BLOCKED % sorted(EVERY_OPTIONAL)
+    flown = run("-c", script, INSIDE / "shipped_agents.py", cwd=ROOT, PYTHONPATH=str(ROOT))
+    assert flown.count(" flies") == len(SHIPPED)
 
 
 @pytest.mark.parametrize("script", [FLY, WRITE], ids=["a batch flies", "a file is written"])
