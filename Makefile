@@ -20,13 +20,12 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-order test-all test-compat coverage matrix lint format bench \
+.PHONY: help demo test test-all test-compat coverage matrix lint format bench \
 	bench-against docs films clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
-	@echo 'make test-order  the same in reversed and in random order'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
@@ -59,11 +58,6 @@ demo: $(VENV)/.base
 # As many processes as there are cores; each test file stays in one.
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto --dist loadfile
-
-# Tests that pass only after others, or before them, fail in one of these orders.
-test-order: $(VENV)/.dev
-	$(BIN)/python -m pytest -n auto --dist loadfile --order reversed
-	$(BIN)/python -m pytest -n auto --dist loadfile --order $(shell date +%s)
 
 test-all: $(VENV)/.dev test-compat
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'slow or not slow'
@@ -99,9 +93,7 @@ coverage: $(VENV)/.dev
 	$(BIN)/python -m coverage run -m pytest -n auto --dist loadfile
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -n auto --dist loadfile $(INTERPRETED)
 	$(BIN)/python -m coverage combine --quiet
-	$(BIN)/python -m coverage json --quiet -o build/coverage/files.json --fail-under 0
-	$(BIN)/python -m tests.helpers.coverage_table build/coverage/files.json
-	$(BIN)/python -m coverage report --format total
+	$(BIN)/python -m coverage report
 
 # `make matrix MATRIX='--rows oldest 3.13 --python 3.13=/path/to/python'`; a few minutes a row.
 matrix: $(VENV)/.dev

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,22 +16,6 @@ os.environ["MPLBACKEND"] = "Agg"
 # The first example of a property may compile a kernel, so none has a deadline.
 settings.register_profile("swarm_envs", deadline=None, derandomize=True)
 settings.load_profile("swarm_envs")
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let tests run in another order, to find those that depend on it."""
-    parser.addoption("--order", help="of tests: reversed, or the seed of a random one")
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Reverse the tests, or shuffle files, and the tests in each."""
-    order = config.getoption("order")
-    if order == "reversed":
-        items.reverse()
-    elif order is not None:
-        rng = random.Random(int(order))
-        rank = {path: rng.random() for path in sorted({item.path for item in items})}
-        items.sort(key=lambda item: (rank[item.path], rng.random()))
 
 
 @pytest.fixture(scope="session")
