@@ -7,8 +7,7 @@ named after a task is on that task's page, and all of them are in `gallery.md`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,19 +16,12 @@ from tqdm import tqdm
 
 from swarm_envs import make
 from swarm_envs.agents import load, record_episode
-from swarm_envs.commands.show import ShowOptions
 from swarm_envs.files import written_whole
-from swarm_envs.shows.flying import fly_show
-from swarm_envs.shows.formations import Room, formations_of
-from swarm_envs.shows.night import FPS as NIGHT_FPS
-from swarm_envs.shows.night import film_lights
-from swarm_envs.shows.planning import plan_show
-from swarm_envs.shows.transitions import Pace
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.video import count_frames, film
 
 FOLDER = Path(__file__).parent / "films"
-FPS, SIZE, WIDE, LONGEST_S = 12, (480, 340), (640, 360), 10.0
+FPS, SIZE, LONGEST_S = 12, (480, 340), 10.0
 LARGEST = 400_000
 """Bytes of a film at most."""
 
@@ -99,22 +91,11 @@ def record(take: Take) -> Recording:
         env.close()
 
 
-def show_frames() -> Iterator[Any]:
-    """The default show of `swarm-envs show`, flown in the hall, in ten seconds."""
-    options, room = ShowOptions(), Room()
-    formations = formations_of(options.shapes, options.drones, options.colors, room)
-    show = plan_show(formations, room, Pace())
-    flight, _ = fly_show(show.paths, "hall")
-    shown_s = flight.time * (LONGEST_S / flight.time[-1])
-    frames = film_lights(shown_s, flight.position, show.colors(flight.time))
-    return islice(frames, 0, None, NIGHT_FPS // FPS)
-
-
-def write_film(path: Path, frames: Iterable[Any], total: int, size: tuple[int, int]) -> None:
+def write_film(path: Path, frames: Iterable[Any], total: int) -> None:
     """Draw at most ten seconds, and write them no larger than `LARGEST`."""
     total = min(total, round(LONGEST_S * FPS))
     shown = tqdm(zip(range(total), frames, strict=False), path.stem, total)
-    pictures = [Image.fromarray(frame).resize(size) for _, frame in shown]
+    pictures = [Image.fromarray(frame).resize(SIZE) for _, frame in shown]
     for quality in (60, 45, 30, 15):
         with written_whole(path) as partial:
             pictures[0].save(
@@ -127,11 +108,8 @@ def write_film(path: Path, frames: Iterable[Any], total: int, size: tuple[int, i
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or (*FILMS, "show"):
-        if name == "show":
-            write_film(FOLDER / "show.webp", show_frames(), round(LONGEST_S * FPS), WIDE)
-            continue
+    for name in sys.argv[1:] or FILMS:
         recording = record(FILMS[name])
         tqdm.write(f"{name}: success {recording.about.metrics['success']}")
         frames = film(recording, FPS)
-        write_film(FOLDER / f"{name}.webp", frames, count_frames(recording, FPS), SIZE)
+        write_film(FOLDER / f"{name}.webp", frames, count_frames(recording, FPS))

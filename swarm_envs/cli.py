@@ -188,7 +188,6 @@ COMMANDS: Mapping[str, Command] = {
     "benchmark": Command("evaluate every agent on every benchmark task", _in_module("benchmark")),
     "grade": Command("grade submissions of a course", _in_module("grade")),
     "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
-    "show": Command("plan, fly, film and export a drone light show", _in_module("show")),
     "collect": Command(
         "collect flight logs in simulation",
         _command("collect", "training.collection.__main__:CollectOptions", _collect),
@@ -220,7 +219,6 @@ EXAMPLES: Mapping[str, str] = {
     "benchmark": "--out board --workers 2",
     "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
     "assignment": "start controller my-controller",
-    "show": "--shapes text:SWARM sphere heart --drones 100 --out show",
     "collect": "--out flights --seed 0",
     "curriculum": "--quick --out runs/curriculum",
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",

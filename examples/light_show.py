@@ -1,0 +1,197 @@
+"""A light show: drones write letters, or form point clouds of your own, one after another.
+
+python examples/light_show.py --text SWARM --drones 24 --out show
+python examples/light_show.py --points points.npy --out show
+
+RTH3D plans the way to each formation on a grid, and the tracking controller flies it through the
+downwash of the other drones, with an estimate of the force (INDI). The script prints, for each
+formation, how long the planned way takes and how near the drones are when it stands; then the
+number of contacts and the least distance between two bodies. It writes `flight.npz` (every state),
+`flight.html` (a replay to turn and play in a browser) and `flight.mp4` (a film; a GIF without
+ffmpeg) into the folder.
+
+A file of points holds an array (F, N, 3): F formations of N drones, in meters, z pointing up. Two
+points of a formation should be at least 0.5 m apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from swarm_envs.agents import record_episode
+from swarm_envs.baselines.rth3d.grid_agent import GridAgent
+from swarm_envs.control.config import ControllerConfig, Indi
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.tasks.formation import nearest_places
+from swarm_envs.tasks.motion import REST, Motion
+from swarm_envs.tasks.shapes import shape_points
+from swarm_envs.tasks.swap import REWARD_WEIGHTS
+from swarm_envs.vehicles import parse_team
+from swarm_envs.viewing.record import Recording
+from swarm_envs.viewing.replay import write_replay
+from swarm_envs.viewing.trajectory import write_trajectory
+from swarm_envs.viewing.video import FPS, count_frames, film, write_video_or_gif
+
+LOWEST_M, MARGIN_M = 0.8, 1.5  # height of the lowest place; free space around all places
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the show."""
+
+    text: str = "SWARM"
+    """letters and digits, each a formation"""
+    points: Path | None = None
+    """formations in a file (.npy) instead of a text"""
+    drones: int = 24
+    """number of drones that write the text"""
+    stage_s: float = 14.0
+    """time for each formation, s; the way to it takes at most 70 % of that"""
+    world: str = "hall"
+    """`hall`, with random forces and a state estimate, or `ideal`"""
+    seed: int = 0
+    """random seed of the planner and of the hall"""
+    video: bool = True
+    """render the film, which takes most of the time"""
+    out: Path = Path("show")
+    """output folder"""
+
+
+@dataclass(frozen=True, eq=False)
+class ShowTask(Task):
+    """One formation after another, in an arena with room around all of them."""
+
+    formations: tuple[np.ndarray, ...] = ()  # (N, 3) each, m
+    stage_s: float = 14.0  # time for each
+    success: Success = Success()
+
+    name = "show"
+    default_weights = REWARD_WEIGHTS
+
+    @property
+    def arena(self) -> np.ndarray:
+        """Corners (2, 3), m."""
+        points = np.concatenate(self.formations)
+        low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+        return np.array([[low[0], low[1], 0.0], high])
+
+    @property
+    def num_stages(self) -> int:
+        """Formations after the first, on which the drones start."""
+        return len(self.formations) - 1
+
+    @property
+    def motion(self) -> Motion:
+        """Goals at rest; the way to them is the planner's."""
+        return Motion(REST, stage_s=self.stage_s)
+
+    @property
+    def episode_s(self) -> float:
+        """Duration of the show, s."""
+        return self.num_stages * self.stage_s
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: np.ndarray | None = None,
+        goal: np.ndarray | None = None,
+    ) -> Placement:
+        """Match drones to places so that the squared distances sum to the least."""
+        goals = [self.formations[0]]
+        for places in self.formations[1:]:
+            goals.append(places[nearest_places(goals[-1], places)])
+        return Placement(goals[0], np.array(goals[1:]), 0.0)
+
+
+def letters(text: str, drones: int) -> list[np.ndarray]:
+    """Return each character of a text as points (N, 3), m, upright and 0.5 m apart or more."""
+    return [shape_points(f"letter:{character}", drones, 0.5) for character in text.upper()]
+
+
+def stage(formations: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Raise formations to the lowest height of the show; a flat one comes first and last."""
+    flat = shape_points("plane", len(formations[0]), 0.6)
+    lifted = [f - np.array([0.0, 0.0, f[:, 2].min() - LOWEST_M]) for f in (flat, *formations)]
+    return (*lifted, lifted[0])
+
+
+def fly(task: ShowTask, options: Options) -> tuple[Recording, GridAgent]:
+    """Plan and fly the show; the agent keeps the plans."""
+    agent = GridAgent(controller=ControllerConfig(adaptation=Indi()))
+    config = EnvConfig(
+        physics="batch",
+        world=options.world,
+        end_on_success=False,
+        num_neighbors=0,
+        **agent.requires,
+    )
+    env = SwarmParallelEnv(task, config)
+    steps = round(task.episode_s * config.decision_rate) + 1
+    with tqdm(total=steps, desc="fly", unit="decision") as bar:
+        flight = record_episode(env, agent, options.seed, lambda _: bar.update(), name="rth3d")
+    env.close()
+    return flight, agent
+
+
+def report(flight: Recording, agent: GridAgent, task: ShowTask) -> int:
+    """Print what was flown; return the number of decisions at which a drone touched something."""
+    for k, plan in enumerate(agent.plans):
+        index = min(int(np.searchsorted(flight.time, (k + 1) * task.stage_s)), len(flight.time)) - 1
+        error = np.linalg.norm(flight.position[index] - flight.goal[index], axis=-1).max()
+        print(
+            f"formation {k + 1}: the way takes {plan.duration_s:.1f} s; "
+            f"drones are within {100 * error:.1f} cm of their places when it stands"
+        )
+    touching = (flight.contact_drone >= 0) | flight.contact_floor | flight.contact_wall
+    first, second = np.triu_indices(len(task.team), 1)
+    apart = np.linalg.norm(flight.position[:, first] - flight.position[:, second], axis=-1).min()
+    print(
+        f"{len(task.team)} drones, {flight.time[-1]:.1f} s: {touching.sum()} contacts; "
+        f"bodies at least {100 * (apart - task.team[0].diameter):.1f} cm apart"
+    )
+    return int(touching.sum())
+
+
+def write(flight: Recording, folder: Path, video: bool) -> None:
+    """Write the flight, its replay and its film, and print where they are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_trajectory(folder / "flight.npz", flight)
+    write_replay(folder / "flight.html", flight)
+    written = [folder / "flight.npz", folder / "flight.html"]
+    if video:
+        total = count_frames(flight)
+        written.append(
+            write_video_or_gif(
+                folder / "flight.mp4",
+                lambda: tqdm(film(flight), total=total, desc="film", unit="frame"),
+                FPS,
+            )
+        )
+    print("wrote", *written)
+
+
+def main(options: Options) -> int:
+    """Plan, fly, report and write the show; return the number of contacts."""
+    if options.points is None:
+        formations = letters(options.text, options.drones)
+    else:
+        formations = [*np.load(options.points, allow_pickle=False).astype(float)]
+    if not formations:
+        raise SystemExit("--text is '', but must have at least one letter, such as SWARM")
+    team = parse_team("S" * len(formations[0]))
+    task = ShowTask(team, formations=stage(formations), stage_s=options.stage_s)
+    flight, agent = fly(task, options)
+    contacts = report(flight, agent, task)
+    write(flight, options.out, options.video)
+    return contacts
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

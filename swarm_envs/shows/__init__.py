@@ -1,1 +1,0 @@
-"""Shows: formations with lights, planned, flown, filmed and exported. See docs/show.md."""

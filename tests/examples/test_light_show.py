@@ -1,0 +1,40 @@
+"""The example examples/light_show.py at tiny size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.light_show import Options, letters, main
+from swarm_envs.viewing.trajectory import read_trajectory
+
+
+def test_a_letter_is_written_and_its_files_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = Options(text="I", drones=5, stage_s=7.0, video=False, out=tmp_path)
+    assert main(options) == 0
+    printed = capsys.readouterr().out
+    assert "formation 1: the way takes" in printed
+    assert "5 drones, 14.0 s: 0 contacts" in printed
+    flight = read_trajectory(tmp_path / "flight.npz")
+    stands = flight.position[int(np.searchsorted(flight.time, 7.0)) - 1]
+    shape = letters("I", 5)[0]
+    middle = stands - stands.mean(axis=0)
+    apart = np.linalg.norm(middle[:, None] - (shape - shape.mean(axis=0)), axis=-1).min(axis=0)
+    assert apart.max() < 0.05  # a drone at every place of the letter
+    assert (tmp_path / "flight.html").stat().st_size > 10_000
+
+
+def test_points_of_a_file_are_formed(tmp_path: Path) -> None:
+    points = np.zeros((2, 3, 3))
+    points[0, :, 0], points[1, :, 1] = [-0.6, 0.0, 0.6], [-0.7, 0.0, 0.7]
+    np.save(tmp_path / "points.npy", points)
+    options = Options(points=tmp_path / "points.npy", stage_s=6.0, video=False, out=tmp_path)
+    assert main(options) == 0
+    flight = read_trajectory(tmp_path / "flight.npz")
+    assert flight.goal.shape[1] == 3
+    stands = flight.position[int(np.searchsorted(flight.time, 12.0)) - 1]
+    assert np.sort(stands[:, 1]) == pytest.approx([-0.7, 0.0, 0.7], abs=0.05)
