@@ -228,8 +228,6 @@ EXAMPLES: Mapping[str, str] = {
     "export policy": "--agent swap-dagger --out policy.h",
     "export force": "--model learned --out learned.h",
     "reproduce neural-swarm2": "--figure 5 --out runs/figure-5",
-    "reproduce dmpc-swarm": "--figure 4 --out runs/figure-4",
-    "reproduce rth3d": "--figure 6 --runs 2 --out runs/figure-6",
     "reproduce all": "--quick --out runs/all",
 }
 """What to type first, for the help of each command."""

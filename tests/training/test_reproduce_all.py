@@ -15,7 +15,7 @@ import tyro
 from swarm_envs.cli import main
 from swarm_envs.training.collection.__main__ import CollectOptions
 from swarm_envs.training.interaction_rows import save_rows
-from swarm_envs.training.reproduce import dmpc_figures, dmpc_flights, limits_study
+from swarm_envs.training.reproduce import identified_vehicles, limits_study
 from swarm_envs.training.reproduce.claims import (
     Between,
     Claim,
@@ -42,10 +42,8 @@ from tests.helpers.tiny_fits import rows_of
 ITEMS = numbered_studies()
 NUMBERED = {
     "neural-swarm2": [f"Fig. {n}" for n in range(1, 10)] + ["Table I", "Table II", "Table III"],
-    "dmpc-swarm": ["Fig. 1", "Fig. 2", "Fig. 3a", "Fig. 3b", "Fig. 3c", "Fig. 4"],
-    "rth3d": [f"Fig. {n}" for n in range(1, 12)],
 }
-"""What the papers number, by their captions; of RTH3D's Fig. 10 the text has nothing."""
+"""What the papers number, by their captions."""
 FOUND = ["agrees", "explained", "unexplained", "ours alone"]
 
 
@@ -175,29 +173,31 @@ def test_numbers_that_cannot_be_read_fail_the_item(tmp_path, paper):
 
 def test_the_command_writes_a_page_of_all_items_and_goes_on(tmp_path, capsys, monkeypatch):
     command = ["reproduce", "all", "--quick", "--out", str(tmp_path)]
-    wanted = ["--items", "dmpc-swarm/figure-3a"]
+    wanted = ["--items", "neural-swarm2/table-1"]
     assert main([*command, *wanted]) == 0
     results = json.loads((tmp_path / "results.json").read_text())
     states = {entry["item"]: entry["state"] for entry in results["items"]}
-    assert list(states) == list(ITEMS) and states["dmpc-swarm/figure-3a"] == "done"
+    assert list(states) == list(ITEMS) and states["neural-swarm2/table-1"] == "done"
     shown = (tmp_path / "index.html").read_text()
     assert all(f'id="{key.replace("/", "-")}"' in shown for key in ITEMS)
-    assert "16 drones" in (tmp_path / "dmpc-swarm/figure-3a/said.txt").read_text()
+    assert "mass" in (tmp_path / "neural-swarm2/table-1/said.txt").read_text()
 
     def fails(*arguments, **options):
         raise RuntimeError("run again")
 
-    monkeypatch.setattr(dmpc_figures, "formation", fails)
+    monkeypatch.setattr(identified_vehicles, "mass_and_thrust", fails)
     assert main([*command, *wanted]) == 0
     assert "resuming: 1 items are complete, 0 are to be done" in capsys.readouterr().out
-    (tmp_path / "dmpc-swarm/figure-3a" / RECORD).unlink()
+    (tmp_path / "neural-swarm2/table-1" / RECORD).unlink()
     assert main([*command, *wanted]) == 1
-    assert "failed: dmpc-swarm/figure-3a: RuntimeError: run again" in capsys.readouterr().out
+    assert "failed: neural-swarm2/table-1: RuntimeError: run again" in capsys.readouterr().out
     assert "run again" in (tmp_path / "index.html").read_text()
 
 
 def test_a_folder_of_another_run_is_refused(tmp_path, capsys):
-    assert main(["reproduce", "all", "--out", str(tmp_path), "--items", "rth3d/figure-1"]) == 0
+    assert (
+        main(["reproduce", "all", "--out", str(tmp_path), "--items", "neural-swarm2/figure-2"]) == 0
+    )
     assert main(["reproduce", "all", "--quick", "--out", str(tmp_path)]) == 1
     assert "preset is full there, quick here" in capsys.readouterr().err
 
@@ -206,8 +206,8 @@ def test_items_are_listed_and_unknown_ones_refused(capsys):
     assert main(["reproduce", "all", "--list"]) == 0
     listed = capsys.readouterr().out
     assert all(key in listed for key in ITEMS)
-    with pytest.raises(ValueError, match="did you mean 'rth3d/figure-5'"):
-        choose_studies(("rth3d/figure5",))
+    with pytest.raises(ValueError, match="did you mean 'neural-swarm2/figure-5'"):
+        choose_studies(("neural-swarm2/figure5",))
 
 
 TINY: dict[str, dict[str, Any]] = {
@@ -226,23 +226,9 @@ TINY: dict[str, dict[str, Any]] = {
     "neural-swarm2/study-ball": {"episodes": 1},
     "neural-swarm2/study-limits": {"episodes": 1},
     "neural-swarm2/study-hall": {"episodes": 2, "engine": "batch", "truth": "wake"},
-    "dmpc-swarm/figure-3a": {},
-    "dmpc-swarm/figure-3b": {"seeds": 1, "replay": False},
-    "dmpc-swarm/figure-3c": {"seeds": 1, "replay": False},
-    "dmpc-swarm/figure-4": {"seeds": 1, "replay": False},
-    "dmpc-swarm/study-loss": {"seeds": 1},
-    "rth3d/figure-5": {"runs": 2, "largest": 2000},
-    "rth3d/figure-6": {"runs": 1, "largest": 2000},
-    "rth3d/figure-7": {"runs": 1, "largest": 2000},
-    "rth3d/figure-8": {"runs": 1, "methods": ("rth3d", "rth3d-lba")},
-    "rth3d/figure-9": {"runs": 1, "largest": 4000},
-    "rth3d/figure-11": {},
 }
 """Options with which each study takes seconds."""
-SLOW = {
-    *("neural-swarm2/figure-6", "neural-swarm2/figure-7", "neural-swarm2/study-ball"),
-    *("dmpc-swarm/study-loss", "rth3d/figure-8"),
-}
+SLOW = {"neural-swarm2/figure-6", "neural-swarm2/figure-7", "neural-swarm2/study-ball"}
 STUDIES = {s.key: s for p in PAPERS for s in load_paper(p).STUDIES if s.report is not None}
 EVERY = [pytest.param(key, marks=[pytest.mark.slow] * (key in SLOW), id=key) for key in STUDIES]
 
@@ -250,7 +236,6 @@ EVERY = [pytest.param(key, marks=[pytest.mark.slow] * (key in SLOW), id=key) for
 @pytest.fixture
 def few(monkeypatch):
     """Few drones and few points where options cannot ask for few."""
-    monkeypatch.setattr(dmpc_flights, "DRONES", 4)
     noise = next(sweep for sweep in limits_study.all_sweeps() if sweep.name == "noise")
     points = [p for p in noise.points if p.case == "S2S" and p.value in (0.0, 6.0)]
     monkeypatch.setattr(limits_study, "all_sweeps", lambda: [Sweep("noise", "noise", points)])
@@ -300,7 +285,7 @@ def test_a_study_is_killed_goes_on_and_names_its_claims(key, tmp_path, few):
     assert json.loads(numbers.read_text()) == json.loads(json.dumps(summary))
     written = said.splitlines()[-1].removeprefix("wrote ").split(", ")
     assert all(Path(file).stat().st_size > 100 for file in written)
-    if study.numbered and key != "rth3d/figure-8":
+    if study.numbered:
         claims = list(study.claims(json.loads(numbers.read_text()), Extent(quick=True)))
         assert claims and len({claim.quantity for claim in claims}) == len(claims)
 
@@ -321,12 +306,6 @@ REFUSED = {
         ("--figure 8 --truth none", "no belief ships"),
         ("--table 3", "--data PATH"),
         ("--table 3 --data x.npz --cells H=11", "did you mean 'H=10'"),
-    ],
-    "dmpc-swarm": [("--figure 4 --study loss", "give one of")],
-    "rth3d": [
-        ("--figure 5 --methods rth4d", "rth3d-lba"),
-        ("--figure 5 --methods auto auto", "each method once"),
-        ("--figure 8 --largest 43199", "below every grid"),
     ],
 }
 """Options of each paper that cannot be, and what is said of them."""

@@ -1,4 +1,4 @@
-"""The papers whose figures and tables can be reproduced."""
+"""The paper whose figures and tables can be reproduced."""
 
 from __future__ import annotations
 
@@ -27,16 +27,6 @@ PAPERS = {
         "Interactions",
         "interaction forces, the controller that knows them, the planner",
         f"{_PACKAGE}.neural_swarm2",
-    ),
-    "dmpc-swarm": Paper(
-        "DMPC-Swarm: Distributed Model Predictive Control on Nano UAV Swarms",
-        "distributed MPC over a radio that loses messages",
-        f"{_PACKAGE}.dmpc_figures",
-    ),
-    "rth3d": Paper(
-        "Polynomial Time Near-Time-Optimal Multi-Robot Path Planning in Three Dimensions (RTH3D)",
-        "paths for 100,000 labelled robots on three-dimensional grids",
-        f"{_PACKAGE}.rth3d_figures",
     ),
 }
 """Every paper by the name that the command takes."""
