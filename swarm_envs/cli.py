@@ -157,19 +157,6 @@ def _reproduce(arguments: Sequence[str]) -> int:
     return DONE if complete else FAILED
 
 
-def _export(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands import export
-
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(export.OVERVIEW)
-        return DONE if arguments else MISUSED
-    if arguments[0] not in export.KINDS:
-        raise Misuse(unknown_name("kind", arguments[0], export.KINDS))
-    options, export_kind = export.KINDS[arguments[0]]
-    export_kind(_read(f"export {arguments[0]}", options, arguments[1:]))
-    return DONE
-
-
 def _in_module(name: str) -> Callable[[Sequence[str]], int]:
     """Return a command whose module has `<Name>Options` and `run_<name>`."""
     place = f"commands.{name}"
@@ -207,7 +194,6 @@ COMMANDS: Mapping[str, Command] = {
         ),
     ),
     "fit": Command("fit a force model to flight logs", _fit),
-    "export": Command("export flights, policies and force models to real drones", _export),
     "reproduce": Command("reproduce figures and tables of the papers", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_run_demo` and name it here."""
@@ -224,9 +210,6 @@ EXAMPLES: Mapping[str, str] = {
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
     "fit --residual": "--data flights --out runs/residual",
     "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
-    "export trajectory": "flight/trajectory.parquet --out real --tolerance 0.01",
-    "export policy": "--agent swap-dagger --out policy.h",
-    "export force": "--model learned --out learned.h",
     "reproduce neural-swarm2": "--figure 5 --out runs/figure-5",
     "reproduce all": "--quick --out runs/all",
 }

@@ -13,7 +13,6 @@ import pytest
 import swarm_envs
 from swarm_envs import cli
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM, main
-from swarm_envs.commands.export import KINDS
 from swarm_envs.commands.fly import FlyOptions
 from swarm_envs.commands.mistakes import find_mistake
 from swarm_envs.files import written_whole
@@ -41,8 +40,8 @@ def test_the_program_exits_with_the_command_s_code(module):
     assert "unknown command 'dmeo'; did you mean 'demo'?" in done.stderr
 
 
-CALLS = [[name] for name in COMMANDS if name not in ("reproduce", "export")]
-CALLS += [["reproduce", paper] for paper in (*PAPERS, "all")] + [["export", kind] for kind in KINDS]
+CALLS = [[name] for name in COMMANDS if name != "reproduce"]
+CALLS += [["reproduce", paper] for paper in (*PAPERS, "all")]
 
 
 @pytest.mark.parametrize("call", CALLS, ids=" ".join)
@@ -52,7 +51,7 @@ def test_help_explains_every_option(call, capsys):
     assert end.value.code == 0
     text = capsys.readouterr().out
     # What draws nothing at random needs no seed.
-    assert "--seed" in text or call in (["assignment"], ["export", "trajectory"])
+    assert "--seed" in text or call == ["assignment"]
     assert "--out" in text or call == ["assignment"]
     example = f"{PROGRAM} {' '.join(call)} {EXAMPLES[' '.join(call)]}"
     assert f"Example: {example}" in " ".join(text.split())

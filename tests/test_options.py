@@ -32,7 +32,6 @@ from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig
 from swarm_envs.cli import main
 from swarm_envs.commands.evaluate import EvaluateOptions
-from swarm_envs.commands.export import ForceOptions, PolicyOptions
 from swarm_envs.commands.fly import FlyOptions
 from swarm_envs.commands.grade import GradeOptions
 from swarm_envs.control.config import (
@@ -209,8 +208,6 @@ COMMANDS: dict[type, dict[str, Any]] = {
     FlyOptions: {},
     EvaluateOptions: {},
     GradeOptions: {"assignment": "swap", "agent": ["a.py:A"]},
-    ForceOptions: {"out": Path("a.h")},
-    PolicyOptions: {"agent": "", "out": Path("a.h")},
 }
 
 

@@ -20,7 +20,6 @@ from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.columns_v0 import ColumnsOptions
 from swarm_envs.commands import mistakes
-from swarm_envs.commands.export import KINDS
 from swarm_envs.crowd_v0 import CrowdOptions
 from swarm_envs.delivery_v0 import DeliveryOptions
 from swarm_envs.envs.config import EnvConfig
@@ -170,7 +169,7 @@ def expand(text: str) -> str:
 
 def commands() -> list[tuple[str, ...]]:
     """Every command line that has options of its own: `("fly",)`, `("reproduce", paper)`."""
-    inner = {"reproduce": (*PAPERS, ALL), "export": KINDS}
+    inner = {"reproduce": (*PAPERS, ALL)}
     found: list[tuple[str, ...]] = []
     for name in COMMANDS:
         found += [(name, part) for part in inner[name]] if name in inner else [(name,)]

@@ -11,7 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from swarm_envs.c_text import (
+from swarm_envs.interactions.base import InteractionModel
+from swarm_envs.interactions.c_text import (
     array_definition,
     array_rows,
     check_prefix,
@@ -20,7 +21,6 @@ from swarm_envs.c_text import (
     literal,
     type_enumeration,
 )
-from swarm_envs.interactions.base import InteractionModel
 from swarm_envs.interactions.composed import AXIS_RADIUS
 from swarm_envs.interactions.field import (
     COMPOSED,
@@ -76,7 +76,7 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
         **_self_test(field, np.random.default_rng(seed)),
     }
     middle = "deep_set" if deep_set else "composed"
-    return fill_templates([f"force/{part}.h" for part in ("begin", middle, "end")], words)
+    return fill_templates([f"{part}.h" for part in ("begin", middle, "end")], words)
 
 
 def _networks(name: str, field: ForceField) -> list[str]:

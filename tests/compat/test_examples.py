@@ -58,7 +58,6 @@ def test_every_example_is_run():
     names = {file.stem for file in EXAMPLES.glob("*.py")}
     tests = EXAMPLES.with_name("tests") / "examples"
     elsewhere = {file.stem.removeprefix("test_") for file in tests.glob("test_*.py")}
-    elsewhere |= {"fly_crazyflie"}  # tests/deploy/test_export.py
     elsewhere |= {"ppo", "dagger"}  # tests/training/test_dagger.py
     elsewhere |= {"rllib_ppo", "benchmarl_grid"}  # tests/compat/test_rllib.py, test_benchmarl.py
     elsewhere |= {"tune_agents"}  # tests/test_safety.py

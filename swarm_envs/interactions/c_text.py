@@ -1,8 +1,4 @@
-"""C99 source as text: numbers, arrays and comments, filled into the templates of `c_templates/`.
-
-Both exported headers are made with it: force models by `swarm_envs.interactions.c_header`, trained
-policies by `swarm_envs.agents.c_header`.
-"""
+"""C99 source as text: numbers, arrays and comments, filled into the templates of `c_templates/`."""
 
 from __future__ import annotations
 
@@ -46,7 +42,7 @@ def fill_templates(names: Iterable[str], words: Mapping[str, str]) -> str:
         names: of files in `c_templates/`.
         words: by name; what replaces a word is not searched for further words.
     """
-    folder = resources.files("swarm_envs").joinpath("c_templates")
+    folder = resources.files("swarm_envs.interactions").joinpath("c_templates")
     text = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
     return re.sub(r"@(\w+)@", lambda found: words[found[1]], text)
 

@@ -1,4 +1,4 @@
-/* Interaction force on a drone, made by `swarm-envs export force`. C99, float only.
+/* Interaction force on a drone, made by swarm_envs.interactions.c_header. C99, float only.
  *
 @provenance@
  *
