@@ -37,33 +37,36 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "orca": "swarm_envs.agents.avoiding:orca",
         "roundabout": "swarm_envs.agents.avoiding:roundabout",
         "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
-        "tracking-compensated": (
+        "tracking+compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
         ),
-        "tracking-adaptive": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.adaptive",
-        "tracking-compensated-adaptive": (
+        "tracking+adaptive": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.adaptive",
+        "tracking+compensated+adaptive": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated_adaptive"
         ),
         "detour": "swarm_envs.agents.scripted:DetourAgent",
-        "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
+        "detour+compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         **dict.fromkeys(POLICIES, "swarm_envs.agents.policy:shipped_policy"),
         "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",
-        "air-blind-adaptive": "swarm_envs.baselines.neural_swarm.air:air_blind_adaptive",
+        "air-blind+adaptive": "swarm_envs.baselines.neural_swarm.air:air_blind_adaptive",
         "air-aware": "swarm_envs.baselines.neural_swarm.air:air_aware",
-        "air-nearest": "swarm_envs.baselines.neural_swarm.air:air_nearest",
         "air-on-top": "swarm_envs.baselines.neural_swarm.air:air_on_top",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent",
-        "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent.compensated",
+        "mlr-dmpc+compensated": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent.compensated",
         "rth3d": "swarm_envs.baselines.rth3d.grid_agent:GridAgent",
-        "rth3d-compensated": "swarm_envs.baselines.rth3d.grid_agent:GridAgent.compensated",
+        "rth3d+compensated": "swarm_envs.baselines.rth3d.grid_agent:GridAgent.compensated",
     }
 )
-"""Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
-called without arguments, but for policies, which are loaded by their name."""
+"""Shipped agents as `"module:Class"`, imported when they are loaded. The class, or function, after
+the colon is called without arguments, except for policies, which are loaded by their name.
+
+A name may have suffixes that change the tracking controller: `+compensated` feeds forward the force
+that the agent's own model predicts, `+adaptive` compensates an estimate of the force (INDI). Each
+supported combination is a key of its own."""
 
 FILTER = "+filter"
-"""What an agent's name ends in to be flown behind a `swarm_envs.agents.SafetyFilter`."""
+"""The last suffix of an agent's name, which puts a `swarm_envs.agents.SafetyFilter` around it."""
 _USERS_MODULE = "swarm_envs_users_agent_"
 
 
@@ -72,17 +75,18 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     """Make an agent.
 
     Args:
-        name: one that ships (a key of `SHIPPED`); a trained policy: the folder of its training
-            run or its .safetensors file; or a class in a file, `path/to/file.py:Class`, which is
-            called without arguments. With `+filter` at its end, behind a safety filter: the
-            policy's own, if its file names one.
+        name: a shipped agent (a key of `SHIPPED`) with its suffixes, such as
+            `detour+compensated`; a trained policy: the folder of its training run or its
+            .safetensors file; or a class in a file, `path/to/file.py:Class`, which is called
+            without arguments. The suffix `+filter`, the last one, puts a safety filter around the
+            agent: the policy's own, if its file names one.
         environment: the versioned name of the task that it is to fly, such as `swap_v0`: shipped
             agents that compensate have the belief that was fitted in the forces which that version
             calls `learned`. None for the newest.
 
     Raises:
-        ValueError: no agent has this name, it cannot be filtered, or what the file holds is no
-            agent; the message says what is missing.
+        ValueError: no agent has this name, it does not support a suffix, or what the file holds is
+            no agent; the message says what is missing.
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
@@ -136,7 +140,7 @@ def controller_of(name: str) -> ControllerConfig:
     if not isinstance(found, ControllerConfig):
         raise ValueError(
             f"controller is {name!r}, but must be a shipped agent with a controller of its own, "
-            "such as 'air-aware' or 'tracking-compensated'"
+            "such as 'air-aware' or 'tracking+compensated'"
         )
     return found
 
@@ -154,12 +158,26 @@ def _unknown_agent(name: str) -> str:
         return f"agent {name!r} names no class; write {name + ':Class'!r}"
     if "," in name:
         return f"unknown agent {name!r}; separate names by spaces"
+    base, suffixed, _ = name.partition("+")
+    if suffixed and base in SHIPPED:
+        supported = ", ".join(_suffixes_of(base)) or "no suffix"
+        return f"unknown agent {name!r}; {base!r} supports {supported}"
     near = difflib.get_close_matches(name.lower(), SHIPPED, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return (
         f"unknown agent {name!r}; {hint}`swarm-envs fly --help` lists the included agents; others "
         "are 'path/to/file.py:Class' and folders of training runs; +filter may follow each"
     )
+
+
+def _suffixes_of(name: str) -> list[str]:
+    """The suffixes that may follow the name of a shipped agent, `+filter` last."""
+    found = [known.removeprefix(name) for known in SHIPPED if known.startswith(f"{name}+")]
+    try:
+        load_agent(name + FILTER)
+    except ValueError:
+        return found
+    return [*found, FILTER]
 
 
 def load_class(name: str) -> Any:

@@ -157,7 +157,7 @@ class SetpointAgent(ABC):
         if not self.goals_rest(task):
             raise ValueError(
                 f"{type(self).__name__} plans to goals at rest, but those of {task.name} move; "
-                "use swap or formation, or the agent 'tracking-compensated'"
+                "use swap or formation, or the agent 'tracking+compensated'"
             )
 
 

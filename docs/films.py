@@ -46,8 +46,8 @@ FILMS = {
     "pursuit": Take("pursuit_v0", "pursuit-dagger", {"layout": "chase"}),
     "gates": Take("gates_v0", "gates-dagger", {"num_drones": 4}),
     "tracking": Take("swap_v1", "tracking", {"team": "L2S", "layout": "stacked"}),
-    "tracking-compensated": Take(
-        "swap_v1", "tracking-compensated", {"team": "L2S", "layout": "stacked"}
+    "tracking+compensated": Take(
+        "swap_v1", "tracking+compensated", {"team": "L2S", "layout": "stacked"}
     ),
     "roundabout": Take("swap_v1", "roundabout", {"num_drones": 16, "layout": "circle"}),
     "orca": Take("swap_v1", "orca", {"num_drones": 8, "layout": "random"}),
@@ -60,22 +60,21 @@ FILMS = {
         {"layout": "sprint", "num_drones": 8, "world": "hall", "horizon_s": 1.8},
     ),
     "ring-dagger": Take("ring_v1", "ring-dagger", {"num_drones": 16}),
-    "detour-compensated": Take("swap_v1", "detour-compensated", {"team": "SSSSLLLL"}),
+    "detour+compensated": Take("swap_v1", "detour+compensated", {"team": "SSSSLLLL"}),
     "neural-swarm-planner": Take("swap_v1", "neural-swarm-planner", {"num_drones": 3}),
     "mlr-dmpc": Take("swap_v1", "mlr-dmpc", {"num_drones": 8, "layout": "circle"}),
-    "rth3d-compensated": Take("formation_v1", "rth3d-compensated", {"num_drones": 10}),
+    "rth3d+compensated": Take("formation_v1", "rth3d+compensated", {"num_drones": 10}),
     "hover": Take("columns_v0", "hover", {}),
     "random": Take("swap_v1", "random", {"num_drones": 4}),
     "straight-line": Take("swap_v1", "straight-line+filter", {"num_drones": 4}),
     "fast-line": Take("swap_v1", "fast-line", {"num_drones": 8, "layout": "random"}),
-    "tracking-adaptive": Take("swap_v1", "tracking-adaptive", HALL),
-    "tracking-compensated-adaptive": Take("swap_v1", "tracking-compensated-adaptive", HALL),
+    "tracking+adaptive": Take("swap_v1", "tracking+adaptive", HALL),
+    "tracking+compensated+adaptive": Take("swap_v1", "tracking+compensated+adaptive", HALL),
     "air-blind": Take("delivery_v0", "air-blind", {}),
-    "air-blind-adaptive": Take("delivery_v0", "air-blind-adaptive", {}),
-    "air-nearest": Take("columns_v0", "air-nearest", {}),
+    "air-blind+adaptive": Take("delivery_v0", "air-blind+adaptive", {}),
     "air-on-top": Take("columns_v0", "air-on-top", {}),
     "detour": Take("swap_v1", "detour", {"num_drones": 8, "layout": "circle"}),
-    "mlr-dmpc-compensated": Take("swap_v1", "mlr-dmpc-compensated", {"team": "SSLL"}),
+    "mlr-dmpc+compensated": Take("swap_v1", "mlr-dmpc+compensated", {"team": "SSLL"}),
     "rth3d": Take("formation_v1", "rth3d", {"num_drones": 10, "interactions": "none"}),
 }
 """By name: the task's family, or an agent."""

@@ -50,7 +50,6 @@ class Case(NamedTuple):
 _CLOCK_S = 12.0
 _SWAPS = (("random", 4), ("random", 8), ("random", 16), ("random", 32), ("circle", 4),
           ("circle", 8), ("circle", 12), ("circle", 16))  # fmt: skip
-_STACKED = ("air-nearest", "air-on-top")
 _SPREAD = 0.2
 """Standard deviation of the logarithm of what a number is multiplied by."""
 _OF_TIME, _OF_NEAR_MISSES = 0.02, 0.2
@@ -62,8 +61,8 @@ class TuneOptions:
     """Tune an agent's numbers by trying others near the best that is known."""
 
     agent: str
-    """one of `fast-line`, `orca`, `roundabout`, `air-blind`, `air-blind-adaptive`, `air-nearest`,
-    `air-aware`"""
+    """one of `fast-line`, `orca`, `roundabout`, `air-blind`, `air-blind+adaptive`, `air-aware`,
+    `air-on-top`"""
     out: Path
     """file of the trials, a line of JSON each"""
     task: list[str] = field(default_factory=list)
@@ -79,7 +78,7 @@ class TuneOptions:
 def cases_of(agent: str, tasks: Sequence[str] = ()) -> list[Case]:
     """What an agent is tuned on: tasks of the benchmark, or swaps of 4 to 32 drones."""
     if agent in air.TUNED or tasks:
-        usual = ["air-stack-*"] if agent in _STACKED else ["air-sprint-*", "air-delivery-*"]
+        usual = ["air-stack-*"] if agent == "air-on-top" else ["air-sprint-*", "air-delivery-*"]
         chosen = choose_tasks(tasks or usual)
         return [Case(task.id, task.environment, task.setting) for task in chosen]
     common = {"physics": "batch", "horizon_s": _CLOCK_S}

@@ -57,6 +57,37 @@ def test_who_compensates_believes_what_was_fitted_in_the_forces_of_the_version(n
     assert load_belief("learned").fingerprint != load_belief("learned-v0").fingerprint
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("detour+adaptive", r"unknown agent 'detour\+adaptive'; 'detour' supports \+compensated$"),
+        (
+            "tracking+adaptive+compensated",
+            r"'tracking' supports \+compensated, \+adaptive, \+compensated\+adaptive$",
+        ),
+        ("straight-line+adaptive", r"'straight-line' supports \+filter$"),
+        ("fast-line+compensated", "'fast-line' supports no suffix$"),
+        ("swap-dagger+filter+adaptive", r"'swap-dagger' supports \+filter$"),
+        ("rth3d_compensated", r"did you mean 'rth3d\+compensated'"),
+    ],
+)
+def test_an_unsupported_suffix_is_refused_with_the_supported_ones(name, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        load(name)
+
+
+@pytest.mark.parametrize(
+    ("policy", "agent"),
+    [
+        ("delivery-dagger", "air-blind+adaptive"),
+        ("ring-dagger", "tracking+compensated+adaptive"),
+        ("stack-dagger", "air-on-top"),
+    ],
+)
+def test_shipped_policies_fly_with_the_controllers_that_their_files_name(policy, agent) -> None:
+    assert load(policy).requires["controller"] == load(agent).requires["controller"]
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_agents_load_by_name_and_fly(name) -> None:
     agent = load(name)
@@ -221,7 +252,7 @@ SOLVED: list[tuple[str, dict[str, Any]]] = [
 @pytest.mark.parametrize(("task", "options"), SOLVED)
 def test_it_solves_each_task(task, options):
     """Through the air of `learned`, its controller compensating what a fit to flights believes."""
-    agent = load("detour-compensated")
+    agent = load("detour+compensated")
     env = swarm_envs.make(task, physics="batch", **options, **agent.requires)
     metrics = fly_episode(env, agent, seed=0)
     assert metrics["success"]

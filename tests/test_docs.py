@@ -86,7 +86,7 @@ def test_every_module_is_on_one_reference_page():
 
 def test_every_shipped_agent_has_its_row():
     rows = re.findall(r"^\| `([\w-]+)` \|", (DOCS / "agents.md").read_text(), re.MULTILINE)
-    assert sorted(rows) == sorted(SHIPPED)
+    assert sorted(rows) == sorted({name.partition("+")[0] for name in SHIPPED})
 
 
 PAGES_OF_TASKS = [

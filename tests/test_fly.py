@@ -35,7 +35,7 @@ def crash(tmp_path: Path) -> Path:
 def test_a_flight_is_printed_and_written(capsys, tmp_path):
     numbers, path = tmp_path / "a.json", tmp_path / "a.npz"
     files = ["--json", str(numbers), "--trajectory", str(path)]
-    assert main([*STACKED, "--agent", "tracking-compensated", *files]) == 0
+    assert main([*STACKED, "--agent", "tracking+compensated", *files]) == 0
     said = capsys.readouterr()
     assert "Success, after" in said.out
     assert "Minimum separation" in said.out
@@ -45,7 +45,7 @@ def test_a_flight_is_printed_and_written(capsys, tmp_path):
     assert written["metrics"] == recording.about.metrics
     assert (written["team"], written["agent"], written["seed"]) == (
         "LS",
-        "tracking-compensated",
+        "tracking+compensated",
         1,
     )
     assert recording.about.seed == 1

@@ -328,7 +328,7 @@ def successes(*given: Any, **options: Any) -> float:
 def test_heights_on_rings_are_kept_by_imitation_as_with_compensation(given):
     own, others = (
         flown(name, "ring_v1", SEEDS[:1], **given)[0]
-        for name in ("ring-dagger", "tracking-compensated")
+        for name in ("ring-dagger", "tracking+compensated")
     )
     assert own["success"]
     assert own["worst_height_error_m"] < min(others["worst_height_error_m"], 0.012)

@@ -136,7 +136,7 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
         if len(task.team) > MAX_DRONES:
             raise ValueError(
                 f"PlanAgent got {len(task.team)} drones, but plans for at most {MAX_DRONES}; for "
-                "more use an agent that does not plan all together, such as 'tracking-compensated'"
+                "more use an agent that does not plan all together, such as 'tracking+compensated'"
             )
         if task.obstacles:
             raise ValueError(

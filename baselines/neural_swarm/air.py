@@ -1,8 +1,8 @@
-"""Agents for the tasks in which the air decides, those that ignore it and those that know it.
+"""Agents for the tasks that downwash decides, with and without a model of the force.
 
-All fly from rest to rest to their goals, or follow the reference where goals move, and differ in
-their controllers and in who takes which place. The numbers are tuned on these tasks, on seeds
-apart: `python -m examples.tune_agents`.
+All fly from rest to rest to their goals, or follow the reference where goals move. They differ in
+their controllers and in the choice of places. Their numbers were tuned on these tasks, with other
+seeds than the benchmark's: `python -m examples.tune_agents`.
 """
 
 from __future__ import annotations
@@ -116,25 +116,22 @@ class AirAgent(TrackingAgent):
 _PRECISE = AirNumbers(
     position=6.0, velocity=10.0, integral=1.5, attitude=16.0, rate=16.5, cutoff_hz=4.8
 )
-_SPARING = AirNumbers(
-    position=0.87, velocity=4.6, integral=1.4, attitude=11.0, rate=4.8, cutoff_hz=2.9, believes=True
-)
 TUNED: Mapping[str, AirNumbers] = MappingProxyType(
     {
         "air-blind": AirNumbers(position=5.0, velocity=7.5, integral=2.5),
-        "air-blind-adaptive": _PRECISE,
+        "air-blind+adaptive": _PRECISE,
         "air-aware": replace(_PRECISE, believes=True, chooses=True),
-        "air-nearest": _SPARING,
-        "air-on-top": replace(_SPARING, chooses=True),
+        "air-on-top": AirNumbers(
+            position=0.87, velocity=4.6, integral=1.4, attitude=11.0, rate=4.8, cutoff_hz=2.9,
+            believes=True, chooses=True,
+        ),
     }
-)
-"""The agents that ship, by name, with their numbers."""
+)  # fmt: skip
+"""Numbers of the shipped agents, by name."""
 
 
-air_blind, air_blind_adaptive, air_aware, air_nearest, air_on_top = (
-    numbers.agent for numbers in TUNED.values()
-)
-"""Make the agents of these names."""
+air_blind, air_blind_adaptive, air_aware, air_on_top = (numbers.agent for numbers in TUNED.values())
+"""Factories of the shipped agents."""
 
 
 def heavy_on_top(places: FloatArray, team: Team) -> FloatArray:

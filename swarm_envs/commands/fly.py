@@ -100,13 +100,14 @@ class FlyOptions(EpisodeOptions):
     """
 
     agent: str | None = None
-    """agent; default: the best for the task in the benchmark. Names: hover, random, straight-line,
-    fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also -compensated),
-    tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive, air-aware,
-    air-nearest, air-on-top, neural-swarm-planner, swap-dagger, gates-dagger,
-    pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger, delivery-dagger,
-    ring-dagger. Also the folder of a trained policy, or
-    path/to/file.py:Class. The suffix +filter adds a safety filter"""
+    """agent; default: the best for the task in the benchmark. Simple baselines: hover, random,
+    straight-line. Scripts that avoid other drones: fast-line, orca, roundabout. Planners: detour,
+    mlr-dmpc, rth3d (each also with +compensated), neural-swarm-planner. Tracking of moving
+    references: tracking (also with +compensated, +adaptive or both, in this order). Precise flight
+    in downwash: air-blind (also with +adaptive), air-aware, air-on-top. Policies: swap-dagger,
+    gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger,
+    delivery-dagger, ring-dagger. Also the folder of a trained policy, or path/to/file.py:Class.
+    The suffix +filter, the last one, adds a safety filter"""
     seed: Seed = 0
     """random seed of the episode and the agent"""
     out: Path | None = None

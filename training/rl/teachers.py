@@ -149,7 +149,7 @@ def _all_force(core: SwarmCore) -> FloatArray:
 class RingLine(AirLine):
     """The same with the gains of `tracking`, which the errors of the hall disturb less."""
 
-    controller = "tracking-compensated-adaptive"
+    controller = "tracking+compensated+adaptive"
 
 
 class AirInTime(AirLine):
@@ -186,7 +186,7 @@ class SprintInTime(AirInTime):
 class DeliveryInTime(AirInTime):
     """The same in the time that `delivery` leaves, with an estimate of the force."""
 
-    controller, travel_s, latest = "air-blind-adaptive", 1.5, 0.8
+    controller, travel_s, latest = "air-blind+adaptive", 1.5, 0.8
 
 
 class AirOracle(AirLine):

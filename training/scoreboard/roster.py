@@ -32,63 +32,81 @@ class Place:
     """CPU seconds for each drone and second of the clock, about: what the bar reckons with."""
 
 
-_POLICY = "One network for every drone, on what each observes itself."
-_COMPENSATED = (
-    "The same, over a controller that feeds forward the force that its own model predicts."
-)
-_ADAPTIVE = "The same controller, with an estimate of the force (INDI) in place of a force model."
+_POLICY = "One network for every drone, on its own observation."
+_COMPENSATED = "The same, with a controller that feeds forward the force that its model predicts."
+_ADAPTIVE = "The same, with a controller that compensates an estimate of the force (INDI)."
 _FILTERED = "The same, behind a filter of barrier functions."
 
 ROSTER: Mapping[str, Place] = MappingProxyType(
     {
-        "hover": Place("hover", "Stays where it starts: what doing nothing is worth.", 2),
-        "random": Place("random", "Draws every action evenly: what chance is worth.", 2, 0.0005),
-        "straight-line": Place("straight line", "A PD law to the goal that ignores others."),
+        "hover": Place("hover", "Stays where it starts: the score of no motion.", 2),
+        "random": Place("random", "Draws every action uniformly: the score of chance.", 2, 0.0005),
+        "straight-line": Place("straight line", "A PD law to the goal that ignores other drones."),
         "straight-line+filter": Place("straight line + filter", _FILTERED),
         "fast-line": Place("fast line", "A faster PD law, behind the filter.", 1, 0.0015),
         "orca": Place("ORCA", "Reciprocal velocity obstacles.", 1, 0.0015),
         "roundabout": Place(
-            "roundabout", "Where several ways meet: right, slower, on several floors.", 1, 0.0015
+            "roundabout", "Where paths cross: slower, to the right, at separate heights.", 1, 0.0015
         ),
-        "tracking": Place("tracking", "The controller of Neural-Swarm2, uncompensated.", 2),
-        "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
-        "tracking-adaptive": Place("tracking, adaptive", _ADAPTIVE, 2),
-        "tracking-compensated-adaptive": Place(
-            "tracking, compensated and adaptive", "The same, with that belief beside it.", 2
+        "tracking": Place("tracking", "The controller of Neural-Swarm2, for moving references.", 2),
+        "tracking+compensated": Place("tracking, compensated", _COMPENSATED, 2),
+        "tracking+adaptive": Place("tracking, adaptive", _ADAPTIVE, 2),
+        "tracking+compensated+adaptive": Place(
+            "tracking, compensated and adaptive", "The same, with feed-forward and estimate.", 2
         ),
-        "air-blind": Place("air, blind", "Stiff gains and an integrator; it knows of no air.", 2),
-        "air-blind-adaptive": Place("air, blind and adaptive", _ADAPTIVE, 2),
-        "air-aware": Place("air, aware", "It knows the force, and who should be on top.", 2),
-        "air-nearest": Place("air, nearest", "It knows the force, and saves thrust.", 2),
-        "air-on-top": Place("air, on top", "The same, with the heavy drones on top.", 2),
-        "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
-        "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
-        "swap-dagger": Place("swap DAgger", f"{_POLICY} It imitates a roundabout."),
-        "gates-dagger": Place("gates DAgger", f"{_POLICY} It imitates who settles the fastest."),
+        "air-blind": Place(
+            "air, blind", "Stiff gains and an integrator, without a force model.", 2
+        ),
+        "air-blind+adaptive": Place("air, blind and adaptive", _ADAPTIVE, 2),
+        "air-aware": Place(
+            "air, aware", "Force model and estimate, for fast and precise flight.", 2
+        ),
+        "air-on-top": Place(
+            "air, on top", "The same with soft gains, for drones near their thrust limit.", 2
+        ),
+        "detour": Place(
+            "detour", "Smooth paths around each other, planned once, for every task.", 4
+        ),
+        "detour+compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
+        "swap-dagger": Place("swap DAgger", f"{_POLICY} It imitates a roundabout, for circles."),
+        "gates-dagger": Place(
+            "gates DAgger", f"{_POLICY} It flies gates in the downwash of others."
+        ),
         "pursuit-dagger": Place(
-            "pursuit DAgger", f"{_POLICY} It imitates tracking, and a roundabout."
+            "pursuit DAgger",
+            f"{_POLICY} It imitates tracking and a roundabout, for goals that move.",
         ),
         "pursuit-dagger+filter": Place("pursuit DAgger + filter", _FILTERED),
         "crowd-dagger": Place(
-            "crowd DAgger", f"{_POLICY} It imitates a script that knows where all obstacles are."
+            "crowd DAgger", f"{_POLICY} It imitates a script that knows all obstacles."
         ),
         "crowd-dagger+filter": Place("crowd DAgger + filter", _FILTERED),
-        "stack-dagger": Place("stack DAgger", f"{_POLICY} It puts the heavy drones on top."),
-        "mixed-dagger": Place("mixed DAgger", f"{_POLICY} It puts the heavy drones on top."),
+        "stack-dagger": Place(
+            "stack DAgger", f"{_POLICY} It puts heavy drones on top, for small drones."
+        ),
+        "mixed-dagger": Place(
+            "mixed DAgger", f"{_POLICY} It puts heavy drones on top, for mixed teams."
+        ),
         "sprint-dagger": Place(
-            "sprint DAgger", f"{_POLICY} It imitates ways that take just the time."
+            "sprint DAgger", f"{_POLICY} It imitates minimum-jerk paths, for short times."
         ),
         "delivery-dagger": Place(
-            "delivery DAgger", f"{_POLICY} It imitates ways that take just the time."
+            "delivery DAgger", f"{_POLICY} It imitates minimum-jerk paths, for docks."
         ),
-        "ring-dagger": Place("ring DAgger", f"{_POLICY} It imitates who leads set-points."),
+        "ring-dagger": Place(
+            "ring DAgger", f"{_POLICY} It leads set-points against the force, for rings."
+        ),
         "neural-swarm-planner": Place(
-            "Neural-Swarm2 planner", "Plans within bounds on the force, then tracks.", 8, 0.1
+            "Neural-Swarm2 planner", "Plans paths with bounded forces, and tracks them.", 8, 0.1
         ),
-        "mlr-dmpc": Place("MLR-DMPC", "Distributed MPC, again five times a second.", 4, 0.009),
-        "mlr-dmpc-compensated": Place("MLR-DMPC, compensated", _COMPENSATED, 4, 0.009),
-        "rth3d": Place("RTH3D", "Plans on a grid, and flies splines along it.", 4, 0.007),
-        "rth3d-compensated": Place("RTH3D, compensated", _COMPENSATED, 4, 0.007),
+        "mlr-dmpc": Place(
+            "MLR-DMPC", "Distributed MPC over a radio, five times a second.", 4, 0.009
+        ),
+        "mlr-dmpc+compensated": Place("MLR-DMPC, compensated", _COMPENSATED, 4, 0.009),
+        "rth3d": Place(
+            "RTH3D", "Plans on a grid and flies splines along the plan, for many drones.", 4, 0.007
+        ),
+        "rth3d+compensated": Place("RTH3D, compensated", _COMPENSATED, 4, 0.007),
     }
 )
 """Agents by name, in the order in which they are shown."""

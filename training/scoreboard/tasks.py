@@ -123,8 +123,8 @@ def _force_model(name: str) -> str:
     return describe_model(load(name))["sha256"]
 
 
-_DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
-_ADAPTIVE = "tracking-compensated-adaptive"
+_DETOUR, _ROUND, _TRACKING = "detour+compensated", "roundabout", "tracking+compensated"
+_ADAPTIVE = "tracking+compensated+adaptive"
 _AWARE, _TOP, _LINE = "air-aware", "air-on-top", "fast-line"
 
 _KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
@@ -294,7 +294,7 @@ _NEW = (
     _of_own("air-sprint-8", _SPRINT, "columns_v0", f"{_AWARE}@2", 128, 3, layout="sprint",
             num_drones=8, horizon_s=1.8),
     _of_own("air-delivery-7", "Couriers dock above the floor, at two of three docks below others.",
-            "delivery_v0", "air-blind-adaptive", 128, num_drones=7),
+            "delivery_v0", "air-blind+adaptive", 128, num_drones=7),
     _of_own("air-gates-4", "A slalom in vertical formation, in 12 s.",
             "gates_v0", _AWARE, 64, num_drones=4, horizon_s=12.0),
     _of_own("crowd-open-64", _GOALS, "crowd_v0", _ROUND, 16, layout="open", num_drones=64),

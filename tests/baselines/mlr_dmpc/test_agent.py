@@ -159,7 +159,7 @@ def test_fifty_swaps_of_eight_on_bullet_collide_never_and_arrive():
 
 
 def test_formations_are_reached_with_the_downwash_fed_forward():
-    agent = load("mlr-dmpc-compensated")
+    agent = load("mlr-dmpc+compensated")
     env = formation_v0.parallel_env(num_drones=8, physics="batch", **agent.requires)
     metrics = fly_episode(env, agent, 0)
     assert metrics["success"], metrics

@@ -236,7 +236,7 @@ def test_a_crash_is_no_near_miss_and_has_no_makespan():
 
 
 def test_a_tour_s_makespan_is_the_time_of_its_last_shape():
-    row = row_of(TOUR, "tracking-compensated", 0, flown(TOUR, "tracking-compensated", 2), None)
+    row = row_of(TOUR, "tracking+compensated", 0, flown(TOUR, "tracking+compensated", 2), None)
     assert row["success"] and row["score"] == 1.0
     assert 18.0 < row["makespan_s"] < 24.0
 
