@@ -17,13 +17,6 @@ Situation = tuple[Trajectory, int, Neighbors, FloatArray]
 """What a drone flies, the next round, what the others may fly from then on, its target."""
 
 
-def no_neighbors(config: MlrDmpcConfig) -> Neighbors:
-    """The neighbours of a drone that flies alone."""
-    return Neighbors(
-        np.zeros((0, config.num_samples, 3)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-    )
-
-
 def neighbors_of(swarm: MlrDmpcSwarm, drone: int, chosen: Sequence[int]) -> Neighbors:
     """What all others may fly from the next round on; who of them is chosen is planned, too."""
     known = [(i, one) for i, may in enumerate(swarm.may_fly) for one in may if i != drone]
