@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -30,12 +28,3 @@ def test_interpreted_kernels_give_what_compiled_ones_give(name: str, tmp_path: P
             np.testing.assert_allclose(
                 interpreted[field], expected, rtol=1e-6, atol=1e-9, err_msg=field
             )
-
-
-@pytest.mark.skipif(shutil.which("make") is None, reason="no make")
-def test_the_tests_that_make_coverage_interprets_are_there() -> None:
-    database = subprocess.run(["make", "-pn"], cwd=ROOT, capture_output=True, text=True).stdout
-    (listed,) = re.findall(r"^INTERPRETED := (.*)$", database, re.MULTILINE)
-    for place in listed.split():
-        file, _, name = place.partition("::")
-        assert f"def {name}" in (ROOT / file).read_text("utf-8"), place
