@@ -10,7 +10,6 @@ nothing of this folder. A line of JSON asks, a line of JSON answers.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import json
 import os
 import sys
@@ -24,7 +23,10 @@ from typing import Any
 
 import numpy as np
 
-TASK = "swap_v1" if importlib.util.find_spec("swarm_envs.swap_v1") else "swap_v0"  # of 0.1.0
+import swarm_envs
+
+TASK = "swap_v1" if (Path(swarm_envs.__file__).parent / "swap_v1.py").exists() else "swap_v0"
+"""Swaps of the tree that is measured; release 0.1.0 has version 0 alone."""
 HOVER_DECISIONS = 96  # flown before the clock starts: 2 s
 
 Call = Callable[[], object]

@@ -14,17 +14,21 @@ from tests.helpers.scenarios import SCENARIOS
 from tests.helpers.sources import ROOT
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_interpreted_kernels_give_what_compiled_ones_give(name: str, tmp_path: Path) -> None:
-    out = tmp_path / "arrays.npz"
-    command = [sys.executable, "-m", "tests.helpers.scenarios", name, str(out)]
+@pytest.fixture(scope="module")
+def interpreted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of what a process without compilation writes."""
+    folder = tmp_path_factory.mktemp("interpreted")
+    command = [sys.executable, "-m", "tests.helpers.scenarios", str(folder)]
     plain = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=ROOT, env=plain, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_interpreted_kernels_give_what_compiled_ones_give(name: str, interpreted: Path) -> None:
     compiled = SCENARIOS[name]()
-    with np.load(out) as interpreted:
-        assert set(interpreted) == set(compiled)
+    with np.load(interpreted / f"{name}.npz") as arrays:
+        assert set(arrays) == set(compiled)
         for field, expected in compiled.items():
-            np.testing.assert_allclose(
-                interpreted[field], expected, rtol=1e-6, atol=1e-9, err_msg=field
-            )
+            np.testing.assert_allclose(arrays[field], expected, rtol=1e-6, atol=1e-9, err_msg=field)

@@ -1,7 +1,8 @@
-"""Small jobs that go through the kernels; the arrays they end with. `python -m` writes them.
+"""Small jobs that go through the kernels, and the arrays they end with.
 
-Each is a matter of seconds without compilation, so that a process with `NUMBA_DISABLE_JIT=1` can
-do what a compiled one does.
+`python -m tests.helpers.scenarios FOLDER` does all and writes the arrays of each to a file. Each is
+a matter of seconds without compilation, so that a process with `NUMBA_DISABLE_JIT=1` can do what a
+compiled one does.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -125,4 +127,5 @@ SCENARIOS: dict[str, Callable[[], Arrays]] = {
 
 
 if __name__ == "__main__":
-    np.savez(sys.argv[2], **SCENARIOS[sys.argv[1]]())  # type: ignore[arg-type]
+    for name, job in SCENARIOS.items():
+        np.savez(Path(sys.argv[1], f"{name}.npz"), **job())  # type: ignore[arg-type]
