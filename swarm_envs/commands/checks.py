@@ -99,15 +99,6 @@ def check_outputs(out: Path, json: Path | None, suffixes: tuple[str, ...] = ()) 
         check_file("--json", json, suffixes)
 
 
-def need_recording(file: Path) -> None:
-    """Refuse a recorded flight that is not there."""
-    if not file.is_file():
-        kind, fix = "there is no", "`swarm-envs fly --trajectory FILE` records a flight"
-        if file.is_dir():
-            kind, fix = "there is a folder, not a", "name the recording in it, trajectory.parquet"
-        raise Misuse(f"{kind} file {str(file)!r}; {fix}")
-
-
 def _exists(given: str, path: Path) -> bool:
     try:
         return path.exists()
