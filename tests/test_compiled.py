@@ -190,6 +190,7 @@ def test_without_any_folder_for_a_cache_the_message_says_what_to_set(package, tm
     assert run(package, **user) == ("8 8 1", "")
 
 
+@pytest.mark.slow
 def test_a_damaged_cache_is_compiled_again_and_overwritten(package: Path) -> None:
     """A flipped byte (None), or a file that is cut short."""
     run(package)
@@ -242,6 +243,7 @@ def test_damaged_digests_are_written_again(package: Path) -> None:
     assert all(file.read_text(encoding="utf-8").startswith("{") for file in digests)
 
 
+@pytest.mark.slow
 def test_processes_that_start_at_once_do_not_disturb_each_other(package: Path) -> None:
     """Neither while they fill an empty cache nor while they mend a damaged one."""
     for _ in range(2):

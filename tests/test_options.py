@@ -275,6 +275,7 @@ def test_text_that_says_nothing_is_refused(option, text, said):
         make("swap_v1", physics="batch", **{option: text})
 
 
+@pytest.mark.slow
 def test_fly_and_evaluate_take_them(tmp_path):
     file = tmp_path / "report.json"
     given = [*WORDS, *CREW, "--agent", "straight-line", "--horizon-s", "0.5"]
@@ -301,6 +302,7 @@ def test_train_flies_them(tmp_path):
     assert found.task.reward_weights["at_goal"] == pytest.approx(2.0 / 3.5)
 
 
+@pytest.mark.slow
 def test_the_benchmark_flies_them_under_another_id(tmp_path):
     given = ["--task", "swap-random-2-v2", "--agent", "straight-line", "--episodes", "2"]
     more = [*WORDS, *CREW, "--no-replays", "--table", "csv"]

@@ -46,7 +46,7 @@ TIMES = re.compile(
     r"(^|_)(s|ms|us|seconds|times?|wall|rate|per_s|p50|p99|command|started|runs)(_least|_most)?$"
 )
 """Names of what says how long a run took, when it ran and by which command."""
-UNCOMPARED = re.compile(r"^manifest\.json$|\.lock$|\.(png|html|md)$")
+UNCOMPARED = re.compile(r"^manifest\.json$|\.lock$|partial|\.(png|html|md)$")
 """Files of which no two runs write the same bytes, or that show what is in others."""
 
 
