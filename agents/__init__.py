@@ -3,6 +3,7 @@
 if __name__ == "agents":
     raise ImportError("import swarm_envs.agents: the bare name 'agents' is another package's")
 
+from swarm_envs.agents.models import from_model
 from swarm_envs.agents.protocol import (
     Actions,
     Agent,
@@ -21,6 +22,7 @@ __all__ = [
     "Safety",
     "SafetyFilter",
     "fly_episode",
+    "from_model",
     "load",
     "recommended",
     "record_episode",

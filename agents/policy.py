@@ -281,6 +281,13 @@ def read_policy(path: Path) -> Policy:
         FileNotFoundError: there is no such file.
         ValueError: it is damaged, of no format that is known, or of another observation layout.
     """
+    if path.suffix == ".zip":
+        raise ValueError(
+            f"policy {str(path)!r} looks like a model of Stable-Baselines3, which is a pickle: it "
+            "can run any code when it is read, so commands refuse it. Read a model of your own in "
+            "Python and fly it there: agent = swarm_envs.agents.from_model(PPO.load(path), env); "
+            "fly_episode(env, agent, seed)"
+        )
     if not path.is_file():
         raise FileNotFoundError(
             f"there is no {str(path)!r}; train a policy by `swarm-envs train`, or name an agent's "
@@ -288,7 +295,7 @@ def read_policy(path: Path) -> Policy:
         )
     if path.suffix != ".safetensors":
         raise ValueError(
-            f"policy {str(path)!r} is no .safetensors file: a pickle, such as .pt or .zip, can "
+            f"policy {str(path)!r} is no .safetensors file: a pickle, such as .pt, can "
             "run any code when it is read, and is refused; write it by `swarm-envs train`"
         )
     try:

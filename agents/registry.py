@@ -8,7 +8,7 @@ import importlib.util
 import inspect
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any
@@ -78,7 +78,8 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         name: a shipped agent (a key of `SHIPPED`) with its suffixes, such as
             `detour+compensated`; a trained policy: the folder of its training run or its
             .safetensors file; or a class in a file, `path/to/file.py:Class`, which is called
-            without arguments. The suffix `+filter`, the last one, puts a safety filter around the
+            without arguments, or a function of observation rows in one, `path/to/file.py:function`
+            (see `from_model`). The suffix `+filter`, the last one, puts a safety filter around the
             agent: the policy's own, if its file names one.
         environment: the versioned name of the task that it is to fly, such as `swap_v0`: shipped
             agents that compensate have the belief that was fitted in the forces which that version
@@ -234,6 +235,10 @@ def _make(name: str, module: ModuleType, path: str, environment: str | None = No
     made, given = _find(name, module, path), {}
     if not callable(made):
         raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
+    if inspect.isfunction(made) and _takes_rows(made):
+        from swarm_envs.agents.models import ModelAgent
+
+        return ModelAgent(made)
     if environment is not None and "belief" in inspect.signature(made).parameters:
         given["belief"] = belief_of(batch_of(environment).config.interactions)
     try:
@@ -241,6 +246,12 @@ def _make(name: str, module: ModuleType, path: str, environment: str | None = No
     except TypeError as error:
         raise ValueError(f"{name!r} cannot be made without arguments: {error}") from error
     return check_agent(name, agent)
+
+
+def _takes_rows(function: Callable[..., Any]) -> bool:
+    """Return whether a function needs an argument: then it maps rows to actions."""
+    parameters = inspect.signature(function).parameters.values()
+    return any(p.default is p.empty and p.kind <= p.POSITIONAL_OR_KEYWORD for p in parameters)
 
 
 def check_agent(name: str, agent: Any) -> Agent:

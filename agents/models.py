@@ -1,0 +1,125 @@
+"""Trained models and plain functions as agents, without a class or a file of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.agents.features import FEATURE_SETS
+from swarm_envs.agents.protocol import RowAgent
+from swarm_envs.envs.observation import Float32Array, observation_width
+from swarm_envs.envs.parallel import SwarmParallelEnv
+
+__all__ = ["ModelAgent", "from_model"]
+
+_OPTIONS = (
+    "action",
+    "decision_rate",
+    "controller",
+    "num_neighbors",
+    "num_obstacles",
+    "observe_load",
+)
+"""Options of an environment that decide what a model observes and what its actions mean."""
+
+
+class ModelAgent(RowAgent):
+    """One model that acts for every drone, each by its own observation row.
+
+    Args:
+        act: actions (n, width) for observation rows (n, row width), both float32.
+        requires: environment options that the model was trained with; none by default.
+    """
+
+    def __init__(
+        self, act: Callable[[Float32Array], Any], requires: Mapping[str, Any] | None = None
+    ) -> None:
+        self._act = act
+        self.requires: Mapping[str, Any] = {} if requires is None else dict(requires)
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Do nothing: a model has no memory."""
+
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """Return actions (..., width) for observation rows (..., row width).
+
+        Raises:
+            ValueError: the model returns another number of actions than there are rows.
+        """
+        flat = np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]), np.float32)
+        actions = np.asarray(self._act(flat), np.float32)
+        if actions.ndim != 2 or len(actions) != len(flat):
+            raise ValueError(
+                f"the model returned actions of shape {actions.shape} for rows of shape "
+                f"{flat.shape}, but must return one row of actions for each row"
+            )
+        return actions.reshape(*rows.shape[:-1], -1)
+
+
+def from_model(model: Any, env: SwarmParallelEnv) -> ModelAgent:
+    """Make an agent of a model that is in memory, to fly and to evaluate like any other.
+
+    Args:
+        model: a model of Stable-Baselines3 that was trained on `SharedPolicyVecEnv`, with its
+            features or with rows; or a torch module or a function that maps observation rows (n,
+            row width), float32, to actions (n, width). Actions outside [-1, 1] are clipped where
+            the action mode is bounded. A recurrent model is not supported.
+        env: an environment with the options that the model was trained with.
+
+    Raises:
+        TypeError: the model is none of these.
+        ValueError: a model of Stable-Baselines3 observes another number of values than this
+            environment's rows or features have.
+    """
+    act = _function_of(model, env)
+    bounded = env.core.mode.bounded
+
+    def clipped(rows: Float32Array) -> Any:
+        actions = act(rows)
+        return np.clip(actions, -1.0, 1.0) if bounded else actions
+
+    config = env.core.config
+    return ModelAgent(clipped, {name: getattr(config, name) for name in _OPTIONS})
+
+
+def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Any]:
+    if hasattr(model, "predict") and hasattr(model, "observation_space"):
+        observe = _observed_by(model, env)
+        return lambda rows: model.predict(observe(rows), deterministic=True)[0]
+    if hasattr(model, "parameters") and callable(model):
+        return lambda rows: _through_torch(model, rows)
+    if callable(model):
+        return lambda rows: np.asarray(model(rows))
+    raise TypeError(
+        f"model is {model!r:.80}, but must be a model of Stable-Baselines3, a torch module, or a "
+        "function that maps observation rows to actions"
+    )
+
+
+def _observed_by(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Float32Array]:
+    """Return what turns rows into the observations that a Stable-Baselines3 model expects."""
+    form, wanted = env.core.form[1:], tuple(model.observation_space.shape or ())
+    if wanted == (observation_width(*form),):
+        return lambda rows: rows
+    for found in FEATURE_SETS.values():
+        try:
+            width = found.sizes(*form).width
+        except ValueError:  # a set that knows no obstacles or loads
+            continue
+        if wanted == (width,):
+            make = found.make
+            return lambda rows: make(rows, *form)
+    raise ValueError(
+        f"the model observes {wanted}, but rows of this environment have "
+        f"{observation_width(*form)} numbers; make the environment with the options of its "
+        "training, such as num_neighbors"
+    )
+
+
+def _through_torch(module: Any, rows: Float32Array) -> Any:
+    import torch
+
+    with torch.no_grad():
+        return module(torch.from_numpy(rows)).numpy()
