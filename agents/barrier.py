@@ -203,7 +203,6 @@ class Barrier(NamedTuple):
     stretch: float
     aside: float
     walls: bool
-    radial: bool  # Whether drones within reach must part (`velocity_barrier`), and obstacles count
 
 
 class BarrierWorkspace(NamedTuple):
@@ -222,7 +221,6 @@ def velocity_barrier(
     v: tuple[float, float, float],
     reach: float,
     horizon: float,
-    radial: bool = True,
 ) -> tuple[float, float, float, float]:
     """How far a relative velocity is from collision, and the direction that leads away.
 
@@ -230,16 +228,14 @@ def velocity_barrier(
         x: the other's position relative to one's own, m.
         v: one's own velocity relative to the other, m/s.
         reach: distance D to keep, m.
-        horizon: T, for which it is to be kept, s.
-        radial: whether drones that are closer than D must part fast enough to be D apart after
-            `ESCAPE`. Without it, as on version 0 of the tasks, it is enough to be D apart then,
-            which a velocity through the other satisfies too.
+        horizon: T, for which it is to be kept, s. Drones that are closer than D must part fast
+            enough to be D apart after `ESCAPE`.
 
     Returns:
         The unit vector along which v leaves the cone, or goes deeper into what is outside, and h.
     """
     square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
-    if radial and 1e-12 < square <= reach * reach:
+    if 1e-12 < square <= reach * reach:
         away = np.sqrt(square)
         parting = -(x[0] * v[0] + x[1] * v[1] + x[2] * v[2]) / away
         return -x[0] / away, -x[1] / away, -x[2] / away, parting - (reach - away) / ESCAPE
@@ -315,8 +311,7 @@ def filter_accelerations(
         own, radius = _acceleration(row, places, ratios[kind]), radii[kind]
         if barrier.walls:
             count = _write_walls(row, own, radius, barrier, places, arena, count, scratch)
-        if barrier.radial:
-            count = _write_obstacles(row, own, radius, barrier, places, count, scratch)
+        count = _write_obstacles(row, own, radius, barrier, places, count, scratch)
         count = _write_neighbors(row, own, radius, barrier, places, radii, count, scratch)
         for k in range(3):
             scratch.target[k] = ACCELERATION_LIMIT * asked[r, k]
@@ -442,7 +437,7 @@ def _write_neighbors(
             flat * (row[first + 2] + delay * (r2 - 0.5 * delay * a2)),
         )
         x = step_aside(x, v, barrier.aside)
-        n0, n1, n2, h = velocity_barrier(x, v, reach, barrier.horizon, barrier.radial)
+        n0, n1, n2, h = velocity_barrier(x, v, reach, barrier.horizon)
         n2 *= flat
         size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         scratch.rows[count, 0] = n0 / size

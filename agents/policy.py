@@ -35,7 +35,7 @@ from swarm_envs.agents.networks import (
     to_tensors,
 )
 from swarm_envs.agents.protocol import RowAgent, check_requirements
-from swarm_envs.agents.registry import belief_of, controller_of
+from swarm_envs.agents.registry import controller_of, shipped_belief
 from swarm_envs.agents.safety import Safety
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.config import EnvConfig
@@ -91,7 +91,7 @@ class PolicyNote:
     """What a policy was trained for, and so where alone it may fly."""
 
     task: str
-    """versioned name, such as `swap_v0`"""
+    """versioned name, such as `swap_v1`"""
     drones: int
     """largest team it may fly in: that of its training"""
     action: str
@@ -324,7 +324,7 @@ def senses(obstacles: int, load: bool, force: bool, controller: str | None) -> d
     """Options of an environment for what a policy observes besides neighbors, and its actions."""
     found: dict[str, Any] = {"num_obstacles": obstacles, "observe_load": load}
     if force:
-        found["observe_force"] = belief_of()
+        found["observe_force"] = shipped_belief()
     if controller:
         found["controller"] = controller_of(controller)
     return found

@@ -16,7 +16,6 @@ from typing import Any
 from swarm_envs.agents.protocol import Agent
 from swarm_envs.arguments import typed
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import unknown_name
 from swarm_envs.interactions import InteractionModel
 
@@ -71,7 +70,7 @@ _USERS_MODULE = "swarm_envs_users_agent_"
 
 
 @typed
-def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> Agent:
+def load_agent(name: str | os.PathLike[str]) -> Agent:
     """Make an agent.
 
     Args:
@@ -81,9 +80,6 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
             without arguments, or a function of observation rows in one, `path/to/file.py:function`
             (see `from_model`). The suffix `+filter`, the last one, puts a safety filter around the
             agent: the policy's own, if its file names one.
-        environment: the versioned name of the task that it is to fly, such as `swap_v0`: shipped
-            agents that compensate have the belief that was fitted in the forces which that version
-            calls `learned`. None for the newest.
 
     Raises:
         ValueError: no agent has this name, it does not support a suffix, or what the file holds is
@@ -101,7 +97,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
             raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
-        agent = load_agent(inner, environment)
+        agent = load_agent(inner)
         if isinstance(agent, SafetyFilter):
             raise ValueError(
                 f"name is {name!r}, but {inner!r} flies behind a filter already; name it without "
@@ -115,7 +111,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         return shipped_policy(name)
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
-        return _make(name, importlib.import_module(module), path, environment)
+        return _make(name, importlib.import_module(module), path)
     file, colon, path = name.rpartition(":")
     if not colon and _names_policy(name):
         from swarm_envs.agents.policy import PolicyAgent
@@ -146,10 +142,10 @@ def controller_of(name: str) -> ControllerConfig:
     return found
 
 
-def belief_of(truth: Any = "learned") -> InteractionModel:
-    """The force model that ships for agents, fitted in the forces of this name."""
+def shipped_belief() -> InteractionModel:
+    """Return the force model that ships for agents, fitted in `learned` forces."""
     shipped = importlib.import_module("swarm_envs.baselines.neural_swarm.agent")
-    found: InteractionModel = shipped.load_belief(truth)
+    found: InteractionModel = shipped.load_belief()
     return found
 
 
@@ -231,18 +227,16 @@ def _find(name: str, module: ModuleType, path: str) -> Any:
     return made
 
 
-def _make(name: str, module: ModuleType, path: str, environment: str | None = None) -> Agent:
-    made, given = _find(name, module, path), {}
+def _make(name: str, module: ModuleType, path: str) -> Agent:
+    made = _find(name, module, path)
     if not callable(made):
         raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
     if inspect.isfunction(made) and _takes_rows(made):
         from swarm_envs.agents.models import ModelAgent
 
         return ModelAgent(made)
-    if environment is not None and "belief" in inspect.signature(made).parameters:
-        given["belief"] = belief_of(batch_of(environment).config.interactions)
     try:
-        agent = made(**given)
+        agent = made()
     except TypeError as error:
         raise ValueError(f"{name!r} cannot be made without arguments: {error}") from error
     return check_agent(name, agent)

@@ -86,8 +86,8 @@ class Safety:
                 "much nearer than that margin a neighbour may be passed; give a smaller aside_m too"
             )
 
-    def barrier(self, radial: bool) -> Barrier:
-        """The same as kernels take it; `radial` as of `velocity_barrier`."""
+    def barrier(self) -> Barrier:
+        """Return the same as kernels take it."""
         return Barrier(
             margin=float(self.margin_m),
             horizon=float(self.horizon_s),
@@ -97,7 +97,6 @@ class Safety:
             stretch=float(self.downwash),
             aside=float(self.aside_m),
             walls=bool(self.walls),
-            radial=radial,
         )
 
 
@@ -158,9 +157,9 @@ class SafetyFilter:
         first, width = columns.neighbors, columns.neighbor_width
         self._dropped = slice(first + observed * width, first + watched * width)
         self._columns = columns
-        self._barrier = self.safety.barrier(radial=not env.core.task.old_filter)
+        self._barrier = self.safety.barrier()
         most = getattr(self.agent, "most_crossing", None)
-        if self._barrier.radial and most is not None:
+        if most is not None:
             _check_crossing(env.view, most)
         self._arena = np.array(env.core.task.arena)
         rows = LIMITS + WALLS + columns.num_obstacles + watched

@@ -82,7 +82,7 @@ FILMS = {
 
 def record(take: Take) -> Recording:
     """Fly the episode of a film."""
-    agent = load(take.agent, take.task)
+    agent = load(take.agent)
     env = make(take.task, **{"physics": "batch", **take.options, **agent.requires})
     try:
         return record_episode(env, agent, take.seed, name=take.agent)

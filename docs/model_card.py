@@ -18,7 +18,7 @@ from swarm_envs.files import written_whole
 
 Report = dict[str, Any]
 """A report as it was read from its file."""
-REPORTS = ("learned", "deep-set", "learned-v0", "measured", "wake", "comparison")
+REPORTS = ("learned", "deep-set", "measured", "wake", "comparison")
 """Names of the reports: of models, of a fit in measured mode, and of whole flights."""
 
 
@@ -30,7 +30,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _errors(reports: dict[str, Report]) -> str:
     """Errors on held-out blocks, beside trivial predictors and a measured fit."""
-    fits = [reports[n]["findings"] for n in ("learned", "deep-set", "learned-v0", "measured")]
+    fits = [reports[n]["findings"] for n in ("learned", "deep-set", "measured")]
     errors, wake = [found["errors"] for found in fits], reports["wake"]
     e, w = errors[0], wake["validation_mse_g2_by_scenario"]
     rows = [
@@ -47,7 +47,7 @@ def _errors(reports: dict[str, Report]) -> str:
     wake_total = min(v for k, v in wake["validation_mse_g2"].items() if k.startswith("tilted"))
     total = [e["zero"], e["scenario_mean"], wake_total, *(other["overall"] for other in errors)]
     rows.append(["all", *(f"{value:.2f}" for value in total)])
-    head = ["scenario", "zero", "scenario mean", "wake", "learned", "deep-set", "learned-v0"]
+    head = ["scenario", "zero", "scenario mean", "wake", "learned", "deep-set"]
     return _table([*head, "measured form, raw labels"], rows)
 
 
@@ -150,7 +150,7 @@ def write_card(config: CardConfig) -> Path:
     text = Path(__file__).with_name("model_card.txt").read_text(encoding="utf-8")
     card = text.format(
         **{**learned, "rows": found["rows"], "validation_rows": found["validation_rows"]},
-        commands=[reports[name]["command"] for name in ("learned", "deep-set", "learned-v0")],
+        commands=[reports[name]["command"] for name in ("learned", "deep-set")],
         offsets=", ".join(f"{vehicle}: {value:+.2f}" for vehicle, value in offsets),
         **_comparison(reports["comparison"]),
         errors_table=_errors(reports),

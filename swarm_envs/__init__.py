@@ -30,7 +30,6 @@ __version__ = "0.2.0"
 TASKS = (
     *("swap_v1", "ring_v1", "formation_v1", "columns_v0", "delivery_v0"),
     *("crowd_v0", "pursuit_v0", "gates_v0"),
-    *("swap_v0", "ring_v0", "formation_v0"),
 )
 """Every task by its versioned name: modules with a `parallel_env()`."""
 

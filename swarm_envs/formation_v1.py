@@ -30,9 +30,7 @@ of shapes, for each shape reached.
 **End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
 rad/s) or success. It is truncated after 6 s for each shape but the first.
 
-**Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
-physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
-and rewards of release 0.1.0.
+**Versions.** v1: first version.
 """
 
 from __future__ import annotations

@@ -26,9 +26,7 @@ sets other starts; the reference stays the same. Goals cannot be set.
 **End.** The episode is terminated by a collision, the floor, a wall, an obstacle or tumbling (150
 rad/s). It is truncated after 2 + 10 s.
 
-**Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
-physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
-and rewards of release 0.1.0.
+**Versions.** v1: first version.
 """
 
 from __future__ import annotations

@@ -38,9 +38,7 @@ weight.
 **End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
 rad/s) or success. It is truncated after 8 s.
 
-**Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
-physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
-and rewards of release 0.1.0.
+**Versions.** v1: first version.
 """
 
 from __future__ import annotations

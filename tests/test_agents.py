@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from swarm_envs import make, swap_v0
+from swarm_envs import make, swap_v1
 from swarm_envs.agents import Agent, fly_episode, load
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import SHIPPED
@@ -27,16 +27,16 @@ def test_an_agent_is_not_flown_with_another_controller() -> None:
     plain, compensated = TrackingAgent(), TrackingAgent.compensated()
     assert isinstance(plain, Agent)
     for made, flown in ((plain, compensated), (compensated, plain)):
-        env = swap_v0.parallel_env(team="LS", layout="stacked", physics="batch", **made.requires)
+        env = swap_v1.parallel_env(team="LS", layout="stacked", physics="batch", **made.requires)
         with pytest.raises(ValueError, match=r"requires controller.*\*\*agent\.requires"):
             fly_episode(env, flown, seed=0)
-    env = swap_v0.parallel_env(team="LS", layout="stacked", physics="batch", action="rotors")
+    env = swap_v1.parallel_env(team="LS", layout="stacked", physics="batch", action="rotors")
     with pytest.raises(ValueError, match=r"requires action='setpoint', but .* 'rotors'"):
         fly_episode(env, plain, seed=0)
 
 
 def test_two_agents_of_one_kind_may_share_an_environment() -> None:
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         team="LS", layout="stacked", physics="batch", **TrackingAgent.compensated().requires
     )
     assert fly_episode(env, TrackingAgent.compensated(), seed=0)["success"]
@@ -49,12 +49,10 @@ def test_an_engine_refuses_copies_that_would_come_apart(clone) -> None:
 
 
 @pytest.mark.parametrize("name", [n for n in SHIPPED if "compensated" in n or "planner" in n])
-def test_who_compensates_believes_what_was_fitted_in_the_forces_of_the_version(name) -> None:
-    beliefs = {"swap_v0": "learned-v0", "ring_v1": "learned", None: "learned"}
-    for environment, truth in beliefs.items():
-        belief = load(name, environment).requires["controller"].feedforward
-        assert belief.fingerprint == load_belief(truth).fingerprint
-    assert load_belief("learned").fingerprint != load_belief("learned-v0").fingerprint
+def test_agents_that_compensate_have_the_belief_that_was_fitted_in_learned_forces(name) -> None:
+    belief = load(name).requires["controller"].feedforward
+    assert belief.fingerprint == load_belief("learned").fingerprint
+    assert load_belief("learned").fingerprint != load_belief("wake").fingerprint
 
 
 @pytest.mark.parametrize(
@@ -92,12 +90,12 @@ def test_shipped_policies_fly_with_the_controllers_that_their_files_name(policy,
 def test_agents_load_by_name_and_fly(name) -> None:
     agent = load(name)
     assert isinstance(agent, Agent)
-    task, fewest = "swap_v0", 2
+    task, fewest = "swap_v1", 2
     types: tuple[str, ...] = ("L", "S")
     if isinstance(agent, PolicyAgent):
         note = agent.policy.note
         task, fewest, types = note.task, note.fewest, note.types or types
-    layout = {"layout": "stacked"} if task == "swap_v0" else {}
+    layout = {"layout": "stacked"} if task == "swap_v1" else {}
     given = {"physics": "batch", "horizon_s": 0.2, **layout, **agent.requires}
     team = "".join(types[i % len(types)] for i in range(fewest))
     env = make(task, team=team, **given)
@@ -106,7 +104,7 @@ def test_agents_load_by_name_and_fly(name) -> None:
 
 
 def test_a_hovering_agent_stays_and_a_random_one_follows_its_seed() -> None:
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", interactions="none", horizon_s=0.5)
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", interactions="none", horizon_s=0.5)
     where = []
     for name, seed in (("hover", 1), ("random", 1), ("random", 1), ("random", 2)):
         observations, _ = env.reset(seed=1)
@@ -123,7 +121,7 @@ def test_a_hovering_agent_stays_and_a_random_one_follows_its_seed() -> None:
 
 
 def test_a_random_agent_needs_bounds() -> None:
-    env = swap_v0.parallel_env(num_drones=1, physics="batch", action="setpoint")
+    env = swap_v1.parallel_env(num_drones=1, physics="batch", action="setpoint")
     with pytest.raises(ValueError, match="needs bounded actions"):
         fly_episode(env, load("random"), seed=0)
     env.close()
@@ -180,7 +178,7 @@ def test_files_that_give_no_agent(tmp_path) -> None:
 
 
 def test_what_cannot_be_flown_is_told_before_the_flight() -> None:
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", interactions="none")
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", interactions="none")
     odd = HoverAgent()
     odd.requires = {"actions": "acceleration"}
     with pytest.raises(ValueError, match=r"unknown option 'actions'.*'action'"):
@@ -238,14 +236,14 @@ def test_alone_it_flies_straight():
 
 
 SOLVED: list[tuple[str, dict[str, Any]]] = [
-    ("swap_v0", {"layout": "random", "team": "SLS*SLS"}),
-    ("swap_v0", {"layout": "random", "num_drones": 32}),
-    ("swap_v0", {"layout": "circle", "num_drones": 16}),
-    ("swap_v0", {"layout": "random", "obstacles": (Column(center=(0.0, 0.0), radius=0.3),)}),
-    ("swap_v0", {"layout": "stacked", "num_drones": 3}),
-    ("ring_v0", {"num_drones": 5}),
-    ("formation_v0", {"num_drones": 16, "labels": "mirror", "shapes": ("rings", "rings")}),
-    ("formation_v0", {"num_drones": 18, "labels": "blocks", "shapes": ("blocks", "blocks")}),
+    ("swap_v1", {"layout": "random", "team": "SLS*SLS"}),
+    ("swap_v1", {"layout": "random", "num_drones": 32}),
+    ("swap_v1", {"layout": "circle", "num_drones": 16}),
+    ("swap_v1", {"layout": "random", "obstacles": (Column(center=(0.0, 0.0), radius=0.3),)}),
+    ("swap_v1", {"layout": "stacked", "num_drones": 3}),
+    ("ring_v1", {"num_drones": 5}),
+    ("formation_v1", {"num_drones": 16, "labels": "mirror", "shapes": ("rings", "rings")}),
+    ("formation_v1", {"num_drones": 18, "labels": "blocks", "shapes": ("blocks", "blocks")}),
 ]
 
 
@@ -262,7 +260,7 @@ def test_it_solves_each_task(task, options):
 def test_it_plans_anew_in_each_episode():
     """And alike for the same seed."""
     agent = DetourAgent()
-    env = swarm_envs.make("swap_v0", physics="batch", num_drones=3, **agent.requires)
+    env = swarm_envs.make("swap_v1", physics="batch", num_drones=3, **agent.requires)
     lengths = [fly_episode(env, agent, seed)["energy_j"] for seed in (0, 1, 0)]
     assert lengths[0] == lengths[2] != lengths[1]
 

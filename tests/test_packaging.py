@@ -31,7 +31,7 @@ many = gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=5, num_drones=2)
 assert many.action_space.shape == (5, 6)
 gymnasium.make("swarm_envs/FormationSolo-v0", physics="batch")
 if hasattr(pettingzoo, "make"):
-    assert pettingzoo.make("parallel", "swarm_envs/swap_v0").max_num_agents == 4
+    assert pettingzoo.make("parallel", "swarm_envs/swap_v1").max_num_agents == 4
 assert sys.modules["swarm_envs"].__file__.startswith(sys.path[1])
 """
 

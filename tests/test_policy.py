@@ -15,7 +15,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from swarm_envs import make, ring_v0, swap_v0
+from swarm_envs import make, ring_v1, swap_v1
 from swarm_envs.agents import SafetyFilter, fly_episode, load
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.features import FEATURE_SETS, FULL, REFERENCE, TYPED, goal_features
@@ -33,7 +33,7 @@ from swarm_envs.envs.observation import observation_layout
 from swarm_envs.interactions.weights_file import load_weights
 from tests.helpers.flights import flown
 
-NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
+NOTE = PolicyNote("swap_v1", 3, "acceleration", 10, 2, fewest=2)
 
 
 def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
@@ -49,7 +49,7 @@ def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
 
 def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[str, slice]]:
     """Rows of teams that fly at random, and where each field stands."""
-    env = swap_v0.parallel_env(num_drones=drones, physics="batch", num_neighbors=neighbors)
+    env = swap_v1.parallel_env(num_drones=drones, physics="batch", num_neighbors=neighbors)
     rows: list[np.ndarray] = []
     rng = np.random.default_rng(0)
     while len(rows) < count:
@@ -133,13 +133,13 @@ def test_actions_stay_within_their_bounds():
 @pytest.mark.parametrize(
     ("task", "options", "why"),
     [
-        ("swap_v0", {"num_drones": 4}, r"teams of 2 to 3 drones, .* 4; set 2 to 3 \(--drones"),
-        ("swap_v0", {"num_drones": 1}, r"teams of 2 to 3 drones, .* 1; set 2 to 3 \(--drones"),
-        ("formation_v0", {"num_drones": 3}, "flies swap, but the environment's task is formation"),
-        ("swap_v0", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
-        ("swap_v0", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),
-        ("swap_v0", {"num_drones": 3, "num_neighbors": 3}, "requires num_neighbors=2"),
-        ("swap_v0", {"num_drones": 3, "observation": "dict"}, "requires observation='flat'"),
+        ("swap_v1", {"num_drones": 4}, r"teams of 2 to 3 drones, .* 4; set 2 to 3 \(--drones"),
+        ("swap_v1", {"num_drones": 1}, r"teams of 2 to 3 drones, .* 1; set 2 to 3 \(--drones"),
+        ("formation_v1", {"num_drones": 3}, "flies swap, but the environment's task is formation"),
+        ("swap_v1", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
+        ("swap_v1", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),
+        ("swap_v1", {"num_drones": 3, "num_neighbors": 3}, "requires num_neighbors=2"),
+        ("swap_v1", {"num_drones": 3, "observation": "dict"}, "requires observation='flat'"),
     ],
 )
 def test_elsewhere_it_does_not_fly(task, options, why):
@@ -232,7 +232,7 @@ def test_weights_that_are_no_numbers_are_not_written(tmp_path):
 
 @pytest.mark.parametrize("neighbors", [0, 1, 4, 5])
 def test_reference_features_are_what_is_said_of_them(neighbors):
-    env = ring_v0.parallel_env(num_drones=5, physics="batch", num_neighbors=neighbors)
+    env = ring_v1.parallel_env(num_drones=5, physics="batch", num_neighbors=neighbors)
     rng, rows = np.random.default_rng(0), list[np.ndarray]()
     env.reset(seed=0)
     while env.agents and len(rows) < 60:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.agents import load, record_episode
 from swarm_envs.tasks.obstacles import Box, Column
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
@@ -28,14 +28,14 @@ from tests.helpers.browsers import OVERFLOW, chromium, complaints, requests
 @pytest.fixture(scope="module")
 def flight() -> Recording:
     """Three drones that act at random until one of them hits something."""
-    env = swap_v0.parallel_env(team="SLS", physics="batch")
+    env = swap_v1.parallel_env(team="SLS", physics="batch")
     recording = record_episode(env, load("random"), seed=3)
     env.close()
     return recording
 
 
 def test_a_recording_is_what_a_loop_of_env_step_sees(flight):
-    env = swap_v0.parallel_env(team="SLS", physics="batch")
+    env = swap_v1.parallel_env(team="SLS", physics="batch")
     agent = load("random")
     observations, _ = env.reset(seed=3)
     agent.reset(env, 3)
@@ -58,7 +58,7 @@ def test_a_recording_is_what_a_loop_of_env_step_sees(flight):
 
 
 def test_recordings_that_are_cut_short_say_so():
-    env = swap_v0.parallel_env(team="S", physics="batch")
+    env = swap_v1.parallel_env(team="S", physics="batch")
     recorder = Recorder()
     with pytest.raises(RuntimeError, match="nothing was recorded"):
         recorder.record()
@@ -181,7 +181,7 @@ def still(steps: int, drones: int = 2) -> Recording:
         tumbling=off,
         reward=0.0 * level[..., 0],
         reward_terms={},
-        about=About("swap_v0", "me", 1, "batch", 48, ((-2, -2, 0), (2, 2, 2.5)), (), {}),
+        about=About("swap_v1", "me", 1, "batch", 48, ((-2, -2, 0), (2, 2, 2.5)), (), {}),
     )
 
 
@@ -276,7 +276,7 @@ def test_near_misses_agree_with_the_metric():
     agent = load("tracking")
     seen = 0
     requires = dict(agent.requires) | {"decision_rate": 240}
-    env = swap_v0.parallel_env(num_drones=6, physics="batch", horizon_s=2.0, **requires)
+    env = swap_v1.parallel_env(num_drones=6, physics="batch", horizon_s=2.0, **requires)
     agent.requires = requires
     for seed in range(6):
         flown = record_episode(env, agent, seed)
@@ -296,7 +296,7 @@ MEGABYTE = 1_000_000
 def crash() -> Recording:
     """Six drones straight to their goals, until two meet and two nearly; a column stands by."""
     agent = load("tracking")
-    env = swap_v0.parallel_env(team="SLS" * 2, physics="batch", **agent.requires)
+    env = swap_v1.parallel_env(team="SLS" * 2, physics="batch", **agent.requires)
     for seed in range(20):
         recording = record_episode(env, agent, seed)
         if recording.about.metrics["collided_drones"] and near_misses(recording):

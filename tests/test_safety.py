@@ -20,7 +20,7 @@ from examples.tune_agents import (
     tune_agent,
     with_numbers,
 )
-from swarm_envs import crowd_v0, swap_v0, swap_v1
+from swarm_envs import crowd_v0, swap_v1
 from swarm_envs.agents import Safety, SafetyFilter, fly_episode, load
 from swarm_envs.agents.avoiding import CruiseAgent, RoundaboutAgent
 from swarm_envs.agents.barrier import (
@@ -45,7 +45,7 @@ def test_two_that_meet_head_on_pass_each_other_on_the_right():
     starts = {"start": start, "goal": start[::-1].copy()}
     for name, safe in (("straight-line", False), ("straight-line+filter", True)):
         agent = load(name)
-        env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
+        env = swap_v1.parallel_env(num_drones=2, physics="batch", **agent.requires)
         side: list[float] = []
 
         def watch(env: SwarmParallelEnv, side: list[float] = side) -> None:
@@ -66,7 +66,7 @@ def test_who_is_far_from_everything_is_left_alone():
     agent = load("straight-line")
     both = []
     for one in (agent, SafetyFilter(agent)):
-        env = swap_v0.parallel_env(num_drones=2, **{**one.requires, "physics": "batch"})
+        env = swap_v1.parallel_env(num_drones=2, **{**one.requires, "physics": "batch"})
         ways = {"start": np.array([[-1.0, -1, 1], [-1, 1, 1]])}
         ways["goal"] = ways["start"] + [1.5, 0, 0]
         both.append(fly_episode(env, one, 0, options=ways))
@@ -78,7 +78,7 @@ def test_a_filtered_policy_flies_in_batches_as_it_flies_alone():
     agent, seeds = load("swap-dagger+filter"), frozen_seeds(3, TIMED + 3)
     assert isinstance(agent, SafetyFilter)
     assert isinstance(agent, BatchAgent)
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         num_drones=4, horizon_s=1.5, **{**agent.requires, "physics": "batch"}
     )
     assert env.core.config.num_neighbors == 20  # though the policy observes seven
@@ -94,7 +94,7 @@ def test_a_filtered_policy_flies_in_batches_as_it_flies_alone():
 @pytest.mark.parametrize(("name", "most"), [("straight-line+filter", 1), ("hover", 0)])
 def test_collisions_collapse(name, most):
     seeds = frozen_seeds(5, 64)
-    found = flown(name, "swap_v0", seeds, num_drones=4, layout="random", force_rate=48)
+    found = flown(name, "swap_v1", seeds, num_drones=4, layout="random", force_rate=48)
     assert sum(metrics["collided_drones"] > 0 for metrics in found) <= most  # without: 25 of 64
 
 
@@ -144,7 +144,7 @@ def test_walls_are_kept_away_from():
         agent = SafetyFilter(Wishes(10, [(1.0, 0.3, -1.0), (-1.0, -0.3, 1.0)]), safety)
         assert not isinstance(agent, BatchAgent)
         options = {**agent.requires, "physics": "batch", "horizon_s": 4.0}
-        env = swap_v0.parallel_env(num_drones=2, **options)
+        env = swap_v1.parallel_env(num_drones=2, **options)
         metrics = fly_episode(env, agent, 1)
         touched = metrics["collided_wall"] + metrics["collided_floor"]
         assert (touched > 0) == bool(crashes)
@@ -152,17 +152,18 @@ def test_walls_are_kept_away_from():
 
 
 @pytest.mark.parametrize(
-    ("name", "task", "hits", "arrives"),
+    ("name", "hits", "arrives"),
     [
-        ("straight-line", swap_v1, True, False),
-        ("straight-line+filter", swap_v0, True, False),  # which keeps its numbers
-        ("straight-line+filter", swap_v1, False, False),
-        ("fast-line", swap_v1, False, True),
+        ("straight-line", True, False),
+        ("straight-line+filter", False, False),
+        ("fast-line", False, True),
     ],
 )
-def test_obstacles_are_kept_away_from(name, task, hits, arrives):
+def test_obstacles_are_kept_away_from(name, hits, arrives):
     agent, post = load(name), (Column((0.0, 0.0), 0.3),)
-    env = task.parallel_env(num_drones=2, obstacles=post, **{**agent.requires, "physics": "batch"})
+    env = swap_v1.parallel_env(
+        num_drones=2, obstacles=post, **{**agent.requires, "physics": "batch"}
+    )
     start = np.array([[-1.5, 0.0, 1.0], [-1.5, 1.5, 1.0]])
     metrics = fly_episode(
         env, agent, 0, options={"start": start, "goal": start + 3.0 * np.eye(3)[0]}
@@ -181,7 +182,7 @@ def test_what_cannot_be_filtered_is_refused():
     with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
         load("straight-line+filter+filter")
     agent = load("hover+filter")
-    env = swap_v0.parallel_env(num_drones=2, **agent.requires)
+    env = swap_v1.parallel_env(num_drones=2, **agent.requires)
     env.reset(seed=0)
     agent.reset(env, 0)
     agent.agent.act_batch = lambda rows: np.full((*rows.shape[:-1], 3), np.nan)  # type: ignore
@@ -278,9 +279,9 @@ def test_the_barrier_is_the_distance_to_velocities_that_collide():
 
 
 def test_no_accepted_velocity_brings_drones_nearer_that_are_too_near():
-    """Nor through each other: version 0 of the tasks has a filter that takes that for safe."""
+    """Nor through each other."""
     rng, reach = np.random.default_rng(4), 0.25
-    through = accepted = 0
+    accepted = 0
     for _ in range(2000):
         x = rng.normal(size=3)
         x *= rng.uniform(0.02, 1.0) * reach / np.linalg.norm(x)
@@ -292,29 +293,14 @@ def test_no_accepted_velocity_brings_drones_nearer_that_are_too_near():
             accepted += 1
             assert least == pytest.approx(np.linalg.norm(x))  # apart from the first moment on
             assert np.linalg.norm(x - ESCAPE * v) >= reach - 1e-9
-        old = velocity_barrier(tuple(x), tuple(v), reach, 0.7, False)[3]
-        through += bool(old >= 0.0 and least < 0.5 * np.linalg.norm(x))
-        assert not h >= 0.0 or old >= -1e-9  # what is accepted was accepted before
     assert accepted > 200
-    assert through > 100
-
-
-def test_version_0_of_the_tasks_keeps_its_filter():
-    for task, radial in ((swap_v0, False), (swap_v1, True)):
-        agent = load("hover+filter")
-        env = task.parallel_env(num_drones=2, **agent.requires)
-        env.reset(seed=0)
-        agent.reset(env, 0)
-        assert agent._barrier.radial is radial  # type: ignore[attr-defined]
-        env.close()
 
 
 @pytest.mark.parametrize(("name", "most"), [("straight-line+filter", 13), ("fast-line", 12)])
 def test_too_many_straight_ways_through_one_place_are_refused(name, most):
     agent = load(name)
-    for task, drones, layout in ((swap_v1, 16, "random"), (swap_v1, most, "circle"),
-                                 (swap_v0, 16, "circle")):  # fmt: skip
-        env = task.parallel_env(num_drones=drones, layout=layout, **agent.requires)
+    for drones, layout in ((16, "random"), (most, "circle")):
+        env = swap_v1.parallel_env(num_drones=drones, layout=layout, **agent.requires)
         env.reset(seed=0)
         agent.reset(env, 0)
     env = swap_v1.parallel_env(num_drones=most + 1, layout="circle", **agent.requires)

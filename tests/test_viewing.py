@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageSequence
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.agents import load, record_episode
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import SwarmState, hover_state
@@ -280,7 +280,7 @@ def test_colours_tell_types_and_drones_apart():
 @needs_bullet
 @pytest.mark.parametrize("engine", ["batch", "bullet"])
 def test_environments_draw_goals_trails_and_obstacles(engine):
-    env = swap_v0.parallel_env(num_drones=2, physics=engine, render_mode="rgb_array")
+    env = swap_v1.parallel_env(num_drones=2, physics=engine, render_mode="rgb_array")
     env.reset(seed=0)
     first = env.render()
     assert first is not None
@@ -300,7 +300,7 @@ def test_environments_draw_goals_trails_and_obstacles(engine):
 def test_a_film_shows_the_whole_flight(monkeypatch):
     monkeypatch.setattr(films, "FPS", 4)
     agent = load("tracking")
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         team="LS", layout="stacked", physics="batch", horizon_s=1.0, **agent.requires
     )
     recording = record_episode(env, agent, seed=0)

@@ -50,7 +50,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     Its copies and pickles have simulators of their own, and fly on as it would.
 
     Args:
-        task: name of the task, such as `swap_v0`; or a blueprint, made with a task of one's own; or
+        task: name of the task, such as `swap_v1`; or a blueprint, made with a task of one's own; or
             several blueprints, whose teams fly side by side: first all drones of the first, then
             those of the next.
         num_envs: E, of each team; or one number for each blueprint.
@@ -336,7 +336,7 @@ def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
         return (batch_of(task, **options),)
     found = (task,) if isinstance(task, Blueprint) else task
     if not isinstance(found, list | tuple) or not all(isinstance(b, Blueprint) for b in found):
-        rule = "must be a task's name, such as 'swap_v0', or a blueprint"
+        rule = "must be a task's name, such as 'swap_v1', or a blueprint"
         raise TypeError(f"task is {task!r:.80}, but {rule}")
     if not found:
         raise ValueError("task is empty; give at least one blueprint")

@@ -36,7 +36,7 @@ from swarm_envs.vehicles import GRAM_FORCE, Team
 
 __all__ = ["BELIEFS", "load_belief"]
 
-BELIEFS: Mapping[str, str] = {"learned": "belief", "learned-v0": "belief_v0", "wake": "belief_wake"}
+BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
 """Files of the shipped deep sets, by the force model of the environment they were fitted in."""
 MAX_DRONES = 6
 """More drones than this are refused: planning one after another gets slow and finds no way."""

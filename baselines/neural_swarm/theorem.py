@@ -104,7 +104,7 @@ def clamped_radius(
 def integral_force(config: ControllerConfig, mass: float) -> float:
     """Largest force of the clamped integral along one axis, K_v Gamma times the clamp, N."""
     gains = config.gains
-    return mass * gains.velocity * gains.integral * config.integral_limit
+    return mass * gains.velocity * gains.integral * config.velocity_integral_limit
 
 
 # ---- The plant that the theorem assumes, under this package's position controller
@@ -129,7 +129,7 @@ def fly_point_mass(
     eps_f for steps of dt, s, of which the controller does not know. The law's errors do not depend
     on the reference: what is found at rest holds on any. See `without_clamp`.
     """
-    gains, mass, limit = config.gains, vehicle.mass, config.integral_limit
+    gains, mass, limit = config.gains, vehicle.mass, config.velocity_integral_limit
     gravity, integral = np.array([0.0, 0.0, -GRAVITY]), np.zeros(3)
     position, velocity = (np.array(x, dtype=np.float64) for x in (position_error, velocity_error))
     errors = np.empty((len(force_error) + 1, 3))

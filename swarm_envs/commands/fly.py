@@ -173,7 +173,7 @@ def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, Swarm
     from swarm_envs.agents import load
     from swarm_envs.agents.protocol import check_options_agree
 
-    agent, given = load(name, task), options.setting()
+    agent, given = load(name), options.setting()
     check_options_agree(agent, given)
     return agent, make(task, **{**given, **agent.requires})
 

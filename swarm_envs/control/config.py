@@ -193,11 +193,10 @@ class ControllerConfig:
     desired_rate_cutoff_hz: Annotated[float, POSITIVE] = 10.0
     """Cut-off of the low-pass on the desired body rate, Hz."""
 
-    velocity_integral_limit: Annotated[float, POSITIVE] | None = None
+    velocity_integral_limit: Annotated[float, POSITIVE] = INTEGRAL_LIMIT
     """Largest |integral of the velocity error| per axis, m: anti-windup. It gives at most
-    (K_v / m) Gamma_v m limit of force. None: 0.7 m, with the default gains 3.0 g for a small drone
-    and 6.0 g for a large one, which holds the errors of mass and thrust of the world `"hall"`; in
-    version 0 of the tasks 0.05 m."""
+    (K_v / m) Gamma_v m limit of force: with the default gains 3.0 g for a small drone and 6.0 g for
+    a large one, which holds the errors of mass and thrust of the world `"hall"`."""
     rate_integral_limit: Annotated[float, POSITIVE] = 0.2
     """Largest |integral of the body-rate error| per axis, rad: anti-windup."""
     min_vertical_thrust_fraction: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.2
@@ -211,12 +210,6 @@ class ControllerConfig:
                 f"feedforward is {model!r:.80}, but must be an InteractionModel, such "
                 "as load('learned'), or None"
             )
-
-    @property
-    def integral_limit(self) -> float:
-        """`velocity_integral_limit`, or its default, m."""
-        limit = self.velocity_integral_limit
-        return float(INTEGRAL_LIMIT if limit is None else limit)
 
 
 def low_pass_blend(cutoff_hz: float, step: float) -> float:
@@ -242,6 +235,7 @@ _SAME = (
     "rate_yaw",
     "rate_integral_tilt",
     "rate_integral_yaw",
+    "velocity_integral_limit",
     "rate_integral_limit",
     "min_vertical_thrust_fraction",
 )
@@ -259,7 +253,6 @@ def gains(config: ControllerConfig, dt: float = STEP) -> dict[str, object]:
     return {
         **{name: float(getattr(config, name)) for name in _SAME},
         "step": float(dt),
-        "velocity_integral_limit": config.integral_limit,
         "position_gain": float(config.gains.position),
         "velocity_gain": float(config.gains.velocity),
         "integral_gain": float(config.gains.integral),

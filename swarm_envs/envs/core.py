@@ -153,9 +153,6 @@ class SwarmCore:
             **task.rules,
             "noise": (0.0,) * 4 if ranges is None else ranges.noise,
         }
-        controller = config.controller
-        if controller is None or controller.velocity_integral_limit is None:
-            rules["velocity_integral_limit"] = task.velocity_integral_limit
         for name, value in rules.items():
             self.settings[name] = value
 

@@ -71,8 +71,6 @@ class TaskOptions(EnvConfig, ABC):
     """The tracking controller between actions and rotors, or the shipped agent that requires it,
     such as `air-aware`; None for the default."""
 
-    learned: ClassVar[str] = "learned"
-    """The force model that `interactions="learned"` means in this version of the task."""
     task_type: ClassVar[type[Task]]
     """What `make_task` makes: a dataclass."""
 
@@ -120,8 +118,6 @@ class TaskOptions(EnvConfig, ABC):
             ValueError: the task refuses its options.
         """
         given = {field.name: getattr(self, field.name) for field in fields(EnvConfig)}
-        if self.interactions == "learned":
-            given["interactions"] = self.learned
         if isinstance(self.controller, str):
             registry = importlib.import_module("swarm_envs.agents.registry")  # a higher layer
             given["controller"] = registry.controller_of(self.controller)

@@ -24,7 +24,7 @@ from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
-MODELS = ("none", "wake", "learned", "learned-v0", "deep-set")  # The models that ship, by name
+MODELS = ("none", "wake", "learned", "deep-set")  # The models that ship, by name
 PRECISIONS = ("float64", "float32")  # Arithmetic in which networks can be evaluated
 
 
@@ -120,9 +120,9 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
 
     Args:
         name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (wakes and networks
-            of pairs, joined), `"deep-set"` (the architecture of Neural-Swarm2), `"learned-v0"` (the
-            deep set that was `"learned"` before), or the path of what `swarm-envs fit` made: a
-            safetensors file, or the JSON of a wake; a model is returned as it is.
+            of pairs, joined), `"deep-set"` (the architecture of Neural-Swarm2), or the path of what
+            `swarm-envs fit` made: a safetensors file, or the JSON of a wake; a model is returned as
+            it is.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.random import Generator
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, typed
-from swarm_envs.control.config import INTEGRAL_LIMIT
 from swarm_envs.errors import check_array
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
@@ -152,7 +151,7 @@ class Task(_Flown, ABC):
     """A task for a team. Stateless: what changes over an episode lives in the `World`."""
 
     name: str
-    """Versioned name, such as `swap_v0`."""
+    """Versioned name, such as `swap_v1`."""
     success: Success | TrackingSuccess | ByScore
     """When the team has done a stage, or the task."""
     default_weights: Mapping[str, float] = {}
@@ -161,16 +160,11 @@ class Task(_Flown, ABC):
     """Names of the T reward terms."""
     goals_are: str = ""
     """What goals are, in a task that takes none."""
-    velocity_integral_limit: float = INTEGRAL_LIMIT
-    """Of controllers that leave theirs to the task, m; see `ControllerConfig`."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None] = staticmethod(
         write_terms
     )
     """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
-    old_filter: bool = False
-    """Whether safety filters fly as in release 0.1.0: they see no obstacles, and drones that are
-    too near may fly through each other."""
     score_names: tuple[str, ...] = ()
     """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
     advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None

@@ -10,9 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
-from swarm_envs.compiled import kernel, part
+from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
@@ -47,48 +45,16 @@ def write_terms(drones: Records, environments: Records, settings: Records, out: 
         settings: (1,) record, with the time between decisions.
         out: (T, E, N), written.
     """
-    write_by_clock(drones, environments, settings[0].decision_s, 1.0, np.inf, out)
-
-
-@kernel
-def write_terms_v0(
-    drones: Records, environments: Records, settings: Records, out: FloatArray
-) -> None:
-    """Write the terms of version 0 of the tasks.
-
-    Those that differ from `write_terms`, whose arguments these are:
-
-    - `progress`: decrease of the distance to the goal, over the speed limit, in seconds; cut off
-      at the speed limit.
-    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); times seconds, over the time
-      limit: the sum over an episode is at most 1.
-    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); times seconds, over the time
-      limit.
-    """
-    rules = settings[0]
-    write_by_clock(drones, environments, rules.decision_s, rules.horizon_s, 1.0, out)
-
-
-@part
-def write_by_clock(
-    drones: Records,
-    environments: Records,
-    decision_s: float,
-    unit_s: float,
-    most: float,
-    out: FloatArray,
-) -> None:
-    """Write the terms: bells over `unit_s`, and speeds up to `most` times the limit."""
-    farthest, share = SPEED_LIMIT * decision_s, decision_s / unit_s
+    decision_s = settings[0].decision_s
+    farthest = SPEED_LIMIT * decision_s
     for e in range(out.shape[1]):
         for i in range(out.shape[2]):
             d = drones[e, i]
             near = min(d.clearance, d.obstacle_clearance)
-            covered = (d.last_distance - d.distance) / farthest
             proximity = min(max((near - 2.5) / (1.0 - 2.5), 0.0), 1.0)
-            out[0, e, i] = decision_s * min(max(covered, -most), most)
-            out[1, e, i] = share * math.exp(-((d.distance / 0.15) ** 2))  # 0.37 at 0.15 m
-            out[2, e, i] = share * math.exp(-((d.tracking_error / 0.10) ** 2))
+            out[0, e, i] = decision_s * ((d.last_distance - d.distance) / farthest)
+            out[1, e, i] = decision_s * math.exp(-((d.distance / 0.15) ** 2))  # 0.37 at 0.15 m
+            out[2, e, i] = decision_s * math.exp(-((d.tracking_error / 0.10) ** 2))
             out[3, e, i] = decision_s * d.effort
             out[4, e, i] = decision_s * proximity
             out[5, e, i] = d.crashed

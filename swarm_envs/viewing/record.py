@@ -106,7 +106,7 @@ class About:
     """What a recorded episode was: everything that does not change over it."""
 
     task: str
-    """Versioned name, such as `swap_v0`."""
+    """Versioned name, such as `swap_v1`."""
     agent: str
     """Who flew; empty if that is not known."""
     seed: int | None

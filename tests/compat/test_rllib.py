@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v0, swap_v1
+from swarm_envs import swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.features import goal_features
 from swarm_envs.agents.networks import plain
@@ -78,7 +78,7 @@ def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
     algorithm = rllib_ppo.algorithm_config(config).build_algo()
     module = algorithm.get_module(rllib_ppo.SHARED)
     agent = PolicyAgent(Policy(config.note(), plain(rllib_ppo.actor(module, 3)), {}))
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", **agent.requires)
     rows = np.stack(list(env.reset(seed=3)[0].values()))
     told = goal_features(rows, 1)
     assert told.shape[1] == config.note().sizes.width

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import TASKS, swap_v0, swap_v1
+from swarm_envs import TASKS, swap_v1
 
 pytest.importorskip("torchrl", reason="run by `make test-compat`")
 
@@ -31,7 +31,7 @@ def test_specs(task, observation):
 
 def test_turns():
     """The AEC interface, in which each drone is a group and all but one are masked."""
-    env = PettingZooWrapper(env=swap_v0.env(**OPTIONS), use_mask=True)
+    env = PettingZooWrapper(env=swap_v1.env(**OPTIONS), use_mask=True)
     check_env_specs(env)
 
 
@@ -50,9 +50,9 @@ def test_drones_that_ended_are_masked():
 
 
 def test_a_rollout_is_our_flight():
-    env = PettingZooWrapper(env=swap_v0.parallel_env(**OPTIONS), return_state=True)
+    env = PettingZooWrapper(env=swap_v1.parallel_env(**OPTIONS), return_state=True)
     flight = env.rollout(200, auto_reset=False, tensordict=env.reset(seed=5))
-    ours = swap_v0.parallel_env(**OPTIONS)
+    ours = swap_v1.parallel_env(**OPTIONS)
     rows, _ = ours.reset(seed=5)
     for step in range(len(flight)):
         frame = flight[step]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import ObservationField, observation_layout, shaper
@@ -31,7 +31,7 @@ every_vehicle = pytest.mark.parametrize("vehicle", FLOWN.values(), ids=FLOWN)
 
 def lone(vehicle: Vehicle = SMALL, engine: str = "batch", **options: Any) -> SwarmParallelEnv:
     """One drone in still air, 1 m high in the middle of the arena."""
-    env = swap_v0.parallel_env(team=[vehicle], physics=engine, interactions="none", **options)
+    env = swap_v1.parallel_env(team=[vehicle], physics=engine, interactions="none", **options)
     env.reset(seed=1, options={"start": [[0.0, 0.0, 1.0]]})
     return env
 
@@ -133,7 +133,7 @@ def shaken(
     seed: int = 2, steps: int = 20, **options: Any
 ) -> tuple[SwarmParallelEnv, dict[str, Any]]:
     """An environment after some random accelerations, and what was observed there."""
-    env = swap_v0.parallel_env(**{"team": TEAM, "physics": "batch", **options})
+    env = swap_v1.parallel_env(**{"team": TEAM, "physics": "batch", **options})
     observations, _ = env.reset(seed=seed)
     rng = np.random.default_rng(seed)
     mode = env.core.mode
@@ -157,7 +157,7 @@ def near(actual: np.ndarray, expected: np.ndarray | float) -> None:
 @pytest.mark.parametrize("num_neighbors", [0, 1, 3, 7])
 def test_layout_covers_the_row_without_gaps(num_neighbors):
     layout = observation_layout(num_neighbors)
-    env = swap_v0.parallel_env(team="LS", physics="batch", num_neighbors=num_neighbors)
+    env = swap_v1.parallel_env(team="LS", physics="batch", num_neighbors=num_neighbors)
     assert env.observation_layout == layout
     covered = [k for field in layout for k in range(field.where.start, field.where.stop)]
     assert env.observation_space("drone_0").shape == (len(covered),)

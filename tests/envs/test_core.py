@@ -17,13 +17,13 @@ STEPS = 120
 
 
 CASES: list[tuple[str, dict[str, Any]]] = [
-    ("swap_v0", {"team": "LSS*"}),
-    ("swap_v0", {"team": "LSS*", "action": "rotors"}),
-    ("swap_v0", {"num_drones": 3, "layout": "circle"}),
-    ("swap_v0", {"num_drones": 3, "layout": "stacked"}),
-    ("ring_v0", {"horizon_s": 2.0}),
-    ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
-    ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+    ("swap_v1", {"team": "LSS*"}),
+    ("swap_v1", {"team": "LSS*", "action": "rotors"}),
+    ("swap_v1", {"num_drones": 3, "layout": "circle"}),
+    ("swap_v1", {"num_drones": 3, "layout": "stacked"}),
+    ("ring_v1", {"horizon_s": 2.0}),
+    ("formation_v1", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
+    ("formation_v1", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
     ("crowd_v0", {"num_drones": 4, "layout": "open", "horizon_s": 2.0}),
     ("pursuit_v0", {"num_drones": 4, "layout": "chase", "horizon_s": 2.0}),
     ("gates_v0", {"num_drones": 2, "radius_m": 0.4, "horizon_s": 2.0}),
@@ -32,9 +32,9 @@ CASES: list[tuple[str, dict[str, Any]]] = [
 
 
 def cores(
-    engine: str, num_envs: int, team: str = "LSS*", task: str = "swap_v0", **options: Any
+    engine: str, num_envs: int, team: str = "LSS*", task: str = "swap_v1", **options: Any
 ) -> SwarmCore:
-    if task == "swap_v0" and "num_drones" not in options:
+    if task == "swap_v1" and "num_drones" not in options:
         options["team"] = team
     return SwarmCore(*blueprint_of(task, physics=engine, **options)[:2], num_envs)
 

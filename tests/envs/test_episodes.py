@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from swarm_envs import swap_v0, swap_v1
+from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -68,7 +68,7 @@ def test_crashes_end_the_episode(engine, metric, start, actions, contact):
     """Only the drones that crashed are punished, once; the team has not succeeded."""
     mode = "rotors" if len(actions[0]) == 4 else "acceleration"
     still = HOVER if mode == "rotors" else [0.0, 0.0, 0.0]
-    env = swap_v0.parallel_env(team="SLS", physics=engine, action=mode)
+    env = swap_v1.parallel_env(team="SLS", physics=engine, action=mode)
     infos, rewards = fly(env, [*start, [1, 1, 1]], [*actions, still])
     together = metric == "collided_drones"
     hit = [True, together, False]
@@ -94,7 +94,7 @@ def test_crashes_end_the_episode(engine, metric, start, actions, contact):
 def stacked(agent: TrackingAgent, **options: Any) -> SwarmParallelEnv:
     layout = StackedLayout(radius_m=(0.5, 0.5), duration_s=(3.0, 3.0))
     fixed = {"layout": "stacked", "stacked": layout, "physics": "batch", **agent.requires}
-    return swap_v0.parallel_env(**{**fixed, **options})
+    return swap_v1.parallel_env(**{**fixed, **options})
 
 
 def watched(
@@ -129,7 +129,7 @@ def test_lingering_never_pays(discount):
     """Standing still beside the goal until the clock earns less than holding it."""
 
     def returned(goal_x: float) -> float:
-        env = swap_v0.parallel_env(num_drones=1, physics="batch", interactions="none")
+        env = swap_v1.parallel_env(num_drones=1, physics="batch", interactions="none")
         env.reset(seed=0, options={"start": [[0.0, 0.0, 1.0]], "goal": [[goal_x, 0.0, 1.0]]})
         total, factor = 0.0, 1.0
         while env.agents:
@@ -159,7 +159,7 @@ def test_success_is_rewarded_once_and_may_go_on():
 
 
 def test_progress_is_what_the_distance_to_the_goal_shrank_by():
-    env = swap_v0.parallel_env(team="LSS*", physics="batch")
+    env = swap_v1.parallel_env(team="LSS*", physics="batch")
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     while env.agents:
@@ -224,7 +224,7 @@ def test_separation_counts_what_happens_between_decisions():
     """Seen at 240 Hz, whatever the decision rate."""
     closest = []
     for rate in (240, 10):
-        env = swap_v0.parallel_env(team="SS", physics="batch", decision_rate=rate, horizon_s=0.6)
+        env = swap_v1.parallel_env(team="SS", physics="batch", decision_rate=rate, horizon_s=0.6)
         start = [[-0.3, -0.15, 1.0], [0.3, 0.15, 1.0]]
         infos, _ = fly(env, start, [[1, 0, 0], [-1, 0, 0]])
         closest.append(infos["drone_0"]["episode_metrics"]["minimum_separation_m"])
@@ -233,7 +233,7 @@ def test_separation_counts_what_happens_between_decisions():
 
 def test_forces_outside_the_measured_range_are_counted():
     """A lone drone's input is its speed: the share of steps flown faster than what was measured."""
-    env = swap_v0.parallel_env(team="S", physics="batch", decision_rate=240, horizon_s=1.0)
+    env = swap_v1.parallel_env(team="S", physics="batch", decision_rate=240, horizon_s=1.0)
     fastest = env.core.physics.interactions.notes["input_range"]["environment"][1][1]
     for action, some in ((0.0, False), (1.0, True)):
         env.reset(seed=1, options={"start": [[-1.0, 0.0, 1.0]]})

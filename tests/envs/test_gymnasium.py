@@ -23,7 +23,6 @@ def team_actions(rng: np.random.Generator, env: Any) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space m")  # ours are not normalised
-@pytest.mark.filterwarnings("ignore:.*is out of date")  # version 0, on purpose
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasiums_own_check(task):
     env = gymnasium.make(gymnasium_name(task), **QUICK)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.randomization import Randomization
@@ -356,11 +356,11 @@ def test_engines_fly_the_same_hall(gusts):
 def test_the_option_is_read_by_name_and_by_numbers():
     worlds: list[tuple[Any, Any]] = [("ideal", None), ("hall", Hall()), (EXACT, EXACT)]
     for world, expected in worlds:
-        env = swap_v0.parallel_env(world=world, physics="batch", interactions="none")
+        env = swap_v1.parallel_env(world=world, physics="batch", interactions="none")
         assert env.core.physics.hall == expected
         env.close()
     with pytest.raises(ValueError, match="world"):
-        swap_v0.parallel_env(world="attic")
+        swap_v1.parallel_env(world="attic")
     with pytest.raises(ValueError, match="in the hall the state is estimated"):
         EnvConfig(world="hall", randomization=Randomization(position_noise_m=0.01))
 
@@ -409,7 +409,7 @@ def test_every_episode_is_drawn_anew_and_a_seed_repeats_it():
 def pushed(engine: str, ranges: Randomization, yaw: float, steps: int) -> SwarmState:
     """The state of a lone drone that began level, after rotor commands about its nominal hover."""
     options: dict[str, Any] = {"interactions": "none", "action": "rotors"}
-    env = swap_v0.parallel_env(num_drones=1, physics=engine, randomization=ranges, **options)
+    env = swap_v1.parallel_env(num_drones=1, physics=engine, randomization=ranges, **options)
     env.reset(seed=0, options={"start": [[0.0, 0.0, 1.5]]})
     level = 2 * SMALL.hover_rotor_thrust / SMALL.max_rotor_thrust - 1
     for _ in range(steps):
@@ -501,6 +501,6 @@ def test_batteries_start_where_they_are_drawn_and_limit_from_the_first_step():
 def test_what_could_not_fly_is_refused():
     weak = Randomization(thrust=(0.5, 1.0), mass=(1.0, 1.2))
     with pytest.raises(ValueError, match=r"can leave 'S' with a thrust-to-weight ratio of 0.8\d"):
-        swap_v0.parallel_env(num_drones=2, physics="batch", randomization=weak)
+        swap_v1.parallel_env(num_drones=2, physics="batch", randomization=weak)
     with pytest.raises(ValueError, match="these batteries never empty; give battery="):
-        swap_v0.parallel_env(physics="batch", randomization=Randomization(battery=(0.5, 1.0)))
+        swap_v1.parallel_env(physics="batch", randomization=Randomization(battery=(0.5, 1.0)))

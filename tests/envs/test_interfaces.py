@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from swarm_envs import TASKS, swap_v0
+from swarm_envs import TASKS, swap_v1
 from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.interactions import load
@@ -25,7 +25,7 @@ from tests.helpers.faces import FACES, Face, core_of, everything
 
 SHORT: dict[str, Any] = {"num_drones": 3, "horizon_s": 1.0}
 every_task = pytest.mark.parametrize("task", TASKS)
-QUICK: dict[str, dict[str, Any]] = {"formation_v0": {"shape_s": 0.25, "travel_s": 0.2}}
+QUICK: dict[str, dict[str, Any]] = {"formation_v1": {"shape_s": 0.25, "travel_s": 0.2}}
 
 
 def begun(face: Any, task: str, seed: int = 4, **options: Any) -> Any:
@@ -77,7 +77,7 @@ def by_name(rows: list[np.ndarray]) -> dict[str, np.ndarray]:
 def test_deterministic_flights_are_the_same_to_the_last_bit(face):
     """After each of 24 decisions, on the engine that `deterministic` chooses."""
     env = face.begin(physics=face.default, deterministic=True)
-    reference = swap_v0.parallel_env(deterministic=True, **SHORT)
+    reference = swap_v1.parallel_env(deterministic=True, **SHORT)
     assert reference.physics_name == "batch"
     reference.reset(seed=4)
     for step in range(24):
@@ -89,16 +89,16 @@ def test_deterministic_flights_are_the_same_to_the_last_bit(face):
 
 @pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
 def test_what_deterministic_chooses():
-    assert swap_v0.parallel_env().physics_name == "bullet"
-    assert swap_v0.parallel_env(deterministic=True).physics_name == "batch"
-    assert swap_v0.parallel_env(deterministic=True, physics="bullet").physics_name == "bullet"
+    assert swap_v1.parallel_env().physics_name == "bullet"
+    assert swap_v1.parallel_env(deterministic=True).physics_name == "batch"
+    assert swap_v1.parallel_env(deterministic=True, physics="bullet").physics_name == "bullet"
 
 
 def test_deterministic_holds_in_float32_and_on_threads():
     fast = load("learned").with_precision("float32")
-    many = make_vector("swap_v0", 5, threads=2, interactions=fast, deterministic=True, **SHORT)
+    many = make_vector("swap_v1", 5, threads=2, interactions=fast, deterministic=True, **SHORT)
     many.reset(seed=0)
-    ones = [swap_v0.parallel_env(interactions=fast, deterministic=True, **SHORT) for _ in range(5)]
+    ones = [swap_v1.parallel_env(interactions=fast, deterministic=True, **SHORT) for _ in range(5)]
     for e, env in enumerate(ones):
         env.reset(seed=e)
     for step in range(24):
@@ -261,7 +261,7 @@ def test_actions_by_agent(engine, actions, error, message):
 
 
 def test_setpoints_that_cannot_be_observed():
-    env = swap_v0.parallel_env(num_drones=1, physics="batch", action="setpoint")
+    env = swap_v1.parallel_env(num_drones=1, physics="batch", action="setpoint")
     env.reset(seed=3)
     message = r"drone_0 has -1.7014118e\+38 at index 0.* must lie in \[-1e\+30, 1e\+30\]; clip it"
     with pytest.raises(ValueError, match=message):
@@ -286,12 +286,12 @@ def test_setpoints_that_cannot_be_observed():
 )
 def test_bad_options(face, options, error, message):
     with pytest.raises(error, match=message):
-        face.make("swap_v0", **options)
+        face.make("swap_v1", **options)
 
 
 def test_options_have_names():
     with pytest.raises(TypeError, match="options have names, such as num_drones=4, but got 8"):
-        swap_v0.parallel_env(8)  # type: ignore[call-arg, arg-type]
+        swap_v1.parallel_env(8)  # type: ignore[call-arg, arg-type]
 
 
 @pytest.mark.parametrize(
@@ -307,11 +307,11 @@ def test_options_have_names():
 )
 def test_options_that_no_annotation_excludes(options, message):
     with pytest.raises(ValueError, match=message):
-        swap_v0.parallel_env(physics="batch", **options)
+        swap_v1.parallel_env(physics="batch", **options)
 
 
 def test_unknown_agents():
-    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    env = swap_v1.parallel_env(num_drones=2, physics="batch")
     for space in (env.action_space, env.observation_space):
         with pytest.raises(ValueError, match="unknown agent 'drone_2'; did you mean 'drone_"):
             space("drone_2")
@@ -319,8 +319,8 @@ def test_unknown_agents():
 
 @pytest.mark.parametrize("make", [swarm_envs.make, make_joint, make_solo, make_vector])
 def test_unknown_tasks(make):
-    with pytest.raises(ValueError, match="unknown task 'swop_v0'; did you mean 'swap_v0'"):
-        make("swop_v0")
+    with pytest.raises(ValueError, match="unknown task 'swop_v1'; did you mean 'swap_v1'"):
+        make("swop_v1")
 
 
 SPAWNS: list[tuple[dict[str, Any], str]] = [
@@ -360,13 +360,13 @@ def test_bad_seeds(face, seed):
 
 def test_mixed_seeds_of_a_vector():
     """None goes on with that environment's generator, beside others that are seeded anew."""
-    env = make_vector("swap_v0", 3, num_drones=3)
+    env = make_vector("swap_v1", 3, num_drones=3)
     with pytest.raises(RuntimeError, match="no episode has begun"):
         env.step(np.zeros((3, 9)))
     first, _ = env.reset(seed=[5, 6, 7])
     second, _ = env.reset(seed=[5, None, 7])
     assert np.array_equal(first[[0, 2]], second[[0, 2]]) and not np.array_equal(first[1], second[1])
-    single = make_joint("swap_v0", physics="batch", num_drones=3)
+    single = make_joint("swap_v1", physics="batch", num_drones=3)
     single.reset(seed=6)
     assert np.array_equal(single.reset()[0], second[1])
     assert np.array_equal(env.reset(seed=np.array([5, 6, 7]))[0], first)  # type: ignore[arg-type]
@@ -377,7 +377,7 @@ def test_mixed_seeds_of_a_vector():
 
 def test_a_pilot_must_fly():
     with pytest.raises(TypeError, match="others is 3, but must be a function from an observation"):
-        make_solo("swap_v0", others=3, physics="batch")  # type: ignore[arg-type]
+        make_solo("swap_v1", others=3, physics="batch")  # type: ignore[arg-type]
 
 
 def test_closed(face):
@@ -391,7 +391,7 @@ def test_closed(face):
 
 
 def test_step_without_an_episode(engine):
-    env = swap_v0.parallel_env(team="LS", physics=engine, horizon_s=0.1)
+    env = swap_v1.parallel_env(team="LS", physics=engine, horizon_s=0.1)
     actions = {agent: np.zeros(3) for agent in env.possible_agents}
     with pytest.raises(RuntimeError, match=r"no episode has begun; call reset\(\) first"):
         env.step(actions)
@@ -408,7 +408,7 @@ def test_step_without_an_episode(engine):
 def test_render_without_a_mode_warns_on_every_interface():
     options: dict[str, Any] = {"num_drones": 2, "physics": "batch"}
     makers: list[Any] = [make_joint, make_solo, make_vector, swarm_envs.make]
-    for env in [*(make("swap_v0", **options) for make in makers), swap_v0.env(**options)]:
+    for env in [*(make("swap_v1", **options) for make in makers), swap_v1.env(**options)]:
         env.reset(seed=1)  # does not warn
         with pytest.warns(UserWarning, match='without.* any render mode.* render_mode="human"'):
             assert env.render() is None

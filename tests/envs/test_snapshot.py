@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from swarm_envs import formation_v0, swap_v0
+from swarm_envs import formation_v1, swap_v1
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import make_joint
@@ -38,7 +38,7 @@ LOADED: dict[str, Any] = PLAIN | {
 
 
 def flying(engine: str, action: str = "acceleration", **options: object) -> SwarmParallelEnv:
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         team="SLS",
         physics=engine,
         action=action,
@@ -113,7 +113,7 @@ def test_goes_on_byte_for_byte(engine, action, way):
 )
 def test_refuses_what_does_not_fit(options, message):
     snapshot = flying("batch").get_state()
-    env = swap_v0.parallel_env(physics="batch", **options)
+    env = swap_v1.parallel_env(physics="batch", **options)
     with pytest.raises(ValueError, match=message):
         env.set_state(snapshot)
     with pytest.raises(TypeError, match=r"state is a dict, but must be what get_state\(\)"):
@@ -121,7 +121,7 @@ def test_refuses_what_does_not_fit(options, message):
 
 
 def test_refuses_another_number_of_stages():
-    short, long = (formation_v0.parallel_env(letters=name, num_drones=8) for name in ("LM", "LMNO"))
+    short, long = (formation_v1.parallel_env(letters=name, num_drones=8) for name in ("LM", "LMNO"))
     for env in (short, long):
         env.reset(seed=1)
     with pytest.raises(ValueError, match="number of stages is 1, but here it is 3"):
@@ -129,7 +129,7 @@ def test_refuses_another_number_of_stages():
 
 
 def test_copies_keep_the_weights_that_were_set():
-    blueprint = swap_v0.blueprint(num_drones=2, physics="batch")
+    blueprint = swap_v1.blueprint(num_drones=2, physics="batch")
     core = SwarmCore(blueprint.task, blueprint.config)
     core.set_reward_weights({"effort": -9.0})
     twin, still = copy.deepcopy(core), np.ones((1, 2, 3))
@@ -149,12 +149,12 @@ def test_a_closed_environment_has_no_state():
 
 
 FLOWN: list[tuple[str, dict[str, Any], str, str]] = [
-    ("swap_v0", {"layout": "random"}, "SLSS*", "LSS*L"),
-    ("swap_v0", {"layout": "stacked"}, "SSS", "LSL"),
-    ("swap_v0", {"layout": "circle", "action": "ctbr"}, "SSS", "LS*L"),
-    ("swap_v0", {"layout": "random", "action": "rotors"}, "SSS", "LS*L"),
-    ("ring_v0", {}, "S*S*S*LL", "LLS*S*S*"),
-    ("formation_v0", {"shape_s": 0.5, "travel_s": 0.4}, "SSSS", "LSLS*"),
+    ("swap_v1", {"layout": "random"}, "SLSS*", "LSS*L"),
+    ("swap_v1", {"layout": "stacked"}, "SSS", "LSL"),
+    ("swap_v1", {"layout": "circle", "action": "ctbr"}, "SSS", "LS*L"),
+    ("swap_v1", {"layout": "random", "action": "rotors"}, "SSS", "LS*L"),
+    ("ring_v1", {}, "S*S*S*LL", "LLS*S*S*"),
+    ("formation_v1", {"shape_s": 0.5, "travel_s": 0.4}, "SSSS", "LSLS*"),
 ]
 """Task, its options, the team that an environment is made with, and another."""
 
@@ -192,7 +192,7 @@ def test_equals_an_environment_made_with_that_team(engine, task, options, first,
 def test_every_interface_passes_it_on(face):
     """In its first environment, as the parallel one; another reset brings the first team back."""
     env = face.begin()
-    reference = swap_v0.parallel_env(physics="batch", num_drones=3, horizon_s=1.0)
+    reference = swap_v1.parallel_env(physics="batch", num_drones=3, horizon_s=1.0)
     reference.reset(seed=4, options={"team": "LSL"})
     face.reset(env, seed=4, options={"team": "LSL"})
     core = core_of(env)
@@ -209,12 +209,12 @@ def test_every_interface_passes_it_on(face):
 
 def test_one_environment_of_a_vector():
     """Flies another team until its episode ends and another begins by itself."""
-    env = make_vector("swap_v0", 2, num_drones=3, horizon_s=0.1)
+    env = make_vector("swap_v1", 2, num_drones=3, horizon_s=0.1)
     env.reset(seed=0)
     mask = np.array([False, True])
     env.reset(seed=5, options={"reset_mask": mask, "team": (LARGE, SMALL, LARGE)})
     assert [task.team for task in env.core.tasks] == [parse_team("SSS"), parse_team("LSL")]
-    single = make_joint("swap_v0", physics="batch", team="LSL", horizon_s=0.1)
+    single = make_joint("swap_v1", physics="batch", team="LSL", horizon_s=0.1)
     np.testing.assert_array_equal(env.core.rows[1].reshape(-1), single.reset(seed=6)[0])
     rows = np.full((2, 9), 0.2, np.float32)
     for _ in range(3):
@@ -262,7 +262,7 @@ CLOSE = [[0.0, 0.0, 1.0], [0.15, 0.0, 1.0], [1.0, 1.0, 1.0]]
 )
 def test_teams_that_cannot_fly_are_refused(engine, options, reset, message):
     """And everything goes on as if it had not been tried."""
-    envs = [swap_v0.parallel_env(physics=engine, team="SSS", **options) for _ in range(2)]
+    envs = [swap_v1.parallel_env(physics=engine, team="SSS", **options) for _ in range(2)]
     for env in envs:
         env.reset(seed=2)
         env.step({agent: np.full(3, 0.1) for agent in env.agents})
@@ -278,14 +278,14 @@ def test_teams_that_cannot_fly_are_refused(engine, options, reset, message):
 
 
 def test_starts_are_checked_with_the_team_that_flies():
-    env = swap_v0.parallel_env(physics="batch", team="LLL")
+    env = swap_v1.parallel_env(physics="batch", team="LLL")
     env.reset(seed=1, options={"team": "SSS", "start": CLOSE})
 
 
 def test_a_vehicle_of_one_s_own():
     """Any Vehicle flies whose airframe the air knows; bounds go by its token."""
     mine: Vehicle = replace(LARGE, token="M", mass=0.05)
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", force_bounds_g={"M": 1e-9})
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", force_bounds_g={"M": 1e-9})
     env.reset(seed=1, options={"team": (mine, SMALL)})
     flight(env, 10)
     assert env.view.team == (mine, SMALL)

@@ -21,7 +21,7 @@ from pettingzoo.test import (
 )
 from pettingzoo.utils.conversions import aec_to_parallel
 
-from swarm_envs import TASKS, swap_v0
+from swarm_envs import TASKS, swap_v1
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv
 
 DRONES = 3
@@ -60,7 +60,7 @@ def test_pettingzoos_own_tests(task):
 
 @pytest.mark.parametrize("action", ["acceleration", "rotors", "setpoint"])
 def test_pettingzoos_test_of_every_action(engine, action):
-    env = swap_v0.parallel_env(team="LS", physics=engine, action=action)
+    env = swap_v1.parallel_env(team="LS", physics=engine, action=action)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parallel_api_test(env, num_cycles=300)
@@ -81,7 +81,7 @@ def test_pettingzoos_render_test(task, monkeypatch):
 
 
 def test_reset_without_a_seed_goes_on_with_the_generator():
-    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    env = swap_v1.parallel_env(num_drones=2, physics="batch")
     starts = []
     for seed in (4, None, None, 4, None):
         env.reset(seed=seed)
@@ -90,13 +90,13 @@ def test_reset_without_a_seed_goes_on_with_the_generator():
     np.testing.assert_array_equal(starts[1], starts[4])
     assert not np.array_equal(starts[0], starts[1])
     assert not np.array_equal(starts[1], starts[2])
-    other = swap_v0.parallel_env(num_drones=2, physics="batch")
+    other = swap_v1.parallel_env(num_drones=2, physics="batch")
     other.reset()  # of no seed ever
     assert not any(np.array_equal(other.view.state.position, start) for start in starts)
 
 
 def test_view_is_read_only():
-    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    env = swap_v1.parallel_env(num_drones=2, physics="batch")
     env.reset(seed=1)
     view = env.view
     arrays = [*view.state, *view.setpoint, *view.reference(0.5), view.goals, view.oracle_force]
@@ -118,7 +118,7 @@ def test_known_to_pettingzoo(task):
 
 def test_the_same_flight_as_the_parallel_environment(engine):
     """A whole episode: observations, rewards, ends, infos and states, to the last bit."""
-    module = task_of("swap_v0", physics=engine, horizon_s=0.5)
+    module = task_of("swap_v1", physics=engine, horizon_s=0.5)
     turns, parallel = module.env(), module.parallel_env()
     turns.reset(seed=4)
     rows, infos = parallel.reset(seed=4)
@@ -146,7 +146,7 @@ def test_the_same_flight_as_the_parallel_environment(engine):
 
 
 def test_refusals():
-    env = task_of("swap_v0", horizon_s=1 / 48).env()
+    env = task_of("swap_v1", horizon_s=1 / 48).env()
     with pytest.raises(AttributeError, match="reset"):
         env.agents  # noqa: B018
     env.reset(seed=1)
@@ -158,7 +158,7 @@ def test_refusals():
 
 def test_copied_amid_a_round_of_decisions(engine):
     """Of which one has been made; tests/envs/test_interfaces.py copies between rounds."""
-    env = task_of("swap_v0", physics=engine).env()
+    env = task_of("swap_v1", physics=engine).env()
     env.reset(seed=2)
     for _ in range(DRONES * 5 + 1):
         env.step(row(0.2, -0.1, 0.1))

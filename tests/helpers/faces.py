@@ -26,7 +26,7 @@ class Face(NamedTuple):
     default: str | None = None  # the engine that flies by default, where it is not Bullet
     place: str = ""  # what it says after a drone's name to tell in which environment
 
-    def begin(self, seed: int = 4, task: str = "swap_v0", **options: Any) -> Any:
+    def begin(self, seed: int = 4, task: str = "swap_v1", **options: Any) -> Any:
         """An environment in which an episode has begun."""
         given = {"physics": "batch", "num_drones": 3, "horizon_s": 1.0}
         env = self.make(task, **(given | options))

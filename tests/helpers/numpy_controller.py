@@ -126,7 +126,7 @@ class NumpyTrackingController:
         reference_rate = target.acceleration - gains.position * (velocity - target.velocity)
         velocity_error = velocity - reference
 
-        limit = self.config.integral_limit
+        limit = self.config.velocity_integral_limit
         integral = self.velocity_integral + velocity_error * self.dt
         self.velocity_integral = np.clip(integral, -limit, limit)
 

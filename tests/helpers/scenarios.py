@@ -62,7 +62,7 @@ def filtered() -> Arrays:
     """An agent behind the safety filter, and what a policy would see of it."""
     agent = load_agent("straight-line+filter")
     options = {**agent.requires, "physics": "batch", "interactions": "none"}
-    env = swarm_envs.make("swap_v0", num_drones=3, layout="circle", **options)
+    env = swarm_envs.make("swap_v1", num_drones=3, layout="circle", **options)
     observations, _ = env.reset(seed=0)
     agent.reset(env, 0)
     acts = []

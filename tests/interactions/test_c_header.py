@@ -43,7 +43,7 @@ def run_program(folder: Path, source: str, rows: np.ndarray) -> np.ndarray:
 
 NEIGHBOURS = 6
 BELIEFS = Path(str(resources.files("swarm_envs.baselines.neural_swarm").joinpath("weights")))
-SHIPPED_FORCES = ("learned", "learned-v0", *sorted(BELIEFS.glob("*.safetensors")))
+SHIPPED_FORCES = ("learned", "deep-set", *sorted(BELIEFS.glob("*.safetensors")))
 
 
 # Reads states of six neighbours, of which the first `count` are there, and writes three forces.

@@ -11,7 +11,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import write_forces
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
 
-MODELS = ("wake", "learned", "learned-v0")
+MODELS = ("wake", "learned", "deep-set")
 
 
 @pytest.fixture(params=MODELS)

@@ -24,7 +24,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-v0"])
+@pytest.mark.parametrize("name", ["learned", "deep-set"])
 def test_float32_agrees_to_a_thousandth_of_a_gram(name: str) -> None:
     """1e5 random states of the flight range, against the float64 networks."""
     rng = np.random.default_rng(8)
@@ -42,7 +42,7 @@ def test_float32_agrees_to_a_thousandth_of_a_gram(name: str) -> None:
         model.with_precision("float16")
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-v0"])
+@pytest.mark.parametrize("name", ["learned", "deep-set"])
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_what_is_computed_together_never_shows(precision: str, name: str) -> None:
     """Other environments, and drones out of reach, do not change a bit of a drone's force."""

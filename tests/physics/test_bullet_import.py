@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.physics.bullet import bullet_available, import_bullet
 
 
@@ -18,8 +18,8 @@ def check_fallback(message: str) -> None:
     with pytest.raises(ImportError, match=message):
         import_bullet()
     with pytest.raises(ImportError, match=r"pybullet.*physics='batch'"):
-        swap_v0.parallel_env(physics="bullet")
-    env = swap_v0.parallel_env()
+        swap_v1.parallel_env(physics="bullet")
+    env = swap_v1.parallel_env()
     assert env.physics_name == "batch"
     env.reset(seed=1)
 

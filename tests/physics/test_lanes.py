@@ -80,7 +80,7 @@ def test_pairs_of_environments_are_compared_side_by_side():
     assert packed >= 8  # scalar ones do the environments that are left over
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-v0"])
+@pytest.mark.parametrize("name", ["learned", "deep-set"])
 def test_forces_count_few_references(name):
     """Numba counts references to arrays that are found in a branch, by an atomic instruction each.
 

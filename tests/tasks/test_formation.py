@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import formation_v0, ring_v0
+from swarm_envs import formation_v1, ring_v1
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.config import EnvConfig
@@ -140,7 +140,7 @@ def test_stages_change_with_the_clock():
 
 def test_the_tracking_agent_flies_the_shapes():
     agent = TrackingAgent()
-    env = formation_v0.parallel_env(num_drones=9, physics="batch", **agent.requires)
+    env = formation_v1.parallel_env(num_drones=9, physics="batch", **agent.requires)
     shares: list[float] = []
     metrics = fly_episode(
         env, agent, 0, lambda env: shares.append(env.core.world.environments["achieved"][0])
@@ -178,11 +178,11 @@ def test_a_missed_shape_is_no_success():
 )
 def test_impossible_options(options, message):
     with pytest.raises(ValueError, match=message):
-        formation_v0.parallel_env(physics="batch", **options)
+        formation_v1.parallel_env(physics="batch", **options)
 
 
 def test_a_goal_is_refused():
-    env = formation_v0.parallel_env(num_drones=2, physics="batch")
+    env = formation_v1.parallel_env(num_drones=2, physics="batch")
     with pytest.raises(ValueError, match=r"in formation goals are those of shapes="):
         env.reset(options={"goal": [[0, 0, 1], [1, 0, 1]]})
     env.reset(options={"start": [[0, 0, 1], [1, 0, 1]]})
@@ -301,7 +301,7 @@ def test_a_fixed_lead_fixes_the_start():
 def test_errors_of_the_start_up_do_not_count():
     """Drones that start 0.2 m above their rings: errors count once they had time to catch up."""
     agent = TrackingAgent()
-    env = ring_v0.parallel_env(interactions="none", physics="batch", **agent.requires)
+    env = ring_v1.parallel_env(interactions="none", physics="batch", **agent.requires)
     env.reset(seed=3)
     start = env.view.state.position + np.array([0.0, 0.0, 0.2])
     errors = []
@@ -358,7 +358,7 @@ def test_impossible_rings(team, layout, message):
 
 
 def test_a_goal_is_refused_and_changes_nothing():
-    env = ring_v0.parallel_env(physics="batch")
+    env = ring_v1.parallel_env(physics="batch")
     env.reset(seed=1)
     state = env.core.generators[0].bit_generator.state
     goal = env.view.state.position + 0.0

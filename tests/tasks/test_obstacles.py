@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import swarm_envs
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
 from swarm_envs.physics.contact import nearest_point
 from swarm_envs.state import hover_state
@@ -83,7 +83,7 @@ def test_bullet_is_stopped_by_what_stands_there():
 
 
 def test_hitting_one_ends_the_episode():
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", obstacles=(POST, BLOCK))
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", obstacles=(POST, BLOCK))
     start = [[-0.5, 0.0, 1.0], [-1.5, -1.5, 1.0]]
     env.reset(seed=0, options={"start": start, "goal": [[1.5, 1.5, 1.0], [-1.0, -1.0, 1.0]]})
     proximity = 0.0
@@ -110,7 +110,7 @@ def observed(env: Any, row: np.ndarray, k: int) -> tuple[np.ndarray, float]:
 @pytest.mark.parametrize("places", [1, 2, 3, 4])
 def test_the_nearest_are_observed(places):
     obstacles = (POST, BLOCK, Column((-1.5, 1.5), 0.1))
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         num_drones=3, physics="batch", obstacles=obstacles, num_obstacles=places
     )
     for seed in range(5):
@@ -128,7 +128,7 @@ def test_the_nearest_are_observed(places):
 
 def test_observation_rows_grow_only_where_there_are_obstacles():
     def width(**options: Any) -> int:
-        env = swap_v0.parallel_env(physics="batch", **options)
+        env = swap_v1.parallel_env(physics="batch", **options)
         stop = env.observation_layout[-1].where.stop
         assert env.observation_space("drone_0").shape == (stop,)
         return stop
@@ -142,12 +142,12 @@ def test_observation_rows_grow_only_where_there_are_obstacles():
 @pytest.mark.parametrize(
     ("task", "options"),
     [
-        ("swap_v0", {"num_drones": 4, "obstacles": buildings(2, 2)}),
-        ("swap_v0", {"num_drones": 4, "layout": "circle", "obstacles": (Column((0, 0), 0.4),)}),
-        ("swap_v0", {"num_drones": 6, "layout": "circle", "obstacles": (Column((1.5, 0), 0.2),)}),
-        ("swap_v0", {"team": "LS", "layout": "stacked", "obstacles": (Column((0.8, 0), 0.1),)}),
-        ("ring_v0", {"obstacles": (Column((0.0, 1.5), 0.3), Box((-2, -2, 0), (-1, -1, 1)))}),
-        ("formation_v0", {"num_drones": 4, "obstacles": (Column((1.0, 0.0), 0.1),)}),
+        ("swap_v1", {"num_drones": 4, "obstacles": buildings(2, 2)}),
+        ("swap_v1", {"num_drones": 4, "layout": "circle", "obstacles": (Column((0, 0), 0.4),)}),
+        ("swap_v1", {"num_drones": 6, "layout": "circle", "obstacles": (Column((1.5, 0), 0.2),)}),
+        ("swap_v1", {"team": "LS", "layout": "stacked", "obstacles": (Column((0.8, 0), 0.1),)}),
+        ("ring_v1", {"obstacles": (Column((0.0, 1.5), 0.3), Box((-2, -2, 0), (-1, -1, 1)))}),
+        ("formation_v1", {"num_drones": 4, "obstacles": (Column((1.0, 0.0), 0.1),)}),
     ],
 )  # fmt: skip
 def test_what_is_drawn_is_free(task, options):
@@ -167,9 +167,9 @@ def test_what_is_drawn_is_free(task, options):
 @pytest.mark.parametrize(
     ("task", "options", "message"),
     [
-        ("swap_v0", {"layout": "stacked", "team": "LS"}, r"the reference of drone \d is 0.\d+ m"),
-        ("ring_v0", {}, r"found no ring_v0 free of the obstacles within 200 draws"),
-        ("formation_v0", {}, r"the start of drone \d is .* from obstacle 0, but must keep 0.21"),
+        ("swap_v1", {"layout": "stacked", "team": "LS"}, r"the reference of drone \d is 0.\d+ m"),
+        ("ring_v1", {}, r"found no ring_v1 free of the obstacles within 200 draws"),
+        ("formation_v1", {}, r"the start of drone \d is .* from obstacle 0, but must keep 0.21"),
     ],
 )  # fmt: skip
 def test_searches_that_fail_say_why(task, options, message):
@@ -179,13 +179,13 @@ def test_searches_that_fail_say_why(task, options, message):
 
 
 def test_an_overfull_arena_raises():
-    env = swap_v0.parallel_env(physics="batch", obstacles=(Box((-2, -2, 0), (2, 2, 2.4)),))
+    env = swap_v1.parallel_env(physics="batch", obstacles=(Box((-2, -2, 0), (2, 2, 2.4)),))
     with pytest.raises(RuntimeError, match=r"found room for 0 of 4 drones .* fewer drones or obst"):
         env.reset(seed=0)
 
 
 def test_given_points_inside_are_refused():
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", obstacles=(POST, BLOCK))
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", obstacles=(POST, BLOCK))
     env.reset(seed=0)
     good = [[-1.0, 0.0, 1.0], [-1.0, 1.0, 1.0]]
     state = env.core.generators[0].bit_generator.state
@@ -217,7 +217,7 @@ def test_buildings_stand_on_a_grid():
         (lambda: Column((0, np.nan), 0.1), ValueError, r"Column.center is nan"),
         (lambda: buildings(0, 2), ValueError, r"columns is 0, but must be an integer"),
         (lambda: buildings(2, 2, spacing=0.3), ValueError, r"0 < width < spacing"),
-        (lambda: swarm_envs.make("swap_v0", obstacles=[1]), TypeError, r"obstacles is \[1\], but"),
+        (lambda: swarm_envs.make("swap_v1", obstacles=[1]), TypeError, r"obstacles is \[1\], but"),
     ],
 )  # fmt: skip
 def test_impossible_obstacles(call, error, message):

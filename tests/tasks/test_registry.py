@@ -24,12 +24,12 @@ from swarm_envs.tasks.rewards import REWARD_NAMES
 
 every_task = pytest.mark.parametrize("task", TASKS)
 EACH: list[tuple[str, dict[str, Any]]] = [
-    ("swap_v0", {"layout": "random"}),
-    ("swap_v0", {"layout": "circle"}),
-    ("swap_v0", {"layout": "stacked", "num_drones": 3}),
-    ("ring_v0", {}),
-    ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
-    ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+    ("swap_v1", {"layout": "random"}),
+    ("swap_v1", {"layout": "circle"}),
+    ("swap_v1", {"layout": "stacked", "num_drones": 3}),
+    ("ring_v1", {}),
+    ("formation_v1", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
+    ("formation_v1", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
     ("crowd_v0", {"num_drones": 4}),
     ("crowd_v0", {"num_drones": 3, "layout": "buildings"}),
     *(("pursuit_v0", {"num_drones": 4, "layout": layout}) for layout in PURSUIT_LAYOUTS),
@@ -60,12 +60,6 @@ def test_the_module(task):
         assert re.search(
             rf"^- `{name}` \({weight:g}\): \w", module.parallel_env.__doc__, re.MULTILINE
         )
-
-
-def test_version_0_flies_the_force_of_release_0_1_0():
-    for version, model in (("v0", "learned-v0"), ("v1", "learned")):
-        assert make(f"swap_{version}").core.physics.interactions.name == model
-        assert make(f"swap_{version}", interactions="wake").core.physics.interactions.name == "wake"
 
 
 def test_the_documented_observation_table_is_the_layout():
@@ -167,20 +161,18 @@ def test_rewards_are_weighted_sums_of_bounded_terms(task, options):
             for name in sums:  # until its own episode ends
                 sums[name] += infos["drone_0"]["reward_terms"][name] if "drone_0" in infos else 0.0
         for name in ("at_goal", "tracking", "success", "crash"):
-            seconds = env.view.time if name in ("at_goal", "tracking") else 1.0
-            most = 1.0 if task in ("swap_v0", "ring_v0", "formation_v0") else seconds
+            most = env.view.time if name in ("at_goal", "tracking") else 1.0
             assert 0.0 <= sums[name] <= most + 1e-9
 
 
-@pytest.mark.parametrize("version", ["v0", "v1"])
 @pytest.mark.parametrize("family", ["swap", "ring", "formation"])
-def test_the_same_flight_returns_the_same_on_every_clock(family, version):
-    """Two seconds of flight, with 2, 4 and 8 s on the clock; of version 0 alone they differ."""
+def test_the_same_flight_returns_the_same_on_every_clock(family):
+    """Two seconds of flight, with 2, 4 and 8 s on the clock."""
     returns, progress = [], np.inf
     for horizon_s in (2.0, 4.0, 8.0):
         given = {"layout": "stacked", "team": "SSS"} if family == "swap" else {"num_drones": 3}
         weights = {"tracking": 1.0}
-        env = make(f"{family}_{version}", horizon_s=horizon_s, reward_weights=weights, **given)
+        env = make(f"{family}_v1", horizon_s=horizon_s, reward_weights=weights, **given)
         env.reset(seed=4)
         before = env.core.world.drones["distance"][0, 0]
         rng, total, progress = np.random.default_rng(1), 0.0, 0.0
@@ -192,7 +184,7 @@ def test_the_same_flight_returns_the_same_on_every_clock(family, version):
             total, progress = total + rewards["drone_0"] - won, progress + terms["progress"]
         returns.append(total)
         covered = before - env.core.world.drones["distance"][0, 0]
-    assert (np.ptp(returns) < 1e-12) == (version == "v1")
+    assert np.ptp(returns) < 1e-12
     if family == "swap":  # goals that stay: potentials add up
         assert progress == pytest.approx(covered / SPEED_LIMIT, abs=1e-12)
 
@@ -202,7 +194,7 @@ def test_force_bounds_are_counted_each_physics_step(bound):
     """Against the log of a flight with a decision at each physics step."""
     agent = TrackingAgent(decision_rate=240)
     env = make(
-        "swap_v0", layout="stacked", team="LS", force_bounds_g={"S": bound}, **agent.requires
+        "swap_v1", layout="stacked", team="LS", force_bounds_g={"S": bound}, **agent.requires
     )
     forces: list[np.ndarray] = []
     metrics = fly_episode(env, agent, 0, lambda env: forces.append(env.view.oracle_force.copy()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.tables import SETTINGS_TYPE, new_world
 from swarm_envs.tasks.base import SPEED_LIMIT, Success
-from swarm_envs.tasks.rewards import REWARD_NAMES, weigh, write_terms, write_terms_v0
+from swarm_envs.tasks.rewards import REWARD_NAMES, weigh, write_terms
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import parse_team
 
@@ -23,11 +22,6 @@ number = st.floats(-1e6, 1e6)
 
 def written(**fields: float) -> dict[str, float]:
     """The terms of a drone of whom this is known, 25 times a second on a clock of 10 s."""
-    return written_by(write_terms, **fields)
-
-
-def written_by(write: Callable[..., None], **fields: float) -> dict[str, float]:
-    """The same, as a kernel writes them."""
     world, settings = new_world(1, 1), np.zeros(1, SETTINGS_TYPE)
     settings["decision_s"], settings["horizon_s"] = 0.04, 10.0
     world.drones["active"] = 1.0
@@ -36,7 +30,7 @@ def written_by(write: Callable[..., None], **fields: float) -> dict[str, float]:
         table = world.environments if name == "achieved" else world.drones
         table[name] = value
     out = np.full((len(REWARD_NAMES), 1, 1), np.nan)
-    write(world.drones, world.environments, settings, out)
+    write_terms(world.drones, world.environments, settings, out)
     return dict(zip(REWARD_NAMES, out.ravel().tolist(), strict=True))
 
 
@@ -60,28 +54,16 @@ def test_proximity_of_a_lone_drone_is_nothing():
 
 @given(number, number)
 def test_progress(before, now):
-    """Seconds at the speed limit; of version 0, of the most that it covers in a decision."""
-
-    def progress(before: float, now: float) -> float:
-        told = written_by(write_terms_v0, last_distance=before, distance=now)
-        return told["progress"] / 0.04
-
+    """Seconds at the speed limit."""
     seconds = written(last_distance=before, distance=now)["progress"]
     assert seconds == pytest.approx((before - now) / SPEED_LIMIT, abs=1e-9)
 
-    most = SPEED_LIMIT * 0.04
-    assert progress(1.0, 1.0 - 0.5 * most) == pytest.approx(0.5)
-    assert progress(1.0, 1.0 + 0.5 * most) == pytest.approx(-0.5)
-    assert -1.0 <= progress(before, now) <= 1.0
-    assert progress(before, now) == -progress(now, before)
-
 
 @given(st.floats(0.0, 1e3))
-def test_bells_are_seconds_or_shares_of_the_clock(x):
-    for write, share in ((write_terms, 0.04), (write_terms_v0, 0.004)):
-        at_goal, tracking = share * math.exp(-((x / 0.15) ** 2)), share * math.exp(-100.0 * x * x)
-        assert written_by(write, distance=x)["at_goal"] == pytest.approx(at_goal)
-        assert written_by(write, tracking_error=x)["tracking"] == pytest.approx(tracking)
+def test_bells_are_seconds(x):
+    at_goal, tracking = 0.04 * math.exp(-((x / 0.15) ** 2)), 0.04 * math.exp(-100.0 * x * x)
+    assert written(distance=x)["at_goal"] == pytest.approx(at_goal)
+    assert written(tracking_error=x)["tracking"] == pytest.approx(tracking)
 
 
 def test_effort_lasts_and_events_do_not():

@@ -17,7 +17,7 @@ import torch
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from torch.distributions import Normal, kl_divergence
 
-from swarm_envs import crowd_v0, swap_v0, swap_v1
+from swarm_envs import crowd_v0, swap_v1
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.networks import ANY, Network, to_tensors
@@ -285,7 +285,7 @@ def make(**given) -> PpoLearner:
     """A learner whose last layers are no longer small, so that actions tell networks apart."""
     options = {"environments": 4, "n_steps": 16, "batch_size": 64, "hidden": (8, 8), **given}
     config = RlConfig(out=Path("never"), interactions="none", **options)
-    learner = PpoLearner(config, "swap_v0")
+    learner = PpoLearner(config, "swap_v1")
     with torch.no_grad():
         learner.model.policy.action_net.weight.mul_(50.0)
         learner.model.policy.action_net.bias.add_(0.1)
@@ -293,7 +293,7 @@ def make(**given) -> PpoLearner:
 
 
 def policy_of(learner: PpoLearner) -> Policy:
-    return Policy(policy_note(learner, "swap_v0"), learner.actor(), {})
+    return Policy(policy_note(learner, "swap_v1"), learner.actor(), {})
 
 
 def saved(learner: PpoLearner, folder: Path) -> Path:
@@ -320,7 +320,7 @@ def test_what_flies_is_what_was_trained(kind, tmp_path):
     np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
     assert np.ptp(actions, axis=0).min() > 0.01
     options = {**learner.config.teams[0], "physics": "batch", "interactions": "none"}
-    env = swap_v0.parallel_env(**options, horizon_s=0.5, **agent.requires)
+    env = swap_v1.parallel_env(**options, horizon_s=0.5, **agent.requires)
     assert fly_episode(env, agent, seed=0)["length_s"] > 0
 
 
@@ -371,7 +371,7 @@ def test_every_type_flies_by_a_network_of_its_own():
     assert large.mean() == 0.5
 
     def changed(other: dict[str, Network]) -> np.ndarray:
-        note = policy_note(learner, "swap_v0")
+        note = policy_note(learner, "swap_v1")
         first, second = (PolicyAgent(Policy(note, n, {})) for n in (networks, other))
         return (first.act_batch(rows) != second.act_batch(rows)).any(axis=1)
 
@@ -388,7 +388,7 @@ def test_every_algorithm_has_every_encoder(algo, encoder):
     options: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64, "n_steps": 16}
     options |= {"algo": algo, "encoder": encoder, "interactions": "none", "hidden": (8, 8)}
     config = RlConfig(out=Path("never"), environments=4, **options)
-    learner: Any = make_learner(config, "swap_v0")
+    learner: Any = make_learner(config, "swap_v1")
     values = learner.env.observe(rows_of(learner))
     seen = torch.from_numpy(values)
     policy = learner.network()
@@ -405,7 +405,7 @@ def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
     options: dict[str, Any] = {"algo": algo, "start": start, "hidden": (8, 8), **SET}
     options |= {"batch_size": 64, "n_steps": 16} if algo == "mappo" else {}
     config = RlConfig(out=Path("never"), environments=12, interactions="none", **options)
-    found = to_tensors(make_learner(config, "swap_v0").actor())
+    found = to_tensors(make_learner(config, "swap_v1").actor())
     for name, tensor in to_tensors(first.actor()).items():
         assert np.array_equal(found[name], tensor), name
 
@@ -416,7 +416,7 @@ def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path, algo):
     first = make(drones=4, **SET)
     start = {"algo": algo, "start": str(saved(first, tmp_path)), "start_kl": 3.0}
     config = replace(first.config, seed=9, **start)
-    learner: Any = make_learner(config, "swap_v0")
+    learner: Any = make_learner(config, "swap_v1")
     values = learner.env.reset()
     before = first.model.predict(values[:, : first.sizes.width], deterministic=True)[0]
     np.testing.assert_allclose(learner.model.predict(values, deterministic=True)[0], before)
@@ -458,6 +458,6 @@ def test_types_that_are_not_there_are_refused():
     learner = make(team=("SSLL",), per_type=True)
     agent = PolicyAgent(policy_of(learner))
     options = {"team": "SSSS*", "physics": "batch", "interactions": "none", **agent.requires}
-    env = swap_v0.parallel_env(**options)
+    env = swap_v1.parallel_env(**options)
     with pytest.raises(ValueError, match=r"trained for vehicles S, L, but the team has S\*"):
         fly_episode(env, agent, seed=0)

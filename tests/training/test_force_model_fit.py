@@ -202,7 +202,7 @@ def test_wake_fit_writes_its_file(tmp_path):
 WEIGHTS = Path(__file__).parents[2] / "swarm_envs" / "interactions" / "weights"
 
 
-@pytest.fixture(scope="module", params=["learned", "deep-set", "learned-v0"])
+@pytest.fixture(scope="module", params=["learned", "deep-set"])
 def name(request):
     return request.param
 
@@ -257,7 +257,7 @@ def test_small_above_small_is_near_the_measured_bins(shipped, shared_data, dista
     assert float(force.mean()) == pytest.approx(measured - baseline, abs=1.5)
 
 
-STEEPEST = {"learned": 450, "deep-set": 1500, "learned-v0": 400}
+STEEPEST = {"learned": 450, "deep-set": 1500}
 """g per m, or per unit of input. `deep-set` is trained as the paper does, without a penalty."""
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs import crowd_v0, formation_v0, pursuit_v0
+from swarm_envs import crowd_v0, formation_v1, pursuit_v0
 from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.swap_v0 import blueprint
+from swarm_envs.swap_v1 import blueprint
 from swarm_envs.tasks.formation import LAYOUTS
 from swarm_envs.training.rl import recipes
 from swarm_envs.training.rl.recipes import (
@@ -38,13 +38,13 @@ def options(**given) -> RlConfig:
 
 
 def test_what_is_not_given_is_the_recipes():
-    ring, swap = with_recipe(options(), "ring_v0"), with_recipe(options(), "swap_v0")
+    ring, swap = with_recipe(options(), "ring_v1"), with_recipe(options(), "swap_v1")
     assert (ring.layout, ring.horizon_s, ring.log_std_init) == ("rings", 5.0, np.log(0.2))
     assert (ring.gamma, swap.gamma) == (0.95, 0.98)
     assert (swap.layout, swap.horizon_s, swap.log_std_init) == ("random", 3.5, -0.5)
-    given = with_recipe(options(layout="tour", horizon_s=9.0, log_std_init=-1.0), "formation_v0")
+    given = with_recipe(options(layout="tour", horizon_s=9.0, log_std_init=-1.0), "formation_v1")
     assert (given.layout, given.horizon_s, given.log_std_init) == ("tour", 9.0, -1.0)
-    assert with_recipe(given, "formation_v0") == given
+    assert with_recipe(given, "formation_v1") == given
 
 
 def test_obstacles_are_observed_wherever_there_are_any():
@@ -156,14 +156,14 @@ def _distances(points: np.ndarray) -> np.ndarray:
 
 def test_a_formation_layout_is_a_mission_by_name():
     for name, mission in LAYOUTS.items():
-        task = formation_v0.blueprint(num_drones=8, layout=name).task
+        task = formation_v1.blueprint(num_drones=8, layout=name).task
         assert all(getattr(task, option) == value for option, value in mission.items())
-    assert formation_v0.blueprint(layout="tour").task == formation_v0.blueprint().task
-    assert formation_v0.blueprint(num_drones=8, layout="shuffle").task.episode_s == 8.0
+    assert formation_v1.blueprint(layout="tour").task == formation_v1.blueprint().task
+    assert formation_v1.blueprint(num_drones=8, layout="shuffle").task.episode_s == 8.0
     with pytest.raises(ValueError, match=r"layout='cube' already says .* but labels are given too"):
-        formation_v0.blueprint(layout="cube", labels="random")
+        formation_v1.blueprint(layout="cube", labels="random")
     with pytest.raises(ValueError, match="did you mean 'cube'"):
-        formation_v0.blueprint(layout="cubes")
+        formation_v1.blueprint(layout="cubes")
 
 
 def test_crowds_are_learned_with_few_obstacles_too_and_with_those_of_the_run():

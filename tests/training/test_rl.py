@@ -26,7 +26,7 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.policy import FILE, Policy, PolicyAgent
@@ -163,11 +163,11 @@ def test_a_policy_of_another_action_flies_with_that_one_alone(action, width, tmp
     agent = load(str(tmp_path))
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.note.action == agent.requires["action"] == action
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", **agent.requires)
     observations, _ = env.reset(seed=0)
     agent.reset(env, 0)
     assert {row.shape for row in agent.act(observations, None).values()} == {(width,)}
-    other = swap_v0.parallel_env(num_drones=2, **{**agent.requires, "action": "acceleration"})
+    other = swap_v1.parallel_env(num_drones=2, **{**agent.requires, "action": "acceleration"})
     other.reset(seed=0)
     with pytest.raises(ValueError, match=f"requires action='{action}'"):
         agent.reset(other, 0)
@@ -504,13 +504,13 @@ SAC = {"algo": "sac", "layout": "circle", "steps": 300_000}
 @pytest.mark.parametrize("options", [EASY, pytest.param(SAC, marks=pytest.mark.slow)])
 def test_two_drones_learn_to_swap(options):
     """By PPO in 200,000 decisions; by SAC on a circle in 300,000, as docs/rl.md says."""
-    made = make_learner(RlConfig(out=Path("never"), drones=2, **options), "swap_v0")
+    made = make_learner(RlConfig(out=Path("never"), drones=2, **options), "swap_v1")
     config, seeds = made.config, frozen_seeds(1, 64)
     layout, flown = str(config.layout), {"num_drones": 2, "force_rate": 48}
 
     def success() -> float:
-        policy = Policy(policy_note(made, "swap_v0"), made.actor(), {})
-        return evaluate_policy(policy, "swap_v0", (layout,), seeds, flown)[f"{layout}_success"]
+        policy = Policy(policy_note(made, "swap_v1"), made.actor(), {})
+        return evaluate_policy(policy, "swap_v1", (layout,), seeds, flown)[f"{layout}_success"]
 
     assert success() < 0.1
     for segment in config.segments():

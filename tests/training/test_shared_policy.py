@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import swarm_envs.training
-from swarm_envs import TASKS, swap_v0
+from swarm_envs import TASKS, swap_v1
 from swarm_envs.agents.features import FEATURE_SETS, GOAL
 from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.options import batch_of
@@ -30,7 +30,7 @@ QUICK: dict[str, Any] = {"num_drones": DRONES, "horizon_s": 0.5}
 
 
 def quick(**options: Any) -> SharedPolicyVecEnv:
-    return SharedPolicyVecEnv("swap_v0", num_envs=ENVS, **{**QUICK, "seed": 7, **options})
+    return SharedPolicyVecEnv("swap_v1", num_envs=ENVS, **{**QUICK, "seed": 7, **options})
 
 
 def some_actions(rng: np.random.Generator, step: int) -> np.ndarray:
@@ -59,7 +59,7 @@ def test_flights_ends_and_resets_are_those_of_pettingzoo(observation, horizon_s)
     """Each environment beside a parallel one of the seed it must have, through several episodes."""
     options = {**QUICK, "horizon_s": horizon_s, "observation": observation}
     many = quick(**options)
-    ones = [swap_v0.parallel_env(physics="batch", **options) for _ in range(ENVS)]
+    ones = [swap_v1.parallel_env(physics="batch", **options) for _ in range(ENVS)]
     seen = many.reset()
     rows = [env.reset(seed=7 + e)[0] for e, env in enumerate(ones)]
     rng, cut_ends, crash_ends = np.random.default_rng(0), 0, 0
@@ -165,7 +165,7 @@ TEAMS = {"interactions": "none", "num_neighbors": 2, "horizon_s": 0.5, "decision
 
 
 def test_teams_side_by_side_fly_as_they_would_alone():
-    blueprints = [batch_of("swap_v0", num_drones=n, **TEAMS) for n in (2, 3)]
+    blueprints = [batch_of("swap_v1", num_drones=n, **TEAMS) for n in (2, 3)]
     both = SharedPolicyVecEnv(blueprints, 3)
     alone = [SharedPolicyVecEnv(found, 3) for found in blueprints]
     assert [both.seed(5)[k] for k in (0, 1, 2, 6, 7)] == [5, 5, 6, 11, 11]
@@ -220,18 +220,18 @@ def test_features_are_observed_in_place_of_rows():
 
 
 def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
-    found = batch_of("swap_v0", num_drones=3, horizon_s=0.5)
+    found = batch_of("swap_v1", num_drones=3, horizon_s=0.5)
     env = SharedPolicyVecEnv(found, num_envs=2, seed=0)
     assert env.core.task is found.task
     assert env.reset().shape[0] == 6
     with pytest.raises(TypeError, match=r"num_drones: give options to the blueprint"):
         SharedPolicyVecEnv(found, num_drones=3)
-    other = batch_of("swap_v0", num_drones=3, num_neighbors=1)
+    other = batch_of("swap_v1", num_drones=3, num_neighbors=1)
     with pytest.raises(ValueError, match="team 1 observes"):
         SharedPolicyVecEnv([found, other])
     with pytest.raises(ValueError, match="task is empty"):
         SharedPolicyVecEnv([])
-    mixed: list[Any] = [other, "swap_v0"]
+    mixed: list[Any] = [other, "swap_v1"]
     with pytest.raises(TypeError, match="must be a task's name"):
         SharedPolicyVecEnv(mixed)
     with pytest.raises(ValueError, match=r"task 'swap_v9'; .* 'swap_v1'"):

@@ -5,7 +5,7 @@ number of swaps (6), and one median; `S*` is a small drone with stronger motors,
 downwash was too much for a plain one: here wherever the lowest drone is a small one.
 
 Fig. 9 and 1: rings of 5 and 16. Radii, speeds and phases are not published; they are those of
-`ring_v0` (see `swarm_envs.tasks.ring`), whose phases are locked.
+`ring_v1` (see `swarm_envs.tasks.ring`), whose phases are locked.
 
 At the end, what the figures claim, held against the flights of both worlds.
 """

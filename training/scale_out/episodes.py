@@ -215,7 +215,7 @@ def _at_hand(key: str) -> tuple[Agent, SwarmParallelEnv]:
         _close()
         agent, task, setting, files = json.loads(key)
         received = {name: str(receive(file)) for name, file in files.items()}
-        made = _load(agent, task)
+        made = _load(agent)
         _prepared[key] = made, make_scored(task, {**setting, **received, **made.requires})
     return _prepared[key]
 
@@ -226,12 +226,12 @@ def _close() -> None:
         env.close()
 
 
-def _load(agent: Mapping[str, Any], task: str) -> Agent:
+def _load(agent: Mapping[str, Any]) -> Agent:
     name = agent["name"]
     if "file" in agent:
         part, behind = agent["part"], FILTER if name.endswith(FILTER) else ""
         name = str(receive(agent["file"])) + (part if ":" in part else "") + behind
-    made = load_agent(name, task)
+    made = load_agent(name)
     if source_digest(made) != agent["digest"]:
         raise ValueError(
             f"agent {agent['name']!r} is another here than where the command was given: install "

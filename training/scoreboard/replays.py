@@ -141,7 +141,7 @@ def record_one(
     Returns:
         A warning, if it now ends in another way than when it was scored, where that is known.
     """
-    loaded = load(agent, environment)
+    loaded = load(agent)
     env = make_scored(environment, {**options, **loaded.requires})
     try:
         recording = record_episode(env, loaded, seed, name=agent)

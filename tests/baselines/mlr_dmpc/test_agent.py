@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import crowd_v0, formation_v0, pursuit_v0, ring_v0, swap_v0
+from swarm_envs import crowd_v0, formation_v1, pursuit_v0, ring_v1, swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.protocol import fly_episode
 from swarm_envs.baselines.mlr_dmpc.formations import scaled_distances
@@ -30,7 +30,7 @@ def places(rng: np.random.Generator, n: int, arena: np.ndarray) -> np.ndarray:
 
 
 def swap(n: int, physics: str, **options: Any):
-    return swap_v0.parallel_env(
+    return swap_v1.parallel_env(
         num_drones=n, physics=physics, horizon_s=30.0, **MlrDmpcAgent().requires, **options
     )
 
@@ -115,9 +115,9 @@ def test_obstacles_are_flown_around():
 def test_what_it_cannot_fly_is_refused():
     options: dict[str, Any] = {"physics": "batch", **MlrDmpcAgent().requires}
     chase = pursuit_v0.parallel_env(layout="chase", **options)
-    for moving in (ring_v0.parallel_env(**options), chase):
+    for moving in (ring_v1.parallel_env(**options), chase):
         moving.reset(seed=0)
-        with pytest.raises(ValueError, match=r"goals at rest, but those of (ring|pursuit)_v0 move"):
+        with pytest.raises(ValueError, match=r"but those of (ring_v1|pursuit_v0) move"):
             MlrDmpcAgent().reset(moving, 0)
     env = swap(2, "batch")
     starts, goals = np.array([[0.0, 0, 1], [0.15, 0, 1]]), np.array([[1.0, 0, 1], [-1, 0, 1]])
@@ -160,7 +160,7 @@ def test_fifty_swaps_of_eight_on_bullet_collide_never_and_arrive():
 
 def test_formations_are_reached_with_the_downwash_fed_forward():
     agent = load("mlr-dmpc+compensated")
-    env = formation_v0.parallel_env(num_drones=8, physics="batch", **agent.requires)
+    env = formation_v1.parallel_env(num_drones=8, physics="batch", **agent.requires)
     metrics = fly_episode(env, agent, 0)
     assert metrics["success"], metrics
     assert metrics["near_misses"] == 0

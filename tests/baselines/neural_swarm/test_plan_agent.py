@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs import formation_v0, ring_v0, swap_v0
+from swarm_envs import formation_v1, ring_v1, swap_v1
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.agent import PlanAgent, bounds_for
@@ -14,7 +14,7 @@ from swarm_envs.tasks.obstacles import Column
 
 def test_a_swap_is_planned_and_flown() -> None:
     agent = PlanAgent()
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         num_drones=2, layout="circle", horizon_s=6.5, physics="batch", **agent.requires
     )
     metrics = fly_episode(env, agent, seed=1)
@@ -30,7 +30,7 @@ def test_a_swap_is_planned_and_flown() -> None:
 @pytest.mark.parametrize("labels", ["random", "nearest"])
 def test_a_formation_is_planned_shape_by_shape(labels: str) -> None:
     agent = PlanAgent()
-    env = formation_v0.parallel_env(
+    env = formation_v1.parallel_env(
         num_drones=4, shapes=("plane", "cube", "pyramid"), labels=labels, physics="batch",
         **agent.requires,
     )  # fmt: skip
@@ -45,7 +45,7 @@ def test_the_plan_does_not_know_what_blows() -> None:
     states = []
     for truth in ("learned", "wake"):
         agent = PlanAgent()
-        env = swap_v0.parallel_env(
+        env = swap_v1.parallel_env(
             team="SL", layout="stacked", physics="batch", interactions=truth, **agent.requires
         )
         env.reset(seed=3)
@@ -59,9 +59,9 @@ def test_what_it_cannot_plan_for_is_refused() -> None:
     given = {"physics": "batch", **agent.requires}
     column = Column(center=(1.0, 1.0), radius=0.1, height=1.0)
     refused = (
-        (swap_v0.parallel_env(num_drones=7, **given), "got 7 drones, but plans for at most 6"),
-        (ring_v0.parallel_env(num_drones=5, **given), "those of ring_v0 move"),
-        (swap_v0.parallel_env(num_drones=2, obstacles=(column,), **given), "knows no obstacles"),
+        (swap_v1.parallel_env(num_drones=7, **given), "got 7 drones, but plans for at most 6"),
+        (ring_v1.parallel_env(num_drones=5, **given), "those of ring_v1 move"),
+        (swap_v1.parallel_env(num_drones=2, obstacles=(column,), **given), "knows no obstacles"),
     )
     for env, said in refused:
         env.reset(seed=0)
@@ -73,7 +73,7 @@ def test_what_it_cannot_plan_for_is_refused() -> None:
 
 def test_bounds_fit_starts_and_goals() -> None:
     """A drone hovering under a large one gets the force bound that hovering there needs."""
-    env = swap_v0.parallel_env(team="SL", physics="batch")
+    env = swap_v1.parallel_env(team="SL", physics="batch")
     task, model = env.core.task, load_belief()
     apart = np.array([[-0.5, 0.0, 1.0], [0.5, 0.0, 1.0]])
     under = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.5]])

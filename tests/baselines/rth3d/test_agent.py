@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs import formation_v0, ring_v0, swap_v0
+from swarm_envs import formation_v1, ring_v1, swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.protocol import fly_episode
 from swarm_envs.baselines.rth3d.grid_agent import GridAgent, Lattice
@@ -23,7 +23,7 @@ LETTERS = tuple(f"letter:{character}" for character in "ARCRU")
 def test_ten_drones_write_letters_with_places_drawn():
     """Fig. 11 of the paper: ARC-RU by ten drones, each with a place of its own."""
     agent = GridAgent.compensated()
-    env = formation_v0.parallel_env(
+    env = formation_v1.parallel_env(
         num_drones=10, shapes=LETTERS, labels="random", physics="batch", **agent.requires
     )
     metrics = fly_episode(env, agent, 1)
@@ -36,7 +36,7 @@ def test_flights_go_around_buildings():
     agent = load("rth3d")
     assert isinstance(agent, GridAgent)
     city: tuple[Obstacle, ...] = (*buildings(), Column((0.0, 0.0), 0.15))
-    env = swap_v0.parallel_env(num_drones=5, obstacles=city, physics="batch", **agent.requires)
+    env = swap_v1.parallel_env(num_drones=5, obstacles=city, physics="batch", **agent.requires)
     metrics = fly_episode(env, agent, 0)
     assert metrics["success"], metrics
     assert metrics["near_misses"] == 0
@@ -49,7 +49,7 @@ def test_flights_go_around_buildings():
 @pytest.mark.slow
 def test_a_hundred_drones_fly_between_rings_and_blocks():
     agent = GridAgent.compensated()
-    env = formation_v0.parallel_env(
+    env = formation_v1.parallel_env(
         num_drones=100,
         shapes=("rings", "blocks"),
         labels="random",
@@ -74,11 +74,11 @@ def test_vertices_are_matched_to_the_nearest_points_and_are_all_different():
 
 
 def test_what_it_cannot_fly_is_refused():
-    ring = ring_v0.parallel_env(physics="batch", **GridAgent().requires)
+    ring = ring_v1.parallel_env(physics="batch", **GridAgent().requires)
     ring.reset(seed=0)
-    with pytest.raises(ValueError, match="those of ring_v0 move"):
+    with pytest.raises(ValueError, match="those of ring_v1 move"):
         GridAgent().reset(ring, 0)
-    env = swap_v0.parallel_env(num_drones=2, physics="batch", **GridAgent().requires)
+    env = swap_v1.parallel_env(num_drones=2, physics="batch", **GridAgent().requires)
     env.reset(seed=0)
     with pytest.raises(ValueError, match="use a wider spacing"):
         GridAgent(spacing=(0.1, 0.1, 0.1)).reset(env, 0)

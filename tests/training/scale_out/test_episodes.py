@@ -83,7 +83,7 @@ def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
 def chunk(name: str, seeds: list[int], digest: str = "") -> dict[str, Any]:
     about = {"name": name, "digest": digest or source_digest(load(name))}
     setting = {"num_drones": 2, "horizon_s": 0.5, "physics": "batch"}
-    return fly_chunk(about, "swap_v0", setting, {}, seeds, 0)
+    return fly_chunk(about, "swap_v1", setting, {}, seeds, 0)
 
 
 def test_a_chunk_that_takes_long_is_handed_out_in_parts(tmp_path, monkeypatch):
@@ -93,7 +93,7 @@ def test_a_chunk_that_takes_long_is_handed_out_in_parts(tmp_path, monkeypatch):
     kept = EpisodeFile(tmp_path, "hover", {})
     record = AgentEpisodes("hover", source_digest(load("hover")), kept=kept)
     setting = {"num_drones": 2, "horizon_s": 0.5, "physics": "batch"}
-    evaluate_distributed([EvaluationSpec(record, "swap_v0", setting, frozen_seeds(1, 5))], Serial())
+    evaluate_distributed([EvaluationSpec(record, "swap_v1", setting, frozen_seeds(1, 5))], Serial())
     assert [e["metrics"] for e in record.flown(frozen_seeds(1, 5))] == [e["metrics"] for e in whole]
     assert EpisodeFile(tmp_path, "hover", {}).episodes.keys() == set(frozen_seeds(1, 5))
 
@@ -107,7 +107,7 @@ def test_another_agent_of_the_same_name_is_refused():
 def test_an_agent_s_file_may_vanish_once_it_was_sent(mine, more):
     name = f"{mine}:Fine{more}"
     record = AgentEpisodes(name, source_digest(load(name)))
-    spec = EvaluationSpec(record, "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, [3])
+    spec = EvaluationSpec(record, "swap_v1", {"num_drones": 2, "horizon_s": 0.2}, [3])
     (job,) = episodes._jobs(spec, "0", 1)
     mine.write_text("raise RuntimeError('edited since')")
     assert fly_chunk(**job.arguments)["episodes"][0]["seed"] == 3

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.agents import load, record_episode
 from swarm_envs.training.scoreboard import replays, report
 from swarm_envs.training.scoreboard.board import Metric, read
@@ -314,7 +314,7 @@ def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_pat
     ]  # fmt: skip
     assert all(p.stat().st_size < 60_000 for p in pages)
 
-    env = swap_v0.parallel_env(**OPTIONS, **load("random").requires)
+    env = swap_v1.parallel_env(**OPTIONS, **load("random").requires)
     flight = record_episode(env, load("random"), seed=11)
     env.close()
     data = page_data(flight, [])

@@ -175,7 +175,7 @@ def test_every_replay_is_there_and_one_plays(browser, folder, content, tmp_path)
     options = {"num_drones": 2, "physics": "batch", "interactions": "none", "horizon_s": 0.5}
     file = content["cells"][0]["replay"]["file"]
     (folder / file).unlink()
-    assert replays.record_one(str(folder / file), "swap_v0", options, "hover", 17, False) is None
+    assert replays.record_one(str(folder / file), "swap_v1", options, "hover", 17, False) is None
     page = browser.new_page(viewport=DESK)
     page.set_default_timeout(120_000)
     said, asked = complaints(page), requests(page)

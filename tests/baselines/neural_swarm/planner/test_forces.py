@@ -23,7 +23,7 @@ def swarm(robots, rng, height=1.0):
     return np.concatenate((position, rng.normal(0.0, 0.5, position.shape)), axis=2)
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-v0", "wake", "none"])
+@pytest.mark.parametrize("name", ["learned", "deep-set", "wake", "none"])
 @pytest.mark.parametrize("height", [0.6, 1.5])
 def test_the_jacobian_is_that_of_differences(name, height):
     model, team = load(name), parse_team("SLS*L")
@@ -38,7 +38,7 @@ def test_the_jacobian_is_that_of_differences(name, height):
 
 
 def test_unwindowed_and_unanchored_deep_sets_are_differentiated_too():
-    model, team = load("learned-v0"), parse_team("SLL")
+    model, team = load("deep-set"), parse_team("SLL")
     window = np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH, VERTICAL_REACH])
     field = model.field._replace(window=window, anchor_height=0.0)
     field = field._replace(pair_range=unlimited(6), environment_range=unlimited(4))
