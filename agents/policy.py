@@ -3,9 +3,8 @@
 A file is safetensors with a JSON note. Tensors, float32: `actor.<layer>.weight` (out, in) and
 `actor.<layer>.bias`, layers in order; of a set also `phi.<layer>.weight`, and of attention
 `score.<layer>.weight`; all behind `<type>/` where each type of vehicle has a network of its own.
-The note, under the key `swarm_envs`, says what the policy was trained for. Perceptrons of earlier
-formats are read too; sets are not, since their phi did not see the drone itself. numpy is all that
-a policy needs to fly.
+The note, under the key `swarm_envs`, says what the policy was trained for. numpy is all that a
+policy needs to fly.
 """
 
 from __future__ import annotations
@@ -61,20 +60,6 @@ FILE = "policy.safetensors"
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
 FORMAT = "swarm-envs-policy-7"  # What a file of a policy says it is
-_LATER = {"num_obstacles", "observe_load", "observe_force", "controller", "safety"}
-"""What notes in a file say since format 6, the last one since 7."""
-_BEFORE = {
-    "swarm-envs-policy-1": {
-        *("fewest", "encoder", "pooling", "types", "per_type", "activation", "also"),
-        *_LATER,
-    },
-    "swarm-envs-policy-2": {"fewest", "activation", "also", *_LATER},
-    "swarm-envs-policy-3": {"activation", "also", *_LATER},
-    "swarm-envs-policy-4": {"also", *_LATER},
-    "swarm-envs-policy-5": _LATER,
-    "swarm-envs-policy-6": {"safety"},
-}
-"""Formats that are read, though no longer written: what their notes do not say."""
 MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
 LARGEST = 1e4  # No weight of a policy that was trained comes near it; one beyond it was damaged
 
@@ -300,7 +285,7 @@ def read_policy(path: Path) -> Policy:
         )
     try:
         tensors, note = _read(path)
-        if note.get("format") not in (FORMAT, *_BEFORE):
+        if note.get("format") != FORMAT:
             raise ValueError(f"its format is {note.get('format')!r}, not {FORMAT!r}")
         if _digest(tensors) != note["weights_sha256"]:
             raise ValueError("its weights are not those that were written")
@@ -358,18 +343,13 @@ def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
 
 
 def _about(note: Mapping[str, Any]) -> PolicyNote:
-    """The note, checked; what older files do not say is as it was then."""
-    later = _BEFORE.get(note["format"], set())
-    known = {
-        field.name: note[field.name] for field in fields(PolicyNote) if field.name not in later
-    }
-    known |= {name: tuple(known[name]) for name in ("types", "also") if name in known}
-    if known.get("safety") is not None:
+    """Return the note, checked."""
+    known = {field.name: note[field.name] for field in fields(PolicyNote)}
+    known |= {name: tuple(known[name]) for name in ("types", "also")}
+    if known["safety"] is not None:
         known["safety"] = Safety(**known["safety"])
     about = PolicyNote(**known)
     about.check()
-    if "activation" in later and about.encoder != "mlp":
-        raise ValueError(f"its encoder {about.encoder!r} is that of format {note['format']!r}")
     return about
 
 

@@ -117,8 +117,6 @@ def test_a_file_holds_the_filter_of_its_policy(tmp_path):
         agent = load(f"{tmp_path / FILE}+filter")
         assert isinstance(agent, SafetyFilter)
         assert agent.safety == wanted
-    rewrite(tmp_path / FILE, format="swarm-envs-policy-6")  # which has no such entry
-    assert read_policy(tmp_path / FILE).note == NOTE
 
 
 def test_actions_stay_within_their_bounds():
