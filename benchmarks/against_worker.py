@@ -23,7 +23,10 @@ from typing import Any
 
 import numpy as np
 
-TASK = "swap_v1"
+import swarm_envs
+
+TASK = "swap_v1" if (Path(swarm_envs.__file__).parent / "swap_v1.py").exists() else "swap_v0"
+"""Swaps of the tree that is measured; release 0.1.0 has version 0 alone."""
 HOVER_DECISIONS = 96  # flown before the clock starts: 2 s
 
 Call = Callable[[], object]
@@ -70,13 +73,17 @@ def batch(envs: int, drones: int, **options: Any) -> Call:
 def flight(envs: int, drones: int, **options: Any) -> Call:
     """The flight of a decision alone: five physics steps with contacts and counting."""
     core, _ = hovering(envs, drones, **options)
-    return partial(core.physics.fly, 5, np.ones(envs, dtype=np.bool_))
+    fly = getattr(core, "flight", core.physics).fly  # of 0.1.0, or of later revisions
+    return partial(fly, 5, np.ones(envs, dtype=np.bool_))
 
 
 def training(**options: Any) -> Call:
     """Four rollouts of PPO with their updates, by the recipe for swaps of four drones."""
     rl, starts = "swarm_envs.training.rl", count(0, 4)
-    make_config = importlib.import_module(f"{rl}.rl_config").RlConfig
+    try:
+        make_config = importlib.import_module(f"{rl}.rl_config").RlConfig
+    except ModuleNotFoundError:  # release 0.1.0
+        make_config = importlib.import_module(f"{rl}.config").TrainConfig
     config = make_config(out=Path("never"), steps=10**9, threads=1, **options)
     learner = importlib.import_module(f"{rl}.learner").make_learner(config, TASK)
 

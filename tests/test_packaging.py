@@ -24,12 +24,12 @@ STRAYS = ("tests/test_stray.py", "demo/summary.json", "swarm_envs/notes.txt", "a
 
 MAKE_BY_NAME = """
 import sys, gymnasium, pettingzoo
-env = gymnasium.make("swarm_envs:swarm_envs/Ring-v0", num_drones=3, physics="batch")
+env = gymnasium.make("swarm_envs:swarm_envs/Ring-v1", num_drones=3, physics="batch")
 assert "swarm_envs" in sys.modules  # Gymnasium has imported it, which made the names known
 assert env.observation_space.shape[0] % 3 == 0 and env.action_space.shape == (9,)
-many = gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=5, num_drones=2)
+many = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=5, num_drones=2)
 assert many.action_space.shape == (5, 6)
-gymnasium.make("swarm_envs/FormationSolo-v0", physics="batch")
+gymnasium.make("swarm_envs/FormationSolo-v1", physics="batch")
 if hasattr(pettingzoo, "make"):
     assert pettingzoo.make("parallel", "swarm_envs/swap_v1").max_num_agents == 4
 assert sys.modules["swarm_envs"].__file__.startswith(sys.path[1])
