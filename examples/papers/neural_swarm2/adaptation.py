@@ -1,0 +1,93 @@
+"""Adaptive controllers beside compensation: the table of docs/adaptation.md.
+
+A small drone passes below a large one (L2S) in the forces `learned`, in those of `wake`, which are
+other ones than its force model was fitted to, and there with a wrong mass or noisy velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from examples.papers.common import write_json
+from examples.papers.neural_swarm2.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
+from swarm_envs.baselines.neural_swarm import load_belief
+from swarm_envs.baselines.neural_swarm.flights import swap_test
+from swarm_envs.control.config import ControllerConfig, Indi, MomentumObserver, NeuralFly
+from swarm_envs.envs.randomization import Randomization
+
+
+class Disturbance(NamedTuple):
+    """Forces of the environment, and what else is wrong."""
+
+    truth: str
+    randomization: Randomization | None = None
+    imperfection: Imperfection = NOTHING
+
+
+WRONG = 0.05 * np.sqrt(3.0)  # half width of an even distribution with a standard deviation of 5 %
+DISTURBANCES = {
+    "`learned`": Disturbance("learned"),
+    "`wake`": Disturbance("wake"),
+    "mass wrong by 5 %": Disturbance("wake", Randomization(mass=(1.0 - WRONG, 1.0 + WRONG))),
+    "velocity noise 1 cm/s": Disturbance("wake", None, Imperfection(velocity_noise=0.01)),
+    "2 cm/s": Disturbance("wake", None, Imperfection(velocity_noise=0.02)),
+}
+ADAPTATIONS = {
+    "nothing": None,
+    "momentum observer": MomentumObserver(),
+    "INDI": Indi(),
+    "Neural-Fly": NeuralFly(),
+}
+
+
+def adaptation(out: Path = Path("neural_swarm2"), episodes: int = 20) -> None:
+    """Fly a swap with adaptive controllers, with and without a force model (docs/adaptation.md).
+
+    Writes `adaptation.json` (`rows`: median error with its 95 % interval by adaptation, force model
+    and disturbance), and prints the table as Markdown.
+
+    Args:
+        out: folder, made if missing.
+        episodes: swaps of each cell, with the seeds 0, 1, ...
+    """
+    jobs = [(a, c, d) for a in ADAPTATIONS for c in (False, True) for d in DISTURBANCES]
+    rows = [measure(a, c, d, episodes) for a, c, d in tqdm(jobs, "adaptation", unit="cell")]
+    write_json(out / "adaptation.json", {"episodes": episodes, "rows": rows})
+    print("| adaptation | belief |", " | ".join(DISTURBANCES), "|")
+    print("|" + "---|" * (2 + len(DISTURBANCES)))
+    for first in range(0, len(rows), len(DISTURBANCES)):
+        own = rows[first : first + len(DISTURBANCES)]
+        known = "yes" if own[0]["compensated"] else "no"
+        print(f"| {own[0]['adaptation']} | {known} |", " | ".join(map(describe, own)), "|")
+
+
+def measure(name: str, compensated: bool, disturbance: str, episodes: int) -> dict[str, Any]:
+    """Fly a cell: the median of the worst height errors, and its interval by resampling, cm."""
+    truth, randomization, imperfection = DISTURBANCES[disturbance]
+    test = replace(swap_test("L2S", truth=truth), randomization=randomization)
+    belief = load_belief() if compensated else None
+    controller = ControllerConfig(feedforward=belief, adaptation=ADAPTATIONS[name])
+    found = fly_imperfectly(test, controller, range(episodes), imperfection)
+    worst = 100.0 * found.height_error[:, -1]
+    drawn = np.random.default_rng(0).choice(worst, (2000, len(worst)))
+    low, high = np.percentile(np.median(drawn, axis=1), [2.5, 97.5])
+    return {
+        "adaptation": name,
+        "compensated": compensated,
+        "disturbance": disturbance,
+        "median_cm": float(np.median(worst)),
+        "low_cm": float(low),
+        "high_cm": float(high),
+        "crashed": int(found.crashed.sum()),
+    }
+
+
+def describe(row: dict[str, Any]) -> str:
+    """Return a cell of the table."""
+    crashed = f", {row['crashed']} crash" if row["crashed"] else ""
+    return f"{row['median_cm']:.2f} [{row['low_cm']:.2f}, {row['high_cm']:.2f}]{crashed}"
