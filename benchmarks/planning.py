@@ -1,6 +1,6 @@
 """How long the planner takes and how often it succeeds: a three-robot swap, and flights.
 
-    python benchmarks/planning.py [--seeds 20] [--picture plan.png] [--json FILE]
+    python benchmarks/planning.py [--seeds 20] [--json FILE]
     python benchmarks/planning.py --task swap --layout random --drones 4 [--seeds 20]
 
 Times are CPU times of one thread.
@@ -21,7 +21,7 @@ from swarm_envs import make
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.agent import PlanAgent
-from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, plot_plan
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord, refine
 from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines
 from swarm_envs.files import write_json
@@ -109,15 +109,6 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def draw(path: Path) -> None:
-    """Draw the swap, the cheapest plan of 20 seeds, beside the one that knows of no forces."""
-    model = load("learned")
-    aware, unaware = (
-        plan_swarm(STARTS, GOALS, TEAM, which, seed=18, plane="yz") for which in (model, None)
-    )
-    plot_plan(path, aware, unaware, model)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Measure, print, and write what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
@@ -125,7 +116,6 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--task", choices=("swap", "formation"), help="fly the agent instead")
     parser.add_argument("--layout", default="random", help="of the task; formation: its labels")
     parser.add_argument("--drones", type=int, default=4, help="of the task (default 4)")
-    parser.add_argument("--picture", type=Path, help="also draw the swap there")
     parser.add_argument("--json", type=Path, help="also write the rows there")
     options = parser.parse_args(arguments)
     if options.seeds < 1:
@@ -137,8 +127,6 @@ def main(arguments: list[str] | None = None) -> None:
         rows = [plan_row(seed) for seed in tqdm(range(options.seeds), unit="plan")]
         rows += [step_row(team, plane, 3) for team, plane in (("SSL", "yz"), ("SSLS", "xyz"))]
     print(table(rows))
-    if options.picture is not None:
-        draw(options.picture)
     if options.json is not None:
         write_json(options.json, rows)
 

@@ -132,31 +132,6 @@ def _collect(options: Any) -> None:
         _load("training.collection.__main__:run_collect")(options)
 
 
-def _reproduce(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.reproduce import papers
-
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(papers.overview(f"{PROGRAM} reproduce"))
-        return DONE if arguments else MISUSED
-    paper, rest = arguments[0], arguments[1:]
-    if paper not in (papers.ALL, *papers.PAPERS):
-        raise Misuse(unknown_name("paper", paper, (papers.ALL, *papers.PAPERS)))
-    if paper != papers.ALL:
-        options = _read(f"reproduce {paper}", papers.load_paper(paper).OPTIONS, rest)
-        if options.chosen.needs_torch:
-            need_torch()
-        print(_load("training.reproduce.reproduce_all:run_chosen")(options))
-        return DONE
-    options = _read(
-        "reproduce all", _load("training.reproduce.reproduce_all:ReproduceAllOptions"), rest
-    )
-    if not options.list:
-        check_outputs(options.out, options.json)
-    said, complete = _load("training.reproduce.reproduce_all:reproduce_all")(options)
-    print(said)
-    return DONE if complete else FAILED
-
-
 def _in_module(name: str) -> Callable[[Sequence[str]], int]:
     """Return a command whose module has `<Name>Options` and `run_<name>`."""
     place = f"commands.{name}"
@@ -179,14 +154,6 @@ COMMANDS: Mapping[str, Command] = {
         "collect flight logs in simulation",
         _command("collect", "training.collection.__main__:CollectOptions", _collect),
     ),
-    "curriculum": Command(
-        "learn the interaction force with a curriculum",
-        _learner(
-            "curriculum",
-            "training.curriculum.curriculum_config:CurriculumConfig",
-            "training.curriculum.run:run_curriculum",
-        ),
-    ),
     "train": Command(
         "train a policy with PPO, MAPPO, SAC or DAgger",
         _command(
@@ -194,7 +161,6 @@ COMMANDS: Mapping[str, Command] = {
         ),
     ),
     "fit": Command("fit a force model to flight logs", _fit),
-    "reproduce": Command("reproduce figures and tables of the papers", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_run_demo` and name it here."""
 
@@ -206,12 +172,9 @@ EXAMPLES: Mapping[str, str] = {
     "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
     "assignment": "start controller my-controller",
     "collect": "--out flights --seed 0",
-    "curriculum": "--quick --out runs/curriculum",
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
     "fit --residual": "--data flights --out runs/residual",
     "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
-    "reproduce neural-swarm2": "--figure 5 --out runs/figure-5",
-    "reproduce all": "--quick --out runs/all",
 }
 """What to type first, for the help of each command."""
 

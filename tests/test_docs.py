@@ -22,7 +22,7 @@ from docs.extensions import figure_tables, state_tables
 from docs.extensions.api_pages import packages_of, page_of
 from docs.extensions.links import inward, without_empty_folders
 from docs.extensions.names import exports, modules, public_names, resolve
-from docs.extensions.option_tables import commands, options_class, options_of
+from docs.extensions.option_tables import options_class, options_of
 from docs.extensions.state_tables import TABLES, state_table
 from docs.extensions.task_pages import MARK, task_page
 from swarm_envs import TASKS, make, task_family
@@ -138,16 +138,16 @@ def test_every_name_among_the_equations_exists():
             assert word in public_names() or last in simple or word in private, f"{word}?"
 
 
-@pytest.mark.parametrize("command", commands(), ids=" ".join)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_the_options_of_a_command_are_those_it_explains(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     with pytest.raises(SystemExit):
-        main([*command, "--help"])
+        main([command, "--help"])
     explained = set()
     for line in capsys.readouterr().out.splitlines():
         head = re.match(r"^\W{1,2}(--[a-z][\w.-]*)(?:(?: \S+)?, (--[a-z][\w.-]*))?", line)
         explained |= set(filter(None, head.groups())) if head else set()
-    options = list(options_of(*options_class(*command)))
+    options = list(options_of(*options_class(command)))
     named = {n for o in options for n in o.name.split(", ") if n.startswith("--")}
     assert named == explained
     assert all(option.meaning for option in options)

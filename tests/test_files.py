@@ -152,12 +152,9 @@ def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, caps
     [
         ["benchmark", "--agent", "hover", "--task", "swap-random-2-v2"],
         ["collect", "--teams", "S"],
-        ["curriculum"],
         ["demo"],
         ["evaluate", "--agent", "hover"],
         ["fit", "--data", __file__],
-        ["reproduce", "all"],
-        ["reproduce", "neural-swarm2", "--figure", "5"],
         ["train", "--drones", "2", "--steps", "1000"],
     ],
     ids=lambda words: " ".join(words[:2]),

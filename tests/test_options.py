@@ -60,10 +60,8 @@ from swarm_envs.training.collection import CollectionConfig
 from swarm_envs.training.collection.flight import CalibrationErrors
 from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
-from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.reproduce.imperfect_flights import Imperfection
 from swarm_envs.training.rl.learner import training_blueprint
 from swarm_envs.training.rl.recipes import with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -80,7 +78,7 @@ SETTINGS: dict[type, dict[str, Any]] = {
     RingLayout: dataclasses.asdict(FIVE),
     PositionGains: dataclasses.asdict(MID),
     Vehicle: dataclasses.asdict(SMALL),
-    **{kind: {} for kind in (Safety, Imperfection, LossModel)},
+    **{kind: {} for kind in (Safety, LossModel)},
     GilbertElliott: {"turns_bad": 0.1, "turns_good": 0.5},
     UnitOutage: {"unit": 0, "first_round": 1},
     Column: {"center": (0.0, 0.0), "radius": 0.2},
@@ -99,7 +97,6 @@ OTHERS: dict[type, dict[str, Any]] = {
     Jam: {"first_round": 1, "last_round": 2},
     **{kind: {} for kind in (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig)},
     MotionRanges: {},
-    CurriculumConfig: {"out": Path("curriculum")},
     FeedforwardConfig: {"out": Path("belief")},
     FitConfig: {"out": Path("fit"), "data": Path("data")},
 }

@@ -100,19 +100,17 @@ def begin_manifest(path: Path, origin: Mapping[str, object]) -> None:
     check_same(path, {name: found.get(name) for name in wanted}, wanted)
 
 
-def changed_options(
-    config: Any, prefix: str = "--", aside: Sequence[str] = (), flat: bool = False
-) -> list[str]:
-    """Options of a command that differ from their defaults, but those aside.
+def changed_options(config: Any, prefix: str = "--", aside: Sequence[str] = ()) -> list[str]:
+    """Return the options of a command that differ from their defaults, but those aside.
 
-    Nested ones are named after their place, or by themselves if `flat`.
+    Nested ones are named after their place.
     """
     words = []
     for entry in dataclasses.fields(config):
         value, option = getattr(config, entry.name), entry.name.replace("_", "-")
         name = prefix + option
         if dataclasses.is_dataclass(value):
-            words += changed_options(value, prefix if flat else f"{name}.", aside, flat)
+            words += changed_options(value, f"{name}.", aside)
         elif entry.default in (dataclasses.MISSING, value) or entry.name in aside:
             continue
         elif isinstance(value, bool):

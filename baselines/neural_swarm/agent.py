@@ -61,8 +61,9 @@ def load_belief(truth: str = "learned") -> InteractionModel:
     if truth not in BELIEFS:
         raise ValueError(
             f"no belief ships for an environment with the force model {truth!r}, only for "
-            f"{' and '.join(BELIEFS)}; learn one there, by `swarm-envs curriculum --interactions "
-            f"{truth} --out DIR`, and name its weights"
+            f"{' and '.join(BELIEFS)}; fit one to flights there, by `python -m "
+            f"swarm_envs.training.belief --collection.interactions {truth} --out DIR`, and load "
+            "its weights"
         )
     return _load_shipped(BELIEFS[truth])
 

@@ -29,7 +29,6 @@ from swarm_envs.hall import Hall
 from swarm_envs.pursuit_v0 import PursuitOptions
 from swarm_envs.ring_v1 import RingOptions
 from swarm_envs.swap_v1 import SwapOptions
-from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"
 ASSIGNMENTS_MARK = "<!-- assignment table -->"
@@ -64,7 +63,7 @@ class Option:
     """From the field's docstring."""
 
 
-def options_class(command: str, *arguments: str) -> tuple[type, bool]:
+def options_class(command: str) -> tuple[type, bool]:
     """The dataclass that a command reads, and whether nested options bear a prefix.
 
     Raises:
@@ -76,7 +75,7 @@ def options_class(command: str, *arguments: str) -> tuple[type, bool]:
 
     with mock.patch.object(mistakes, "read_options", ask):
         try:
-            COMMANDS[command].run(arguments)
+            COMMANDS[command].run(())
         except Asked as asked:
             return asked.options, asked.prefixes
     raise LookupError(f"{command} reads no options")
@@ -163,30 +162,21 @@ def expand(text: str) -> str:
     """A page's text with each mark replaced by its tables."""
     text = text.replace(ASSIGNMENTS_MARK, assignment_table())
     if MARK in text:
-        text = text.replace(MARK, "\n\n".join(map(section, commands())))
+        text = text.replace(MARK, "\n\n".join(map(section, COMMANDS)))
     return SETTINGS_MARK.sub(lambda mark: settings_table(mark[1]), text)
 
 
-def commands() -> list[tuple[str, ...]]:
-    """Every command line that has options of its own: `("fly",)`, `("reproduce", paper)`."""
-    inner = {"reproduce": (*PAPERS, ALL)}
-    found: list[tuple[str, ...]] = []
-    for name in COMMANDS:
-        found += [(name, part) for part in inner[name]] if name in inner else [(name,)]
-    return found
-
-
-def section(command: tuple[str, ...]) -> str:
+def section(command: str) -> str:
     """One command in Markdown: what it does, and its options."""
-    cls, prefixes = options_class(*command)
+    cls, prefixes = options_class(command)
     rows = [
         f"| {' '.join(f'`{part}`' for part in option.name.split(', '))} "
         f"| {_cell(option.default, code=True)} | {_cell(option.meaning)} |"
         for option in options_of(cls, prefixes)
     ]
-    title = " ".join((PROGRAM, *command))
+    title = f"{PROGRAM} {command}"
     head = ["| option | default | |", "|---|---|---|"]
-    example = f"    {title} {EXAMPLES[' '.join(command)]}"
+    example = f"    {title} {EXAMPLES[command]}"
     said = [f"## {title}", "", inspect.getdoc(cls) or "", "", example, ""]
     return "\n".join([*said, *head, *rows])
 

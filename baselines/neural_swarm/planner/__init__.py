@@ -7,8 +7,7 @@ equation and which lines of the algorithm.
 """
 
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search
-from swarm_envs.baselines.neural_swarm.planner.plan_plot import plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 
-__all__ = ["PlanningBounds", "PlanningProblem", "Trajectories", "plot_plan", "search"]
+__all__ = ["PlanningBounds", "PlanningProblem", "Trajectories", "search"]

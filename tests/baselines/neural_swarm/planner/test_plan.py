@@ -1,4 +1,4 @@
-"""`plan_swarm` and the plan that it returns: in files, over time, drawn, and refused."""
+"""`plan_swarm` and the plan that it returns: in files, over time, and refused."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
-from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories, plot_plan
-from swarm_envs.baselines.neural_swarm.planner.problem import Plane
-from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories
 from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
@@ -157,32 +154,3 @@ def test_a_guess_from_elsewhere_is_refused() -> None:
         make(initial=away)
     with pytest.raises(ValueError, match="unknown interaction model"):
         plan_swarm(PAIR, PAIR[::-1], "SL", "learnt")
-
-
-def rough(plane: Plane, model: str = "learned", team: str = "SL") -> SwarmPlan:
-    """A plan of one sweep: pictures do not ask for more."""
-    few = RefinementOptions(max_sweeps=1)
-    guess = pair_guess(team)
-    return plan_swarm(PAIR, PAIR[::-1], team, model, plane=plane, initial=guess, options=few)
-
-
-@pytest.mark.parametrize("plane", ["yz", "xyz"])
-def test_a_plan_is_drawn_beside_an_unaware_one(tmp_path, plane: Plane) -> None:
-    path = tmp_path / "plan.png"
-    plan = rough(plane)
-    plot_plan(path, plan)
-    alone = np.asarray(Image.open(path).convert("RGB"))
-    plot_plan(path, plan, rough(plane, "none"), load("learned"))
-    beside = np.asarray(Image.open(path).convert("RGB"))
-    assert beside.shape[1] > 1.3 * alone.shape[1]
-    red = (abs(beside.astype(int) - np.array([0xC0, 0x39, 0x2B])).sum(axis=2) < 30).sum()
-    assert red > 50  # arrows of forces
-
-
-def test_an_unaware_plan_needs_a_model_and_the_same_team(tmp_path) -> None:
-    plan = rough("yz")
-    with pytest.raises(ValueError, match="no model"):
-        plot_plan(tmp_path / "plan.png", plan, rough("yz", "none"))
-    with pytest.raises(ValueError, match="'SS', but the plan of 'SL'"):
-        plot_plan(tmp_path / "plan.png", plan, rough("yz", "none", "SS"), load("learned"))
-    assert not list(tmp_path.iterdir())
