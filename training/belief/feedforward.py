@@ -148,16 +148,13 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
 
 
 def simulated_fit_config(
-    table: Path, out: Path, steps: int, seed: int, progress: bool, vehicles_differ: bool = False
+    table: Path, out: Path, steps: int, seed: int, progress: bool
 ) -> FitConfig:
-    """Options of a fit to simulated flights.
-
-    Labels have a calibration offset only where vehicles differ from their type.
-    """
+    """Return the options of a fit to simulated flights, in which vehicles are as their type."""
     return FitConfig(
         data=table,
         out=out,
-        offsets="estimated" if vehicles_differ else "none",
+        offsets="none",
         steps=steps,
         slope_limit=None,
         position_jitter_m=0.0,
