@@ -30,6 +30,7 @@ from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     default_engine,
     describe_model,
+    describe_spread,
     versions,
 )
 from swarm_envs.errors import check_name
@@ -257,14 +258,10 @@ def print_flights(report: Mapping[str, Any]) -> None:
 
 def flat_row(case: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return medians and quartiles of a case, or of one of its drones, without nesting."""
-    spreads = {
-        side: "{median:.1f} ({lower_quartile:.1f} to {upper_quartile:.1f})".format(**entry[side])
-        for side in SIDES
-    }
     return {
         "case": case["case"],
         "drone": entry.get("drone", case["error_of"]),
-        **spreads,
+        **{side: describe_spread(entry[side]) for side in SIDES},
         "ratio": entry["ratio"],
         "made worse": entry["made_worse"],
         "force (g)": entry.get("force_rms_g"),

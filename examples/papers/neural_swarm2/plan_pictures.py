@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from examples.papers.common import write_json
 from examples.papers.neural_swarm2.planned_swaps import figure_6_swap
+from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
@@ -39,8 +40,8 @@ class PlanColumn(NamedTuple):
 def plan_picture(out: Path = Path("neural_swarm2"), seed: int = 18) -> None:
     """Plan a swap of three with and without the forces, and draw both stages (Sec. V).
 
-    Writes `plan.json` (`status`, `costs` by eq. (6) and `force_ratio`, the worst force over its
-    bound, of both plans) and `plan.png`.
+    Writes `plan.json` (`rows`: status, worst force over its bound, and the cost of eq. (6) after
+    each stage, of both plans) and `plan.png`.
 
     Args:
         out: folder, made if missing.
@@ -51,14 +52,13 @@ def plan_picture(out: Path = Path("neural_swarm2"), seed: int = 18) -> None:
         plan_swarm(swap.starts, swap.goals, swap.team, known, seed=seed, plane="yz")
         for known in tqdm((model, None), "plans")
     )
-    numbers = {
-        name: {"status": p.status, "costs": p.costs, "force_ratio": p.check.force_ratio}
+    rows = [
+        {"planner": name, "status": p.status, "force_ratio": p.check.force_ratio, **p.costs}
         for name, p in (("aware", aware), ("unaware", unaware))
-    }
-    write_json(out / "plan.json", numbers)
+    ]
+    write_json(out / "plan.json", {"seed": seed, "rows": rows})
     plot_plan(out / "plan.png", aware, unaware, model)
-    for name, found in numbers.items():
-        print(f"{name}: {found['status']}, costs after each stage {found['costs']}")
+    print(markdown(rows, list(rows[0])))
 
 
 def plot_plan(path: Path, plan: SwarmPlan, unaware: SwarmPlan, model: InteractionModel) -> None:
