@@ -106,7 +106,7 @@ TINY = {
     "hall": f"{FEW} 2 --truth wake",
     "adaptation": "--episodes 1",
 }
-SLOW = {"figure-6", "figure-7", "table-2", "ball", "adaptation", "plan", "hall"}
+SLOW = {"figure-1", "figure-6", "figure-7", "table-2", "ball", "adaptation", "plan", "hall"}
 PICTURES = {"figure-5": 3, "figure-7": 3, "table-2": 0, "adaptation": 0}  # others have one
 AT_A_TIME = [
     pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW), id=name) for name in TINY
