@@ -207,7 +207,7 @@ def test_damage_is_named(tmp_path):
 def test_pickles_and_missing_files_are_refused(tmp_path):
     for name in ("policy.pt", "policy.zip", "policy.pkl"):
         (tmp_path / name).write_bytes(b"\x80\x04K\x01.")
-        with pytest.raises(ValueError, match=r"a pickle.* is refused"):
+        with pytest.raises(ValueError, match="a pickle"):
             load(str(tmp_path / name))
     with pytest.raises(FileNotFoundError, match=r"policy\.safetensors'; train a policy"):
         load(str(tmp_path))
