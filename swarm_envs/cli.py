@@ -110,6 +110,8 @@ def _learner(
         with claimed(config.out):
             report = _load(function)(config)
         print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
+        if hasattr(config, "how_to_use"):
+            print(*config.how_to_use(), sep="\n")
 
     return _command(name, options, learn, prefixes)
 

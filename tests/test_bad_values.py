@@ -16,7 +16,7 @@ import pytest
 from swarm_envs import agents, make, task_family
 from swarm_envs.baselines import mlr_dmpc, neural_swarm, rth3d
 from swarm_envs.interactions import load
-from swarm_envs.training.flight_table import read_table
+from swarm_envs.training.flight_logs import read_table
 from swarm_envs.training.interaction_rows import read_rows
 from swarm_envs.trajectories import ramped_line, rest_to_rest
 from swarm_envs.vehicles import parse_team, team_string

@@ -140,6 +140,25 @@ def test_tables_of_other_things_are_refused(flight, tmp_path):
         read_trajectory(path)
 
 
+def test_rows_of_a_table_may_be_in_any_order(flight, tmp_path):
+    """Sorted by name, drone_10 comes before drone_2; and capitals in the suffix are no other."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    fields = {name: np.repeat(getattr(flight, name), 4, axis=1) for name in GROUPS}
+    fields = {name: np.concatenate([v[:, :1] * 0, v[:, :11]], axis=1) for name, v in fields.items()}
+    terms = {name: np.zeros((len(flight.time), 12)) for name in flight.reward_terms}
+    many = replace(flight, team=flight.team * 4, reward_terms=terms, **fields)
+    write_trajectory(tmp_path / "a.parquet", many)
+    table = parquet.read_table(tmp_path / "a.parquet")
+    table = table.sort_by([("time", "ascending"), ("drone", "ascending")])
+    assert table["drone"][2].as_py() == "drone_10"
+    parquet.write_table(table, tmp_path / "b.PARQUET")
+    assert np.array_equal(read_trajectory(tmp_path / "b.PARQUET").position, many.position)
+    twice = table.set_column(1, "drone", [["drone_0"] * len(table)])
+    parquet.write_table(twice, tmp_path / "d.parquet")
+    with pytest.raises(ValueError, match="must have one row for each of drone_0 to drone_11"):
+        read_trajectory(tmp_path / "d.parquet")
+
+
 def test_without_pyarrow_the_message_says_how_to_get_it(flight, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ImportError, match=r"swarm-envs\[parquet\].*\.npz"):

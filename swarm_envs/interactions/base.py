@@ -140,9 +140,9 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
         weights = resources.files("swarm_envs.interactions").joinpath("weights")
         with resources.as_file(weights.joinpath(f"{text}.safetensors")) as path:
             return InteractionModel(text, *load_weights(path))
-    if text.endswith(".json"):
+    if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
-    if not text.endswith(".safetensors"):
+    if not text.lower().endswith(".safetensors"):
         valid = (*MODELS, "a path that ends in .safetensors or .json")
         raise ValueError(unknown_name("interaction model", text, valid))
     return InteractionModel(text, *load_weights(Path(text)))

@@ -60,7 +60,7 @@ def load_wake(path: Path | None = None) -> tuple[tuple[str, ...], ForceField, di
     if not path.is_file():
         raise FileNotFoundError(f"wake file {str(path)!r} does not exist; give its path")
     try:
-        parameters = json.loads(path.read_text(encoding="utf-8"))
+        parameters = json.loads(path.read_text(encoding="utf-8-sig"))
         _check(parameters)
         field = wake_field(parameters)
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:

@@ -1,7 +1,8 @@
 """Trajectory files: a recorded episode as a Parquet table or as npz, written and read back.
 
-A Parquet file is a long table, one row for each drone at each time, in order of time, then of
-drone; its columns are `COLUMNS`, and those of flight logs have the same names.
+A Parquet file is a long table, one row for each drone at each time; it is written in order of time,
+then of drone, and read by these columns in any order. Its columns are `COLUMNS`; those of flight
+logs have the same names.
 What does not change over the episode is JSON in the schema's metadata, under the key `swarm_envs`.
 An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same JSON as the string
 `about`; nothing in it is pickled. All numbers are float64: what is read is what was written.
@@ -62,9 +63,9 @@ def check_trajectory_path(path: Path) -> None:
         ValueError: the name ends in something else.
         ImportError: pyarrow is missing; the message says how to get it.
     """
-    if path.suffix not in _SUFFIXES:
+    if path.suffix.lower() not in _SUFFIXES:
         raise ValueError(unknown_name("suffix", path.suffix, _SUFFIXES, f"of {str(path)!r}"))
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         _arrow()
 
 
@@ -83,11 +84,12 @@ def write_trajectory(path: Path, recording: Recording) -> None:
     """
     check_trajectory_path(path)
     with written_whole(path) as partial:
-        if path.suffix == ".npz":
+        if path.suffix.lower() == ".npz":
             arrays: dict[str, Any] = {name: getattr(recording, name) for name in GROUPS}
             terms = {_TERM + name: term for name, term in recording.reward_terms.items()}
             arrays |= {"time": recording.time, "about": np.array(_about_json(recording)), **terms}
-            np.savez_compressed(partial, **arrays)
+            with partial.open("wb") as file:  # a name in capitals would get another suffix
+                np.savez_compressed(file, **arrays)
         else:
             _write_parquet(partial, recording)
 
@@ -102,7 +104,7 @@ def read_trajectory(path: Path) -> Recording:
         OSError: the file cannot be read.
     """
     check_trajectory_path(path)
-    read = _read_npz if path.suffix == ".npz" else _read_parquet
+    read = _read_npz if path.suffix.lower() == ".npz" else _read_parquet
     arrays, text = read(path)
     about = json.loads(text)
     team = tuple(map(_vehicle, about.pop("team")))
@@ -168,10 +170,10 @@ def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
     drones = len(about["team"])
     if table.num_rows == 0 or table.num_rows % drones:
         raise ValueError(f"{path} has {table.num_rows} rows, no multiple of its {drones} drones")
-    steps = table.num_rows // drones
+    order = _by_time_and_drone(path, table, drones)
 
     def column(name: str) -> npt.NDArray[Any]:
-        return np.asarray(table.column(name).to_numpy()).reshape(steps, drones)
+        return np.asarray(table.column(name).to_numpy())[order].reshape(-1, drones)
 
     arrays: dict[str, npt.NDArray[Any]] = {"time": column("time")[:, 0].copy()}
     for field, group in GROUPS.items():
@@ -181,6 +183,24 @@ def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
         arrays[field] = np.array(joined, dtype=dtype)
     arrays |= {name: np.array(column(name), dtype=np.float64) for name in terms}
     return arrays, text
+
+
+def _by_time_and_drone(path: Path, table: Any, drones: int) -> npt.NDArray[np.int64]:
+    """Return the order of the rows by time, then by the number of the drone.
+
+    Raises:
+        ValueError: some drone has no row, or two, at some time.
+    """
+    numbers = {f"drone_{i}": i for i in range(drones)}
+    number = np.array([numbers.get(name, -1) for name in table.column("drone").to_pylist()])
+    time = np.asarray(table.column("time").to_numpy())
+    order = np.lexsort((number, time))
+    numbered, times = number[order].reshape(-1, drones), time[order].reshape(-1, drones)
+    if (numbered != np.arange(drones)).any() or (times != times[:, :1]).any():
+        raise ValueError(
+            f"{path} must have one row for each of drone_0 to drone_{drones - 1} at each time"
+        )
+    return np.asarray(order)
 
 
 def _read_npz(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:

@@ -10,15 +10,7 @@ from swarm_envs.training.force_model.force_fit_config import TrainConfig
 from swarm_envs.training.force_model.network import EVERYWHERE, DeepSetSpec, InputRange
 from swarm_envs.training.interaction_rows import InteractionRows
 
-PLAIN = TrainConfig(
-    steps=40,
-    batch_size=64,
-    slope_limit=None,
-    position_jitter_m=0.0,
-    velocity_jitter=0.0,
-    balance=0.0,
-    checkpoint_every=10,
-)
+PLAIN = TrainConfig(steps=40, batch_size=64)
 SPEC = DeepSetSpec(("S", "L"), EVERYWHERE, None, None)
 RANGE = InputRange(
     ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),

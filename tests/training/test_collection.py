@@ -31,7 +31,6 @@ from swarm_envs.training.collection.log import (
     LOG_RATE,
     FlightLog,
     lagged_thrust,
-    resampled,
     rotate,
     rotate_to_body,
     thrust_direction,
@@ -44,18 +43,12 @@ from swarm_envs.training.collection.motion import (
     RandomWalk,
     repulsion,
 )
-from swarm_envs.training.collection.storage import (
-    commanded_thrust,
-    flight_file,
-    from_table,
-    motor_signals,
-    read_log,
-    to_table,
-)
 from swarm_envs.training.collection.table import SCENARIOS, CollectedFlight, scenario_counts
-from swarm_envs.training.flight_logs import LogOptions, read_logs
+from swarm_envs.training.flight_logs import LogOptions, read_data, write_table
+from swarm_envs.training.flight_logs.clock import commanded_thrust
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, parse_team
 from tests.helpers.interrupts import calls_of
+from tests.helpers.real_logs import motor_signals, to_table
 
 SHORT = CollectionConfig(
     teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
@@ -255,39 +248,20 @@ def test_a_thrust_beyond_the_motors_is_logged_as_the_nearest_signal():
     assert (pwm[1] == 65535.0).all() and (pwm[0] > 0.0).all()
 
 
-@pytest.mark.parametrize("accelerometer", [True, False])
-def test_a_table_holds_what_the_log_holds(flights, accelerometer):
-    flight = next(f for f in flights if f.team == "SL")
-    team = parse_team("SL")
-    table = to_table(flight.log, team, 120, accelerometer)
-    assert table.drone[:4].tolist() == ["S1", "L1", "S1", "L1"]
-    back = from_table(table, team)
-    for name in ("position", "velocity", "quaternion"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(flight.log, name))
-    known = flight.log.commands > np.array([[0.02], [0.09]])  # psi1 gives no rotor less
-    assert known.mean() > 0.95
-    np.testing.assert_allclose(back.commands[known], flight.log.commands[known], atol=1e-9)
-    assert np.isnan(back.setpoint).all()
-    if accelerometer:
-        np.testing.assert_allclose(back.specific_force, flight.log.specific_force, atol=1e-6)
-    else:
-        assert table.acceleration is None and np.isnan(back.specific_force).all()
-    with pytest.raises(ValueError, match="must list L1, S1"):
-        from_table(table, parse_team("LS"))
-
-
 @pytest.mark.parametrize("label", ["imu", "differentiated"])
-def test_parquet_flights_are_read_as_if_they_were_real(flights, label, tmp_path):
-    pytest.importorskip("pyarrow")
-    config = dataclasses.replace(CONFIG, label=label, format="parquet")
-    flown = collect(config, tmp_path, progress=False)
-    rows, report = read_logs(tmp_path, LogOptions(guard_s=0.0, keep_every=4, rate_hz=120.0))
+def test_flights_give_the_same_forces_as_logs_of_real_vehicles(flights, label, tmp_path):
+    for flight in flights:
+        table = to_table(flight.log, parse_team(flight.team), 120)
+        if label == "differentiated":
+            table = dataclasses.replace(table, acceleration=None)
+        write_table(tmp_path / f"{flight.name}.csv", table)
+    rows, report = read_data(tmp_path, LogOptions(guard_s=0.0, keep_every=4, rate_hz=120.0))
     assert all(file.refused is None for file in report.files)
     wanted = "logged" if label == "imu" else "differentiated"
     assert {file.acceleration for file in report.files} == {wanted}
     assert set(report.vehicles) == {"S1", "L1"}
-    ours = interaction_rows(flown, label)
-    for name in ("Ge2S", "L2S", "S2L"):  # the same forces by two roads
+    ours = interaction_rows(flights, label)
+    for name in ("Ge2S", "L2S", "S2L"):  # the same forces computed in two ways
         a = rows.force_g[rows.scenario == rows.scenario_names.index(name)]
         b = ours.force_g[ours.scenario == ours.scenario_names.index(name)]
         assert len(a) == pytest.approx(len(b), rel=0.15)
@@ -295,10 +269,8 @@ def test_parquet_flights_are_read_as_if_they_were_real(flights, label, tmp_path)
         np.testing.assert_allclose(a.std(axis=0), b.std(axis=0), rtol=0.15, atol=0.05)
 
 
-@pytest.mark.parametrize("form", ["npz", "parquet"])
-def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(form, tmp_path):
-    pytest.importorskip("pyarrow")
-    config = dataclasses.replace(CONFIG, format=form, duration_s=1.5, log_rate=100)
+def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(tmp_path):
+    config = dataclasses.replace(CONFIG, duration_s=1.5)
     whole = tmp_path / "whole"
     collect(config, whole, progress=False)
     cut, module = tmp_path / "cut", sys.modules[collect.__module__]
@@ -312,14 +284,9 @@ def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(form, tmp_pa
         assert (cut / file.name).read_bytes() == file.read_bytes()
 
 
-def test_a_parquet_flight_cannot_be_read_without_its_team(tmp_path):
-    with pytest.raises(ValueError, match="give the team"):
-        read_log(flight_file(tmp_path, "SL-walk-000", "parquet"))
-
-
 def test_the_command_covers_table_ii_and_says_so(tmp_path, capsys):
     out, numbers = tmp_path / "out", tmp_path / "numbers.json"
-    words = "--duration-s 3 --walks 2 --low-walks 0 --swaps 1 --low-swaps 0 --log-rate 100"
+    words = "--duration-s 3 --walks 2 --low-walks 0 --swaps 1 --low-swaps 0"
     assert main(["collect", "--out", str(out), "--json", str(numbers), *words.split()]) == 0
     said = capsys.readouterr()
     assert "all twelve scenarios of Table II have rows" in said.out
@@ -328,7 +295,7 @@ def test_the_command_covers_table_ii_and_says_so(tmp_path, capsys):
     assert list(summary["scenarios"]) == list(SCENARIOS)
     assert sum(s["rows"] for s in summary["scenarios"].values()) == summary["rows"]
     manifest = json.loads((out / "manifest.json").read_text())
-    assert manifest["log_rate"] == 100 and manifest["config"]["noise"]["velocity"] == 0.01
+    assert manifest["log_rate"] == 120 and manifest["config"]["noise"]["velocity"] == 0.01
     for name, scenario in manifest["scenarios"].items():
         assert summary["scenarios"][name]["flights"] == scenario["flights"] >= 1
         assert f"\n{name} " in said.out
@@ -346,7 +313,6 @@ def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
         ({"teams": ("SX",)}, "token 'X'"),
         ({"teams": ("S", "S")}, "named once"),
         ({"label": "truth"}, "unknown label 'truth'"),
-        ({"format": "csv"}, "unknown format 'csv'"),
     ],
 )
 def test_a_collection_that_cannot_be_is_refused(change, message):
@@ -369,22 +335,22 @@ def logs(team="SL", kind="swap", count=1, config=EXACT):
 
 
 @pytest.mark.parametrize(
-    ("team", "kind", "rate", "label", "bound"),
+    ("team", "kind", "label", "bound"),
     [
-        ("SL", "swap", 120, "imu", 0.25),
-        ("SSL", "walk", 100, "imu", 0.25),
-        ("L", "low-walk", 100, "imu", 0.25),
-        ("SL", "walk", 120, "differentiated", 0.3),
-        ("SSL", "low-walk", 120, "differentiated", 0.3),
-        ("SL", "low-swap", 120, "differentiated", 0.3),
-        ("L", "low-walk", 120, "differentiated", 0.3),
+        ("SL", "swap", "imu", 0.25),
+        ("SSL", "walk", "imu", 0.25),
+        ("L", "low-walk", "imu", 0.25),
+        ("SL", "walk", "differentiated", 0.3),
+        ("SSL", "low-walk", "differentiated", 0.3),
+        ("SL", "low-swap", "differentiated", 0.3),
+        ("L", "low-walk", "differentiated", 0.3),
     ],
 )
-def test_labels_are_the_force_that_acted(team, kind, rate, label, bound):
-    (log,) = logs(team, kind, config=dataclasses.replace(EXACT, log_rate=rate))
+def test_labels_are_the_force_that_acted(team, kind, label, bound):
+    (log,) = logs(team, kind)
     acted = load("learned").forces(log.position, log.velocity, team) / GRAM_FORCE
     assert np.abs(acted[..., 2]).max() > 1.5  # there is something to find
-    force = interaction_force(log, parse_team(team), 0.0, rate, label)
+    force = interaction_force(log, parse_team(team), 0.0, label=label)
     error = (force - acted)[5:-2]
     assert np.isfinite(error).all()
     assert np.sqrt(np.mean(error**2, axis=(0, 1))).max() < bound
@@ -448,17 +414,6 @@ def test_noise_and_biases_have_the_stated_size():
     assert np.sqrt(turned / 3) == pytest.approx(np.hypot(5e-3, 0.02), rel=0.15)
     np.testing.assert_allclose(np.linalg.norm(noisy[0].quaternion, axis=-1), 1.0)
     np.testing.assert_array_equal(noisy[0].commands, log.commands)
-
-
-def test_logs_at_100_hz_lie_between_those_at_120():
-    (fast,) = logs("SL", "walk")
-    slow = resampled(fast, 100)
-    assert len(slow.position) == 600 and len(fast.position) == 720
-    for name in fast._fields:  # every 0.05 s both have an entry
-        a, b = getattr(fast, name)[::6], getattr(slow, name)[::5]
-        np.testing.assert_allclose(a[: len(b)], b[: len(a)], atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(slow.quaternion, axis=-1), 1.0)
-    assert resampled(fast, 120) is fast
 
 
 def test_a_vehicle_that_is_off_is_off_alike_in_all_its_flights():

@@ -22,8 +22,8 @@ from swarm_envs.training.force_model.compare import (
     paired_difference,
 )
 from swarm_envs.training.force_model.evaluate import Errors, worth
-from swarm_envs.training.force_model.force_fit_config import FitConfig, ResidualConfig
-from swarm_envs.training.force_model.pipeline import WEIGHTS, fit
+from swarm_envs.training.force_model.force_fit_config import WEIGHTS, FitConfig, ResidualConfig
+from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.residual_fit import fit_residual, predicted_g
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import differing
@@ -85,7 +85,7 @@ def test_configurations_differ_in_what_is_said():
     assert differing(there, there) == ""
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed", "wake"])
+@pytest.mark.parametrize("model", ["deep-set", "composed", "wake"])
 def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     rows = rows_of_types()
     met = (rows.neighbor_type[:, 0] == 0) | (rows.ego_type == 1)  # L is never over S
@@ -138,7 +138,7 @@ HUGE = replace(LARGE, interaction_type="XL")
 QUICK = {"steps": 20, "learning_rate": 1e-2, "batch_size": 128}
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
+@pytest.mark.parametrize("model", ["deep-set", "composed"])
 def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
     rows = rows_of_types(("S", "S*", "XL"))
     steps = 500 if model == "composed" else 250  # it begins with a wake of 20 g, narrow and steep
@@ -157,7 +157,7 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
         found.forces(position, np.zeros((1, 2, 3)), "SL")
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
+@pytest.mark.parametrize("model", ["deep-set", "composed"])
 @pytest.mark.parametrize(
     ("shown", "said", "felt"),
     [("neighbor_type", "'L' is a neighbour", "LS"), ("ego_type", "'L' is the drone of no", "SL")],
@@ -321,14 +321,13 @@ def test_the_command_line_and_what_it_refuses(table, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_hall_has_the_numbers_of_the_measured_flights(shared_data, tmp_path):
-    """The numbers that ship, within half of their last digit, and the command that made them."""
+    """The numbers that ship lie in the intervals of an identification made anew."""
     data = shared_data / "data" / "neural_swarm_flights_33hz.npz"
-    report = fit_residual(ResidualConfig(data=data, out=tmp_path, bootstrap=2, progress=False))
+    report = fit_residual(ResidualConfig(data=data, out=tmp_path, bootstrap=200, progress=False))
     assert report.types == ("S", "L") and report.cross_validated
-    for name, values in report.residual.items():
-        shipped = np.atleast_1d(getattr(Hall(), name))
-        digit = 0.005 if name in ("residual_time_s", "residual_sideways") else 0.0005
-        assert np.array(values) == pytest.approx(shipped, abs=1.02 * digit), name
+    for name, intervals in report.intervals.items():
+        for shipped, (low, high) in zip(np.atleast_1d(getattr(Hall(), name)), intervals):
+            assert low - 0.0005 <= shipped <= high + 0.0005, name
 
 
 def flights(count: int = 1200, number: int = 6) -> InteractionRows:

@@ -20,18 +20,16 @@ from swarm_envs.training.force_model import pipeline
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows, scan_swarms
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.force_model.labels import fit_drag, measured_range
+from swarm_envs.training.force_model.labels import fit_drag
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
 from swarm_envs.training.force_model.wake_fit import (
-    WakeFitConfig,
     WakeParameters,
     fit_wake,
     wake_force_g,
     wake_rows,
-    write_wake,
 )
 from swarm_envs.training.interaction_rows import read_rows, save_rows
 from swarm_envs.training.interaction_rows.calibration import (
@@ -84,7 +82,7 @@ def planted_rows(count, seed=0):
         validation=np.arange(count) // 50 % 5 == 0,
         scenario_names=("alone", "pair", "three"),
     )
-    return rows.with_vertical_force(wake_force_g(TRUTH, wake_rows(rows, "neighbor")))
+    return rows.with_vertical_force(wake_force_g(TRUTH, wake_rows(rows)))
 
 
 def with_calibration_and_drag(rows, rng):
@@ -95,7 +93,6 @@ def with_calibration_and_drag(rows, rng):
     return dataclasses.replace(rows, force_g=force)
 
 
-SMALL = TrainConfig(steps=60, batch_size=64, slope_inputs=16, checkpoint_every=20)
 SPEC = DeepSetSpec(("S", "L"), OUTER_FADE, None, 0.6)
 
 
@@ -126,17 +123,14 @@ def test_planted_drag_is_recovered_and_never_negative():
 
 def test_planted_wake_is_recovered():
     rows = planted_rows(12_000)
-    found = fit_wake(rows, "neighbor")
+    found = fit_wake(rows)
     for name, truth in TRUTH._asdict().items():
         assert getattr(found, name) == pytest.approx(truth, rel=0.05), name
-    other = fit_wake(rows.select(np.arange(0, 12_000, 4)), "relative")
-    residual = wake_force_g(other, wake_rows(rows, "relative")) - rows.force_g[:, 2]
-    assert np.mean(residual**2) > 0.01  # the wrong velocity does not explain the rows
 
 
 def test_network_learns_the_planted_wake_and_keeps_its_clip():
     rows = planted_rows(12_000)
-    config = TrainConfig(steps=700, batch_size=512, slope_limit=None, position_jitter_m=0.0)
+    config = TrainConfig(steps=700, batch_size=512)
     trained = train(rows, SPEC, config, progress=False)
     held_out = rows.select(rows.validation)
     error = predict(trained.network, to_batch(held_out)).numpy() - held_out.force_g[:, 2]
@@ -145,20 +139,6 @@ def test_network_learns_the_planted_wake_and_keeps_its_clip():
     matrices = [p for p in trained.network.parameters() if p.ndim == 2]
     norms = [np.linalg.norm(m.detach().numpy(), 2) for m in matrices]
     assert max(norms) == pytest.approx(3.0, rel=1e-4)  # some matrix wanted to grow further
-
-
-def test_slope_penalty_lowers_the_steepest_slope():
-    rows = planted_rows(3000)
-    free = dataclasses.replace(SMALL, steps=150, learning_rate=1e-2, slope_limit=None)
-    held = dataclasses.replace(free, slope_limit=5.0, slope_weight=10.0, slope_inputs=64)
-    spec = dataclasses.replace(SPEC, input_range=measured_range(rows))
-
-    def steepest(config):
-        network = train(rows, spec, config, progress=False).network.double()
-        return measure_lipschitz(network, 2000, 1, np.random.default_rng(0))
-
-    free_found, held_found = steepest(free), steepest(held)
-    assert held_found["input_gradient_g_per_unit"] < 0.7 * free_found["input_gradient_g_per_unit"]
 
 
 def test_measured_fit_is_the_papers_form(tmp_path):
@@ -182,21 +162,11 @@ def test_measured_fit_is_the_papers_form(tmp_path):
 def test_command_line_makes_the_same_configuration():
     config = FitConfig(data=Path("rows.npz"), out=Path("DIR"), seed=5, steps=70, torque=True)
     config = dataclasses.replace(
-        config, relative_velocity=False, logs=dataclasses.replace(config.logs, resplit=True)
+        config, relative_velocity=False, logs=dataclasses.replace(config.logs, guard_s=0.25)
     )
     words = shlex.split(pipeline.fit_command(config))
-    assert words[:3] == ["python", "-m", "swarm_envs.training.force_model"]
-    assert tyro.cli(FitConfig, args=words[3:]) == config
-
-
-def test_wake_fit_writes_its_file(tmp_path):
-    rows = with_calibration_and_drag(planted_rows(4000), np.random.default_rng(1))
-    save_rows(tmp_path / "rows.npz", rows)
-    write_wake(WakeFitConfig(data=tmp_path / "rows.npz", out=tmp_path, rows=2000))
-    written = json.loads((tmp_path / "wake.json").read_text())
-    assert written["advection_velocity"] == "neighbor"
-    assert set(written["pair"]) == {"S>S", "S>L", "L>S", "L>L"}
-    assert written["pair"]["L>S"]["A_g"] == pytest.approx(20.0, rel=0.2)
+    assert words[:2] == ["swarm-envs", "fit"]
+    assert tyro.cli(FitConfig, args=words[2:]) == config
 
 
 WEIGHTS = Path(__file__).parents[2] / "swarm_envs" / "interactions" / "weights"
@@ -304,4 +274,4 @@ def test_measured_fit_reaches_the_reference(shared_data, tmp_path):
         lipschitz_samples=0,
         progress=False,
     )
-    assert fit(config).findings.errors.overall <= 6.2
+    assert fit(config).findings.errors.overall <= 6.5

@@ -15,8 +15,8 @@ from safetensors.torch import save_file
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
-from swarm_envs.training.flight_logs.fit_data import read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.flight_logs.read import read_data
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import turned_labels
 from swarm_envs.training.force_model.export import load_network, save_network
@@ -32,14 +32,13 @@ from swarm_envs.training.force_model.network import (
     layers,
     swarm_batch,
 )
-from swarm_envs.training.force_model.optimisers import hold_spectral_norms
 from swarm_envs.training.force_model.pipeline import fit
+from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
 from tests.helpers.tiny_fits import RANGE, make_rows
 
-PLAIN_KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
-KINDS: tuple[NetworkKind, ...] = (*PLAIN_KINDS, "composed")
+KINDS: tuple[NetworkKind, ...] = ("deep-set", "composed")
 TEAM = "SLSLS"
 SPEC = DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6)
 
@@ -159,11 +158,10 @@ def test_file_gives_back_the_same_function(tmp_path):
         "shipped": SPEC,
         "paper": DeepSetSpec(("S", "L"), EVERYWHERE, None, None),
         "hard": DeepSetSpec(("S", "L", "XL"), None, None, None),
-        "pairwise": dataclasses.replace(SPEC, kind="pairwise"),
     }.items():
         made = random_network(spec)
-        if name in ("hard", "pairwise"):
-            made = build(spec, torch.float32 if name == "hard" else torch.float64)
+        if name == "hard":
+            made = build(spec, torch.float32)
         save_network(tmp_path / f"{name}.safetensors", made, {"seed": 7})
         loaded = load_network(tmp_path / f"{name}.safetensors")
         assert type(loaded) is type(made) and loaded.spec == made.spec
@@ -255,8 +253,7 @@ def test_a_planted_torque_is_learned_beside_the_force(tmp_path: Path) -> None:
     save_rows(tmp_path / "rows.npz", planted_rows(6000))
     config = FitConfig(
         data=tmp_path / "rows.npz", out=tmp_path, torque=True, steps=1000, batch_size=128,
-        learning_rate=1e-2, offsets="none", slope_limit=None, position_jitter_m=0.0,
-        velocity_jitter=0.0, lipschitz_samples=0, progress=False,
+        learning_rate=1e-2, offsets="none", lipschitz_samples=0, progress=False,
     )  # fmt: skip
     report = fit(config)
     errors = report.torque_errors
@@ -324,16 +321,16 @@ def test_tables_without_torque_are_refused_where_it_is_wanted(tmp_path: Path) ->
     found, report = read_data(tmp_path, LogOptions(), offsets=False, torque=True)
     assert found.torque is not None and len(found) == 1000
     assert report.files[1].refused is not None
-    assert "no torque; add an array `torque` (R, 3), N m" in report.files[1].refused
-    with pytest.raises(ValueError, match=r"^without\.npz: a torque head is wanted, but the table"):
+    assert "no array `torque` (R, 3), N m in" in report.files[1].refused
+    with pytest.raises(ValueError, match=r"^without\.npz: a torque head is wanted, but it has"):
         read_data(tmp_path / "without.npz", LogOptions(), offsets=False, torque=True)
     both, _ = read_data(tmp_path, LogOptions(), offsets=False)
     assert both.torque is None and len(both) == 2000
 
 
 def test_what_gives_no_torque_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--model pairwise gives no torque"):
-        FitConfig(data=tmp_path, out=tmp_path, model="pairwise", torque=True)
+    with pytest.raises(ValueError, match="--model composed gives no torque"):
+        FitConfig(data=tmp_path, out=tmp_path, model="composed", torque=True)
     made = DeepSet(DeepSetSpec(("S",), OUTER_FADE, RANGE, 0.6), torch.float64)
     save_network(tmp_path / "a.safetensors", made)
     with pytest.raises(ValueError, match="has no torque of type 'S'; fit it with --torque"):
@@ -363,29 +360,25 @@ def test_random_networks_keep_to_the_bound(
         holds(scaled_network(spec, seed, scale))
 
 
-@pytest.mark.parametrize("kind", PLAIN_KINDS)
-def test_the_papers_form_keeps_to_the_bound_of_its_weights_alone(kind: NetworkKind) -> None:
-    network = scaled_network(DeepSetSpec(("S",), EVERYWHERE, None, None, kind=kind), 0, 2.0)
+def test_the_papers_form_keeps_to_the_bound_of_its_weights_alone() -> None:
+    network = scaled_network(DeepSetSpec(("S",), EVERYWHERE, None, None), 0, 2.0)
     holds(network)
     norms = [
         math.prod(float(np.linalg.norm(layer.weight.detach().numpy(), 2)) for layer in layers(m))
         for m in network.named_networks().values()
     ]
-    pair = norms[0] * (norms[2] if kind == "deep-set" else 1.0)
-    assert lipschitz_bound(network)["position_g_per_m"] == pytest.approx(pair)
+    bound = lipschitz_bound(network)["position_g_per_m"]
+    assert bound == pytest.approx(norms[0] * norms[2])
 
 
-@pytest.mark.parametrize("kind", PLAIN_KINDS)
-def test_a_constant_force_leaves_the_slope_of_the_window(kind: NetworkKind) -> None:
+def test_a_constant_force_leaves_the_slope_of_the_window() -> None:
     """A perceptron that always says 4 g: all slope is the window's, 1.875 times 4 g over 0.1 m."""
-    spec = DeepSetSpec(("S",), OUTER_FADE, RANGE, None, hidden=1, layers=2, kind=kind)
+    spec = DeepSetSpec(("S",), OUTER_FADE, RANGE, None, hidden=1, layers=2)
     network = scaled_network(spec, 0, 0.0)
     with torch.no_grad():
-        last = layers(network.named_networks()["phi.S" if kind == "deep-set" else "pair.S.S"])[-1]
-        last.bias[0] = 4.0
-        if kind == "deep-set":  # rho: the identity where its input is positive
-            for layer in layers(network.named_networks()["rho.S"]):
-                layer.weight[0, 0] = 1.0
+        layers(network.named_networks()["phi.S"])[-1].bias[0] = 4.0
+        for layer in layers(network.named_networks()["rho.S"]):
+            layer.weight[0, 0] = 1.0  # the identity where its input is positive
     bound = lipschitz_bound(network)["position_g_per_m"]
     found = measure_lipschitz(network, 20_000, 1, np.random.default_rng(0))
     assert bound == pytest.approx(4.0 * 1.875 * math.hypot(10.0, 10.0, 10.0 / 3.0))

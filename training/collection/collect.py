@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import tyro
 from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
@@ -16,9 +17,9 @@ from swarm_envs.files import write_json
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.flight import CalibrationErrors, fly_motion
-from swarm_envs.training.collection.log import FlightLog, Label, SensorNoise, resampled, with_noise
+from swarm_envs.training.collection.log import LOG_RATE, FlightLog, Label, SensorNoise, with_noise
 from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, StackedSwaps, TeamMotion
-from swarm_envs.training.collection.storage import Format, flight_file, read_log, save_log
+from swarm_envs.training.collection.storage import flight_file, read_log, save_log
 from swarm_envs.training.collection.table import CollectedFlight, scenario_counts
 from swarm_envs.training.provenance import begin_manifest, json_ready
 from swarm_envs.vehicles import parse_team
@@ -61,15 +62,10 @@ class CollectionConfig:
     pilot: Literal["soft", "mid", "stiff", "firm"] = "firm"
     """position gains of the pilot: the controller's presets, or `firm`, stiffer than flights need,
     to hold place in wakes that it does not know"""
-    log_rate: Literal[100, 120] = 120
-    """log entries per second: as flown, or resampled to 100"""
     label: Label = "differentiated"
     """where the acceleration of the force's label comes from: velocities differentiated over five
     points, or the accelerometer"""
-    format: Format = "npz"
-    """files of flights: `npz`, or `parquet` in the format of real logs (docs/flight-logs.md), with
-    the accelerations if they are to give the label"""
-    motion: MotionRanges = MotionRanges()
+    motion: tyro.conf.Suppress[MotionRanges] = MotionRanges()
     """what the motions are drawn from"""
     noise: SensorNoise = SensorNoise()
     """what sensors add to the logged state; the pilot flies with the true one"""
@@ -132,7 +128,6 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
     interruption it resumes with the first missing file; the result is identical.
 
     Raises:
-        ImportError: flights are to be Parquet, and pyarrow is not installed.
         ValueError: the folder holds flights of another configuration or force model.
     """
     model = load(config.interactions)
@@ -148,13 +143,11 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
     seconds = sum(batch.count for batch in batches) * config.duration_s
     with tqdm(total=round(seconds), disable=not progress, unit="s flown", desc="flights") as bar:
         for batch in batches:
-            files = [flight_file(out, name, config.format) for name in batch.names]
+            files = [flight_file(out, name) for name in batch.names]
             if not all(file.exists() for file in files):
-                team = parse_team(batch.team)
-                for file, log in zip(
-                    files, fly_flights(config, batch, model, compensated), strict=True
-                ):
-                    save_log(file, log, team, config.log_rate, config.label == "imu")
+                logs = fly_flights(config, batch, model, compensated)
+                for file, log in zip(files, logs, strict=True):
+                    save_log(file, log)
             bar.update(round(batch.count * config.duration_s))
     flights = [flight for batch in batches for flight in read_batch(config, out, batch)]
     entries = [
@@ -168,7 +161,7 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
         for flight in flights
     ]
     scenarios = {name: count._asdict() for name, count in scenario_counts(flights).items()}
-    content = {"log_rate": config.log_rate, "scenarios": scenarios, "flights": entries}
+    content = {"log_rate": LOG_RATE, "scenarios": scenarios, "flights": entries}
     write_json(out / MANIFEST, origin | content)
     return flights
 
@@ -190,7 +183,7 @@ def fly_flights(
     model: InteractionModel,
     feedforward: InteractionModel | None = None,
 ) -> list[FlightLog]:
-    """Noisy logs of a batch's flights, at the configuration's rate; see `fly`."""
+    """Fly a batch's flights and return their noisy logs; see `fly_motion`."""
     rngs = [flight_generator(config, name) for name in batch.names]
     motion, team = make_motion(config, batch, rngs), parse_team(batch.team)
     vehicles = config.errors.draw(team, config.seed, rngs)
@@ -205,10 +198,7 @@ def fly_flights(
         Hall.of(config.world),
         rngs,
     )
-    return [
-        with_noise(resampled(log, config.log_rate), config.noise, rng)
-        for log, rng in zip(logs, rngs, strict=True)
-    ]
+    return [with_noise(log, config.noise, rng) for log, rng in zip(logs, rngs, strict=True)]
 
 
 def make_motion(
@@ -225,14 +215,12 @@ def make_motion(
 
 def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[CollectedFlight]:
     """Read the flights of a batch."""
-    team = parse_team(batch.team)
     return [
         CollectedFlight(
             name=name,
             team=batch.team,
-            log=read_log(flight_file(out, name, config.format), team),
+            log=read_log(flight_file(out, name)),
             validation=_is_held_out(config, batch, index),
-            rate_hz=config.log_rate,
         )
         for index, name in enumerate(batch.names)
     ]

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.signal import lfilter
 
 from swarm_envs.arguments import NOT_NEGATIVE, typed, typed_options
@@ -49,22 +48,6 @@ class FlightLog(NamedTuple):
     def cut(self, count: int) -> FlightLog:
         """Return the first `count` entries."""
         return FlightLog(*(array[:count] for array in self))
-
-
-def resampled(log: FlightLog, rate_hz: int) -> FlightLog:
-    """Return the log at another rate than `LOG_RATE`: splines, but commands linear.
-
-    Resample before noise is added: a sensor that is read less often is no less noisy.
-    """
-    count = len(log.position)
-    if rate_hz == LOG_RATE or count < 4:
-        return log
-    time = np.arange(count) / LOG_RATE
-    wanted = np.arange(int(time[-1] * rate_hz + 1e-9) + 1) / rate_hz
-    arrays = {name: CubicSpline(time, array)(wanted) for name, array in log._asdict().items()}
-    arrays["commands"] = make_interp_spline(time, log.commands, k=1)(wanted)
-    arrays["quaternion"] /= np.linalg.norm(arrays["quaternion"], axis=-1, keepdims=True)
-    return FlightLog(**arrays)
 
 
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:

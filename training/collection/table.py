@@ -27,7 +27,7 @@ __all__ = [
 TYPES = ("S", "L")
 """Interaction types of the vehicles that are flown."""
 ROW_RATE = 30
-"""Rows per second and drone, about: neighbouring log entries are near copies."""
+"""Rows per second and drone: successive log entries are near copies."""
 
 SCENARIOS = ("Ge2S", "S2S", "L2S", "SS2S", "SL2S", "LL2S",
              "Ge2L", "S2L", "L2L", "SS2L", "SL2L", "LL2L")  # fmt: skip
@@ -45,13 +45,11 @@ class CollectedFlight(NamedTuple):
     """What was logged."""
     validation: bool
     """Whether its rows are held out of training."""
-    rate_hz: int = LOG_RATE
-    """Log entries per second."""
 
     @property
     def seconds(self) -> float:
         """Length of the flight, s."""
-        return len(self.log.position) / self.rate_hz
+        return len(self.log.position) / LOG_RATE
 
 
 def scenario_name(ego: str, neighbors: Sequence[str]) -> str:
@@ -74,7 +72,7 @@ def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, _ScenarioCo
     for flight in flights:
         team = parse_team(flight.team)
         kinds = [vehicle.interaction_type for vehicle in team]
-        near = near_any(flight.log.position).sum(axis=0) / flight.rate_hz
+        near = near_any(flight.log.position).sum(axis=0) / LOG_RATE
         for i, kind in enumerate(kinds):
             entry = found.setdefault(
                 scenario_name(kind, kinds[:i] + kinds[i + 1 :]), [set[str](), 0.0, 0.0]
@@ -129,8 +127,8 @@ def interaction_rows(
 
 def _flight_rows(flight: CollectedFlight, label: Label) -> list[tuple[int, DroneRows]]:
     """Number of each vehicle of a flight, and its rows."""
-    team, every = parse_team(flight.team), round(flight.rate_hz / ROW_RATE)
-    force = interaction_force(flight.log, team, rate_hz=flight.rate_hz, label=label)[::every]
+    team, every = parse_team(flight.team), LOG_RATE // ROW_RATE
+    force = interaction_force(flight.log, team, label=label)[::every]
     position, velocity = flight.log.position[::every], flight.log.velocity[::every]
     kinds = [vehicle.interaction_type for vehicle in team]
     known: BoolArray = np.asarray(np.isfinite(force).all(axis=-1))

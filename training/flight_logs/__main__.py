@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.flight_logs.read import DEFAULT, read_logs
+from swarm_envs.training.flight_logs.read import DEFAULT, read_data
 from swarm_envs.training.interaction_rows import save_rows
 
 
@@ -25,7 +25,7 @@ def _look(
         options: how logs become rows.
         rows: write the rows to this file (.npz), which `swarm-envs fit` reads too.
     """
-    table, report = read_logs(data, options, progress=True)
+    table, report = read_data(data, options, progress=True)
     print("\n".join(report.lines()))
     if rows is not None:
         save_rows(rows, table)

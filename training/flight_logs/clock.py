@@ -13,13 +13,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
+from swarm_envs.motors import FULL_VOLTAGE, rotor_force_g
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.log import force_from_motion
-from swarm_envs.training.collection.storage import PWM_SPAN, commanded_thrust
 from swarm_envs.training.collection.table import DroneRows, rows_of_drone
-from swarm_envs.training.flight_logs.checks import RUNNING, DroneLog
+from swarm_envs.training.flight_logs.checks import PWM_SPAN, RUNNING, DroneLog
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.vehicles import Team
+from swarm_envs.vehicles import GRAM_FORCE, Team
 
 
 class ClockedFlight(NamedTuple):
@@ -42,8 +42,11 @@ class ClockedFlight(NamedTuple):
 def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlight:
     """Resample drones to one clock over the time that all of them logged.
 
-    Motion and attitude by cubic splines, motor signals and voltage linearly; nothing is carried
-    across a gap.
+    Motion and attitude are interpolated by cubic splines, motor signals and voltage linearly;
+    nothing is carried across a gap.
+
+    Raises:
+        ValueError: the drones have less than a second in common.
     """
     begin = max(float(drone.time[0]) for drone in drones)
     end = min(float(drone.time[-1]) for drone in drones)
@@ -109,6 +112,15 @@ def continuous(quaternion: FloatArray) -> FloatArray:
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=1)
     sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0.0, -1.0, 1.0))])
     return quaternion * sign[:, None]
+
+
+def commanded_thrust(pwm: FloatArray, voltage: FloatArray, team: Team) -> FloatArray:
+    """Return the rotor thrusts (T, N, 4), N, that psi1 gives at signals and voltages (T, N), V."""
+    thrust = np.empty_like(pwm)
+    for i, vehicle in enumerate(team):
+        volts = voltage[:, i, None] / FULL_VOLTAGE
+        thrust[:, i] = GRAM_FORCE * rotor_force_g(vehicle, pwm[:, i] / PWM_SPAN, volts)
+    return thrust
 
 
 SETTLED = 5.0

@@ -28,7 +28,7 @@ __all__ = ["LogOptions", "held_out_blocks"]
 @typed_options
 @dataclass(frozen=True)
 class LogOptions:
-    """How logs of flights become rows, and which rows of tables are held out."""
+    """How flight logs become rows, and which rows are held out where files come without marks."""
 
     rate_hz: Annotated[float, POSITIVE] = 100.0
     """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of
@@ -48,11 +48,6 @@ class LogOptions:
     """training rows so near in time to a held-out block of their flight are left out"""
     split_seed: Seed = 0
     """held-out blocks are drawn from it"""
-    resplit: bool = False
-    """draw the held-out blocks of row tables too, though they come with marks; tables without
-    marks get drawn blocks in any case"""
-    check_units: bool = True
-    """refuse row tables whose sizes look like other units"""
     min_scenario_rows: Annotated[int, Range(0)] = 100
     """scenarios with fewer training rows are left out"""
     min_quiet_rows: Annotated[int, Range(0)] = 30

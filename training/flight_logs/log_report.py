@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,10 +30,9 @@ class FileReport:
     """What became of one file."""
 
     file: str  # Its name
-    refused: str | None = None  # Which rule it breaks; nothing of it was used then
-    kind: Literal["log", "table"] = "log"
-    """A flight's log, or a table of rows, of which only rows, entries and dropped have meaning."""
-    drones: dict[str, str] = field(default_factory=dict)  # Type by name
+    refused: str | None = None  # Message of the rule it breaks, with its name; nothing was used
+    drones: dict[str, str] = field(default_factory=dict)
+    """Type by name, of a flight log; of a table this, times and acceleration have no meaning."""
     seconds: float = 0.0  # Time that all drones have in common
     gap_seconds: float = 0.0  # Of it, in gaps of some drone's log
     uncommon_seconds: float = 0.0  # Time of the longest log outside of it, left out
@@ -90,15 +89,14 @@ class LogReport:
         """Return the report as lines of text."""
         bad = [file for file in self.files if file.refused is not None]
         seconds = sum(file.seconds for file in self.files)
-        what = "files" if any(file.kind == "table" for file in self.files) else "flights"
         time = f"{seconds:.0f} s, " if seconds else ""
         barren = sum(file.refused is None and not file.rows for file in self.files)
         idle = f", {barren} of them {'gives' if barren == 1 else 'give'} no row" if barren else ""
         said = [
-            f"{len(self.files) - len(bad)} of {len(self.files)} {what} are sound{idle}: "
+            f"{len(self.files) - len(bad)} of {len(self.files)} files are sound{idle}: "
             f"{time}{self.rows} rows, {self.validation_rows} of them held out"
         ]
-        said += [f"refused {file.file}: {file.refused}" for file in bad]
+        said += [f"refused {file.refused}" for file in bad]
         if self.not_read:
             said.append(
                 f"not read: {', '.join(self.not_read)}; data is .csv, .parquet and .npz right in "
@@ -117,7 +115,7 @@ class LogReport:
 
 def _notes(file: FileReport) -> list[str]:
     notes = list(file.notes)
-    if file.kind == "table" and any(file.dropped.values()):
+    if not file.drones and any(file.dropped.values()):
         reasons = ", ".join(f"{name}: {n}" for name, n in file.dropped.items() if n)
         notes.append(f"{file.rows} of {file.entries} rows are used (left out: {reasons})")
     if file.ignored_columns:
@@ -200,13 +198,9 @@ def without_scarce_data(
 
 def _no_row_left(files: Sequence[FileReport], reasons: Sequence[str]) -> str:
     dropped = sum((Counter(file.dropped) for file in files), Counter[str]())
-    if any(file.kind == "table" for file in files):
-        return f"no row is left of {len(files)} files ({dict(dropped)}): {reasons[0]}"
     counts = ", ".join(f"{reason}: {count}" for reason, count in dropped.items())
-    return (
-        f"{len(files)} flights give no row (entries left out: {counts}); fly longer, or nearer to "
-        "each other"
-    )
+    why = "; ".join(["fly more, or nearer to each other", *reasons[:1]])
+    return f"no row is left of {len(files)} files (left out: {counts}); {why}"
 
 
 def _calibrations(rows: InteractionRows, vehicles: dict[str, int]) -> dict[str, Calibration]:

@@ -1,10 +1,10 @@
 """Trainer of the interaction-force models: from rows of measured force to weights that ship.
 
-Order of reading: `force_fit_config` (options), `flight_logs.fit_data` (files of rows and of
+Order of reading: `force_fit_config` (options), `flight_logs.read` (files of rows and of
 flights), `labels` (what is taken out of the labels), `network` (the heterogeneous deep set,
-Neural-Swarm2 eq. 10, and a sum over pairs), `examples`, `optimisers`, `train`, `export`,
-`evaluate`, `lipschitz`, and `pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the
-same rows, and also makes the parameters that ship.
+Neural-Swarm2 eq. 10), `composed`, `examples`, `spectral`, `train`, `export`, `evaluate`,
+`lipschitz`, and `pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows,
+`compare` compares models on whole flights, `residual_fit` identifies what a model leaves over.
 
 Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the page is docs/fit.md.
 """

@@ -3,10 +3,10 @@
 Every model is fitted once for each fold, to the flights outside of it, and predicts those inside.
 Folds are drawn from the flights of each scenario, or of each set of scenarios that share a flight.
 Two models are compared by the difference of their squared errors on the same rows. Rows of a flight
-are far from independent, so the interval of the difference is that of a bootstrap over flights.
+are far from independent, so the interval of the difference comes from a bootstrap over flights.
 
 Labels are treated alike for all models and folds: calibration offsets are those of the quiet rows
-of each flight, the held-out ones included, since they belong to the measurement, not to the air.
+of each flight, the held-out ones included, since they belong to the measurement.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
+from scipy.stats import bootstrap
 from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import (
     FitConfig,
     Model,
     ResidualConfig,
-    with_mode_defaults,
 )
 from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
 from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
-from swarm_envs.training.force_model.train import predict, to_batch, train_taught
+from swarm_envs.training.force_model.train import predict, to_batch, train
 from swarm_envs.training.force_model.wake_fit import (
     MOST_ROWS,
     draw_rows,
@@ -123,13 +123,22 @@ def flight_folds(rows: InteractionRows, folds: int, seed: int) -> IntArray:
 def paired_difference(
     one: FloatArray, other: FloatArray, flight: IntArray, seed: int
 ) -> tuple[float, float, float]:
-    """Mean difference of squared errors (R,), and the ends of its 95 % interval over flights."""
+    """Return the mean difference of squared errors (R,) and its 95 % interval over flights.
+
+    The interval is that of a paired percentile bootstrap: flights are drawn with replacement, each
+    with its sum of differences and its number of rows.
+    """
     index = np.unique(flight, return_inverse=True)[1].reshape(-1)
     total, count = np.bincount(index, one - other), np.bincount(index)
-    drawn = np.random.default_rng(seed).integers(len(count), size=(DRAWS, len(count)))
-    means = total[drawn].sum(axis=1) / count[drawn].sum(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(total.sum() / count.sum()), float(low), float(high)
+    found = bootstrap(
+        (total, count),
+        lambda totals, counts, axis: totals.sum(axis) / counts.sum(axis),
+        paired=True,
+        n_resamples=DRAWS,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return float(total.sum() / count.sum()), float(found.low), float(found.high)
 
 
 @typed
@@ -170,9 +179,8 @@ def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
 
 
 def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:
-    """A fit of a model to the same data with the defaults of its mode."""
-    given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
-    return with_mode_defaults(given, given.mode, model)
+    """Return a fit of a model to the same data with default options."""
+    return FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
 
 
 def fitted_force_g(
@@ -180,18 +188,16 @@ def fitted_force_g(
 ) -> FloatArray:
     """Force of every row, (R, 3) gram-force, by a model fitted to the labels of the training rows.
 
-    Options must have the defaults of their model. A wake is fitted to `wake_rows_drawn` rows at
-    random; it and a deep set have no horizontal force.
+    A wake is fitted to `wake_rows_drawn` rows at random; it and a deep set have no horizontal
+    force.
     """
     found = np.zeros((len(target), 3))
     if options.model == "wake":
-        fitted = fit_wake(draw_rows(target, options.seed, wake_rows_drawn), "neighbor")
-        found[:, 2] = wake_force_g(fitted, wake_rows(target, "neighbor"))
+        fitted = fit_wake(draw_rows(target, options.seed, wake_rows_drawn))
+        found[:, 2] = wake_force_g(fitted, wake_rows(target))
         return found
     known = flown(target) if options.model == "composed" else target
-    run = train_taught(
-        known, network_spec(target, options), training_recipe(options), progress=False
-    )
+    run = train(known, network_spec(target, options), training_recipe(options), progress=False)
     heads = predict(run.network, to_batch(target), every=True).double().numpy()
     found[:, 2] = heads[:, 0]
     if options.model == "composed":

@@ -23,7 +23,6 @@ from swarm_envs.training.force_model.network import (
     DeepSet,
     DeepSetSpec,
     ForceNetwork,
-    PairwiseSum,
     fade,
     layers,
     of_types,
@@ -206,6 +205,4 @@ def _root(square: Tensor) -> Tensor:
 
 def build(spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> ForceNetwork:
     """Make the network of a spec, with the weights from which training starts."""
-    if spec.kind == "composed":
-        return Composed(spec, dtype)
-    return PairwiseSum(spec, dtype) if spec.kind == "pairwise" else DeepSet(spec, dtype)
+    return Composed(spec, dtype) if spec.kind == "composed" else DeepSet(spec, dtype)

@@ -204,7 +204,7 @@ class Findings:
 class FitReport:
     """What was fitted and how well: the content of `learned.json`, whatever the model."""
 
-    model: str  # `deep-set`, `pairwise` or `wake`
+    model: str  # `deep-set`, `composed` or `wake`
     command: str  # The command that was run
     config: object  # Its options
     data_sha256: str  # SHA-256 of the data
@@ -214,7 +214,6 @@ class FitReport:
     findings: Findings  # What came out
     history: list[dict[str, float]]
     """Step, training loss, validation MSE and that of early validation, g^2."""
-    chosen: str  # Which weights of the run these are
     wall_time_s: float
     """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
     logs: LogReport  # What became of every file

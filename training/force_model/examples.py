@@ -1,15 +1,11 @@
-"""Training examples: epochs of the rows in random order, and rows that are held out of them.
+"""Training examples: passes over the rows in random order, turned and mirrored at random.
 
-In a pass every row comes once, turned and mirrored at random. A pass is put in order as a whole,
-so that a step only takes a slice of it.
-
-Early validation holds out training rows to choose weights or settings, never the validation rows.
-There are two kinds, since a model may generalise in time and still know its flights: contiguous
-pieces of flights that are trained on, and whole flights.
+A pass is put in order as a whole, so that a step only takes a slice of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +13,6 @@ import torch
 from torch import Tensor
 
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
-from swarm_envs.training.force_model.force_fit_config import TrainConfig
 from swarm_envs.training.force_model.network import Batch
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 
@@ -59,42 +54,28 @@ def batches_per_epoch(rows: int, batch_size: int) -> int:
     return -(-rows // batch_size)
 
 
-def shuffled(examples: Examples, config: TrainConfig, epoch: int) -> Examples:
-    """The rows of pass number `epoch`, in its order and with its random changes.
+def shuffled(examples: Examples, seed: Sequence[int], turn: bool) -> Examples:
+    """Return the rows of a pass in its order; with `turn` each turned and mirrored at random.
 
-    The same seed and number give the same pass, so that a run continues within one.
+    The same seed gives the same pass, so that a run continues within one.
     """
-    rng = np.random.default_rng([config.seed, epoch])
+    rng = np.random.default_rng(seed)
     count = len(examples.label)
     order = torch.from_numpy(rng.permutation(count))
     batch = Batch(*(values.index_select(0, order) for values in examples.batch))
     label, weight = (values.index_select(0, order) for values in examples[1:])
-    if config.symmetry != "none":
-        turns = _random_turns(config.symmetry == "circle", count, rng)
+    if turn:
+        turns = square_symmetries(torch.from_numpy(rng.integers(2, size=(3, count))))
         batch, label = turned_rows(batch, turns), turned_labels(label, turns)
-    if config.position_jitter_m or config.velocity_jitter:
-        scale = torch.tensor([config.position_jitter_m] * 3 + [config.velocity_jitter] * 3)
-        noise = rng.standard_normal(batch.pair.shape, dtype=np.float32)
-        batch = batch._replace(pair=batch.pair + scale * torch.from_numpy(noise))
     return Examples(batch, label, weight)
 
 
-def square_symmetry(x: Tensor, y: Tensor, swap: Tensor) -> Tensor:
-    """Matrices (R, 2, 2) of symmetries of the square: x and y times +1 or -1, then exchanged."""
+def square_symmetries(drawn: Tensor) -> Tensor:
+    """Return symmetries of the square (R, 2, 2): numbers (3, R) flip x, flip y, exchange them."""
+    x, y = (1.0 - 2.0 * drawn[:2]).unbind()
     none = torch.zeros_like(x)
     plain, swapped = torch.stack([x, none, none, y], 1), torch.stack([none, y, x, none], 1)
-    return torch.where(swap[:, None], swapped, plain).reshape(-1, 2, 2)
-
-
-def _random_turns(circle: bool, count: int, rng: np.random.Generator) -> Tensor:
-    """Matrices (R, 2, 2) of symmetries of the square, or of any turn too."""
-    signs = torch.from_numpy(rng.integers(2, size=(3, count)))
-    turns = square_symmetry(1.0 - 2.0 * signs[0], 1.0 - 2.0 * signs[1], signs[2] > 0)
-    if circle:
-        angle = torch.from_numpy(rng.uniform(0.0, 2.0 * np.pi, count)).to(turns.dtype)
-        c, s = torch.cos(angle), torch.sin(angle)
-        turns = torch.stack([c, -s, s, c], 1).reshape(-1, 2, 2) @ turns
-    return turns
+    return torch.where(drawn[2, :, None] > 0, swapped, plain).reshape(-1, 2, 2)
 
 
 def turned_rows(batch: Batch, turns: Tensor) -> Batch:

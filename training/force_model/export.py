@@ -30,7 +30,6 @@ __all__ = ["write_safetensors"]
 
 FORMATS: dict[str, NetworkKind] = {
     "deep-set-1": "deep-set",
-    "pairwise-1": "pairwise",
     "composed-1": "composed",
 }
 """Kinds of network by the format of their file."""
@@ -56,9 +55,9 @@ def save_network(
     Tensors of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`,
     `phi.environment.<layer>...`, `rho.<type>.<layer>...`, of a torque head also
     `torque.<type>.weight` (3, width) and `.bias`, which take the place of rho's last layer and
-    give gram-force centimetres. Of a sum over pairs: `pair.<neighbour>.<drone>.<layer>...`,
-    `environment.<type>.<layer>...`. Of a composed model the same, and the numbers that
-    `swarm_envs.interactions.weights_file` lists. Of all: `drag.<type>` (3,) in N s/m.
+    give gram-force centimetres. Of a composed model: `pair.<neighbor>.<drone>.<layer>...`,
+    `environment.<type>.<layer>...`, and the numbers that `swarm_envs.interactions.weights_file`
+    lists. Of both: `drag.<type>` (3,) in N s/m.
 
     `provenance` are further keys of the description. Networks that were trained in single precision
     lose nothing by float32, which halves the file; it is read as float64 either way.

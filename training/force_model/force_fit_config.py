@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
 from swarm_envs.arguments import (
     NOT_NEGATIVE,
@@ -18,145 +17,46 @@ from swarm_envs.arguments import (
 )
 from swarm_envs.training.flight_logs.log_options import LogOptions
 
-__all__ = ["FitConfig", "TrainConfig", "with_mode_defaults"]
-
-Share = Annotated[float, Range(0.0, 1.0)]  # From nothing, 0, to all of it, 1
+__all__ = ["FitConfig", "TrainConfig"]
 
 
 @typed_options
 @dataclass(frozen=True)
 class TrainConfig:
-    """How the network is trained."""
+    """The training of a network."""
 
-    steps: Count | None = None
-    """optimiser steps; None counts by `epochs`"""
-    epochs: Annotated[float, POSITIVE] | None = None
-    """epochs of training; if `steps` is not given either, the mode's own length"""
+    steps: Count = 6000
+    """optimizer steps"""
     batch_size: Count = 1024
-    """rows per step; every row comes once in each pass, in random order"""
+    """rows of a step; every row comes once in each pass, in random order"""
     learning_rate: Annotated[float, POSITIVE] = 3e-3
-    """the optimiser's rate at the start"""
-    optimiser: Literal["adam", "soap"] | None = None
-    """`soap` is Adam in the eigenbasis of the gradients' covariance, which needs a quarter of the
-    passes; None: the mode's own"""
-    teachers: Annotated[int, Range(0)] | None = None
-    """networks of the same size that are trained first, from other seeds; the result then learns
-    the mean of their answers, each turned and mirrored in all eight ways; 0 for labels alone;
-    None: the mode's own"""
-    teacher_epochs: Annotated[float, POSITIVE] = 16.0
-    """epochs of each teacher"""
-    schedule: Literal["cosine", "constant"] | None = None
-    """schedule of the rate: a cosine to zero at the last step, or constant; None: the mode's own"""
-    average_share: Share | None = None
-    """the result is a running average of the weights over about this share of the run; 0 takes the
-    weights of the last step; None: the mode's own"""
+    """Adam's rate at the start; it falls to zero along a cosine"""
     spectral: Literal["clip", "exact", "none"] = "clip"
-    """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
-    `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""
+    """what is done to the spectral norm of every weight matrix after each step: `clip` scales it
+    down to `max_spectral_norm` if it is larger, as the models that ship were trained; `exact` sets
+    it to this value, as eq. (12) is written; `none` leaves it"""
     max_spectral_norm: Annotated[float, POSITIVE] = 3.0
-    """that norm; the paper's gamma is its fourth power; a pairwise sum, whose one network stands
-    for phi and rho, takes its square"""
-    slope_limit: Annotated[float, NOT_NEGATIVE] | None = 250.0
-    """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
-    slope_weight: Annotated[float, NOT_NEGATIVE] = 0.01
-    """weight of that penalty, (g per m)^2, relative to the mean squared error, g^2"""
-    slope_inputs: Count = 256
-    """random inputs per step on which the slope is looked at"""
-    position_jitter_m: Annotated[float, NOT_NEGATIVE] = 0.02
-    """standard deviation of noise on neighbours' relative positions: rounds off the sharp tips
-    that layers of ReLU make on the axis of a wake, where there are few rows"""
-    velocity_jitter: Annotated[float, NOT_NEGATIVE] = 0.08
-    """the same for relative velocities, m/s"""
-    balance: Annotated[float, NOT_NEGATIVE] = 1.0
-    """how far squared errors are weighed by the inverse mean square label of the drone's type: 0
+    """that norm; the paper's gamma is its fourth power. The networks of a composed model, which
+    stand for phi and rho, take its square"""
+    balance: Annotated[float, NOT_NEGATIVE] = 0.0
+    """how far squared errors are weighted by the inverse mean square label of the drone's type: 0
     not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
-    symmetry: Literal["square", "circle", "none"] = "square"
-    """turn and mirror each row at random: by the eight symmetries of the square in x and y, or by
-    any angle"""
-    checkpoint_every: Count = 500
-    """steps between checkpoints and validation errors"""
     seed: Seed = 0
     """seed of the first weights and of every draw; the same seed gives the same weights"""
-
-    def __post_init__(self) -> None:
-        if self.steps is not None and self.epochs is not None:
-            raise ValueError(
-                f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
-                "one of them"
-            )
 
 
 Mode = Literal["anchored", "measured"]
 """What is fitted: the forces of environments, or labels as measured."""
-Model = Literal["deep-set", "composed", "pairwise", "wake"]  # Which function is fitted
+Model = Literal["deep-set", "composed", "wake"]  # Which function is fitted
 
-_OWN: Mapping[Mode, Mapping[str, Any]] = {
-    "anchored": {
-        "steps": 6000,
-        "schedule": "cosine",
-        "average_share": 0.0,
-        "optimiser": "adam",
-        "teachers": 0,
-    },
-    "measured": {
-        "epochs": 24.0,
-        "schedule": "constant",
-        "average_share": 0.1,
-        "optimiser": "soap",
-        "teachers": 4,
-    },
+WEIGHTS = {
+    "composed": "composed.safetensors",
+    "deep-set": "learned.safetensors",
+    "wake": "wake.json",
 }
-
-_NOT_IN_THE_PAPER: Mapping[str, Any] = {
-    "slope_limit": None,
-    "position_jitter_m": 0.0,
-    "velocity_jitter": 0.0,
-    "balance": 0.0,
-}
-"""What a measured fit leaves out, and one of a composed model, which is smooth by its closed form;
-they refuse any but these values and the usual ones."""
-_COMPOSED: Mapping[str, Any] = {
-    "epochs": 8.0,
-    "schedule": "cosine",
-    "average_share": 0.0,
-    "optimiser": "soap",
-    "teachers": 0,
-}
-
-Config = TypeVar("Config", bound=TrainConfig)
-
-
-def with_mode_defaults(
-    config: Config, mode: Mode = "anchored", model: Model = "deep-set"
-) -> Config:
-    """The same options with nothing left to mode and model: what is trained, what reports record.
-
-    Raises:
-        ValueError: an option is set that such a fit leaves out.
-    """
-    if model == "composed" and mode == "measured":
-        raise ValueError("a composed model is for environments; fit it in anchored mode")
-    left_out: Mapping[str, Any] = {}
-    if mode == "measured" or model == "composed":
-        left_out = _NOT_IN_THE_PAPER
-        _check_left_out(config, "measured fit" if mode == "measured" else "composed model")
-    if model == "composed":
-        left_out = {**left_out, "symmetry": "none"}  # it has every symmetry
-    usual = _COMPOSED if model == "composed" else _OWN[mode]
-    own = {name: v for name, v in usual.items() if getattr(config, name) is None}
-    if config.steps is not None or config.epochs is not None:
-        own = {name: v for name, v in own.items() if name not in ("steps", "epochs")}
-    return replace(config, **own, **left_out)
-
-
-def _check_left_out(config: TrainConfig, what: str) -> None:
-    for name, value in _NOT_IN_THE_PAPER.items():
-        given = getattr(config, name)
-        if given not in (value, getattr(TrainConfig, name)):
-            raise ValueError(
-                f"{name} is {given}, but a {what} takes {value}; leave it out, or fit another "
-                "model in anchored mode"
-            )
+"""File of the fitted model, by kind; `swarm_envs.interactions.load` reads it."""
+REPORTS = {"composed": "composed.json", "deep-set": "learned.json", "wake": "wake-fit.json"}
+"""File of the report, by kind."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,8 +68,7 @@ class FitFiles:
     .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
     """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
-    set, `composed.safetensors` and `composed.json`, `pairwise.safetensors` and `pairwise.json`,
-    `wake.json` and its report `wake-fit.json`"""
+    set, `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
 
 
 @typed_options
@@ -179,12 +78,16 @@ class FitConfig(TrainConfig, FitFiles):
 
     Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
     checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed.
+
+    Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
+    vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to
+    65535), voltage (V).
     """
 
     model: Model = "deep-set"
     """`deep-set`: Neural-Swarm2, eq. 10; `composed`: a wake and a network per pair of types, joined
-    so that any number stays physical; `pairwise`: a network per pair of types, summed up; `wake`:
-    the closed form, by least squares"""
+    so that the force of any number of neighbors stays physical; `wake`: the closed form, by least
+    squares"""
     mode: Mode = "anchored"
     """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
@@ -212,9 +115,18 @@ class FitConfig(TrainConfig, FitFiles):
     """how flight logs become rows, and what of row tables is held out"""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        if self.model == "composed" and self.mode == "measured":
+            raise ValueError("a composed model is for environments; fit it in anchored mode")
         if self.torque and self.model != "deep-set":
             raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")
+
+    def how_to_use(self) -> list[str]:
+        """Return lines that say how the fitted model is used."""
+        path = self.out / WEIGHTS[self.model]
+        return [
+            f"fly it: swarm-envs fly --interactions {path}",
+            f'in Python: swarm_envs.make("swap_v1", interactions="{path}")',
+        ]
 
 
 FITTED = ("composed", "wake")

@@ -23,7 +23,6 @@ from swarm_envs.training.force_model.network import (
     DeepSet,
     ForceNetwork,
     InputRange,
-    PairwiseSum,
     layers,
 )
 from swarm_envs.training.interaction_rows.calibration import (
@@ -201,12 +200,11 @@ def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
                 if pairs[i].any()
             ),
         ]
-    assert isinstance(network, Composed | PairwiseSum)
+    assert isinstance(network, Composed)
     _silence(*(network.named_networks()[f"environment.{name}"] for name in silent))
     for i, j in unknown:
         _silence(network.network_of(types[i], types[j]))
-        if isinstance(network, Composed):
-            network.silence(i, j)
+        network.silence(i, j)
     return said + [beginning + "it does not push it" for _, _, beginning in never]
 
 

@@ -1,11 +1,8 @@
-"""Slopes of a force network: a penalty in training, and Lipschitz constants of the result.
+"""Lipschitz constants of a force network: an analytic bound, and what sampling finds.
 
-Spectral clipping alone allows slopes of a thousand grams per metre at speeds and places that no
-flight visited, and at the edge of the window. The measured air changes by 100-150 g/m.
-
-Lipschitz constants, an analytic bound and what sampling finds, are given of two functions: the
-force against one neighbour's relative position (g/m), and against the whole input of one or two
-neighbours, positions in m and velocities in m/s joined (g per unit).
+They are given of two functions: the force against one neighbor's relative position (g/m), and
+against the whole input of one or two neighbors, positions in m and velocities in m/s joined (g per
+unit). The measured force changes by 100-150 g/m.
 """
 
 from __future__ import annotations
@@ -24,7 +21,6 @@ from swarm_envs.training.force_model.network import (
     Batch,
     DeepSet,
     ForceNetwork,
-    PairwiseSum,
     layers,
 )
 from swarm_envs.training.interaction_rows import NO_NEIGHBOR
@@ -59,19 +55,15 @@ def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generat
     )
 
 
-def input_gradient(
-    network: ForceNetwork, batch: Batch, keep_graph: bool = False
-) -> tuple[Tensor, Tensor]:
-    """Gradient of the network's force against the environment's inputs (R, 4) and the neighbours'.
+def input_gradient(network: ForceNetwork, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return the gradient of the force against the environment's inputs and the neighbors'.
 
-    The latter are (R, K, 6); g per m and g per m/s.
+    Their shapes are (R, 4) and (R, K, 6), in g per m and g per m/s.
     """
     environment = batch.environment.detach().requires_grad_(True)
     pair = batch.pair.detach().requires_grad_(True)
     force = network(batch._replace(environment=environment, pair=pair))
-    at_environment, at_pair = torch.autograd.grad(
-        force.sum(), (environment, pair), create_graph=keep_graph
-    )
+    at_environment, at_pair = torch.autograd.grad(force.sum(), (environment, pair))
     return at_environment, at_pair
 
 
@@ -79,13 +71,6 @@ def joint_norm(environment: Tensor, pair: Tensor) -> Tensor:
     """Euclidean norm (R,) of the inputs (R, 4) and (R, K, 6) joined."""
     norm: Tensor = torch.linalg.vector_norm(torch.cat([environment, pair.flatten(1)], 1), dim=1)
     return norm
-
-
-def slope_penalty(network: ForceNetwork, batch: Batch, limit: float) -> Tensor:
-    """Mean square of what the gradient's norm exceeds `limit` by, (g per unit)^2."""
-    norm = joint_norm(*input_gradient(network, batch, keep_graph=True))
-    excess = torch.relu(norm - limit)
-    return torch.mean(excess * excess)
 
 
 _STEEPEST = 1.875  # largest slope of the quintic step over its width
@@ -114,21 +99,17 @@ def spectral_product(network: nn.Module) -> float:
 def lipschitz_bound(network: ForceNetwork) -> dict[str, float]:
     """Bound the shipped function: with window w, |d(w phi)/dp| <= Lip(phi) + |dw/dp| sup|phi|.
 
-    A neighbour acts through L = Lip(rho) (Lip(phi) + |dw| sup|phi|), in a sum over pairs without
-    rho; the environment through M = Lip(rho) Lip(phi_env), twice where an anchor is subtracted.
-    Each has inputs of its own, so K neighbours and the environment together have at most
-    sqrt(K L^2 + M^2). A network without a finite input range has no bound with a window: infinity.
-    The hard cut-off is no Lipschitz function: infinity too.
+    A neighbor of a deep set acts through L = Lip(rho) (Lip(phi) + |dw| sup|phi|), the environment
+    through M = Lip(rho) Lip(phi_env), twice where an anchor is subtracted. Each has inputs of its
+    own, so K neighbors and the environment together have at most sqrt(K L^2 + M^2). A network
+    without a finite input range has no bound with a window: infinity. The hard cut-off is no
+    Lipschitz function: infinity too.
     """
     if isinstance(network, Composed):
         return _composed_bound(network)
-    if isinstance(network, PairwiseSum):
-        outer, pairs = 1.0, [network.network_of(a, b) for a in network.types for b in network.types]
-        grounds = list(network.environment.values())
-    else:
-        assert isinstance(network, DeepSet)
-        outer = max(spectral_product(module) for module in network.rho.values())
-        pairs, grounds = list(network.phi.values()), [network.phi_environment]
+    assert isinstance(network, DeepSet)
+    outer = max(spectral_product(module) for module in network.rho.values())
+    pairs, grounds = list(network.phi.values()), [network.phi_environment]
     pair = outer * max(_windowed(network, module) for module in pairs)
     ground = outer * max(spectral_product(module) for module in grounds)
     if network.spec.anchor_height_m is not None:

@@ -1,20 +1,13 @@
-"""Networks of the interaction force: the deep set of Neural-Swarm2, and a sum over pairs.
+"""The deep set of Neural-Swarm2, and what networks of the interaction force share.
 
 The heterogeneous deep set (eq. 10) is
 
-    f_i = rho_i( phi_env(-z_i, -v_i) + sum over neighbours j of w_ij phi_type(j)(p_ij, v_ij) )
+    f_i = rho_i( phi_env(-z_i, -v_i) + sum over neighbors j of w_ij phi_type(j)(p_ij, v_ij) )
 
 with p_ij = p_j - p_i and v_ij = v_j - v_i. The output is the vertical force on i in gram-force.
 Three things are added to the paper's form, all part of the forward pass, so that training sees
 the function that ships: a smooth window w, clamping of the inputs to the measured range, and an
 anchor that makes a lone drone aloft feel exactly nothing.
-
-The sum over pairs is there for comparison, with the same window, clamp and anchor:
-
-    f_i = f_env,type(i)(-z_i, -v_i) + sum over neighbours j of w_ij f_type(j)->type(i)(p_ij, v_ij)
-
-Every f is a ReLU perceptron of phi's depth and widths (6-25-40-40 or 4-25-40-40) with one output.
-Neural-Swarm2 compares with such a superposition (Sec. VII-C, Fig. 5).
 """
 
 from __future__ import annotations
@@ -35,9 +28,9 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["InputRange"]
 
-NetworkKind = Literal["deep-set", "pairwise", "composed"]
-"""`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: the sum over pairs, `PairwiseSum`; `composed`:
-pushes of pairs that are joined, `composed.Composed`."""
+NetworkKind = Literal["deep-set", "composed"]
+"""`deep-set`: Neural-Swarm2, eq. 10; `composed`: pushes of pairs that are joined,
+`composed.Composed`."""
 
 _FIRST_WIDTH = 25  # of phi's first hidden layer
 _WIDTH = 40  # of every other hidden layer
@@ -343,54 +336,3 @@ def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Bat
 def layers(network: nn.Module) -> list[nn.Linear]:
     """Return the linear layers of a perceptron in order."""
     return [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
-
-
-class PairwiseSum(ForceNetwork):
-    """One perceptron per pair of types, one per type for the ground; see the module."""
-
-    def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Make a network with torch's default initialisation; `hidden` has no meaning here."""
-        super().__init__(spec, dtype)
-        widths = (*spec.phi_widths[:-1], 1)
-        self.pair = nn.ModuleDict({
-            upper: nn.ModuleDict({lower: perceptron((6, *widths), dtype) for lower in spec.types})
-            for upper in spec.types
-        })  # fmt: skip
-        self.environment = nn.ModuleDict(
-            {name: perceptron((4, *widths), dtype) for name in spec.types}
-        )
-
-    def named_networks(self) -> dict[str, nn.Module]:
-        """Return its perceptrons by the names that they have in a weights file."""
-        types = self.spec.types
-        pair = {f"pair.{a}.{b}": self.network_of(a, b) for a in types for b in types}
-        return pair | {f"environment.{name}": self.environment[name] for name in types}
-
-    def network_of(self, neighbor: str, ego: str) -> nn.Module:
-        """Return the perceptron of the force that one type puts on another."""
-        row = self.pair[neighbor]
-        assert isinstance(row, nn.ModuleDict)
-        return row[ego]
-
-    def heads(self, batch: Batch) -> Tensor:
-        """Vertical force of every row, (R, 1) gram-force."""
-        environment, aloft = self.anchored(batch.environment)
-        force = self._environment(batch.ego_type, environment) + self._pairs(batch)
-        return force if aloft is None else force - self._environment(batch.ego_type, aloft)
-
-    def _environment(self, ego_type: Tensor, environment: Tensor) -> Tensor:
-        force, known = environment.new_zeros(len(environment), 1), self.clamped(environment)
-        for index, chosen in of_types(ego_type, len(self.types)):
-            value = self.environment[self.types[index]](known[chosen])
-            force = force.index_add(0, chosen, value)
-        return force
-
-    def _pairs(self, batch: Batch) -> Tensor:
-        pair, weight, kind, row = self.slots(batch)
-        force = pair.new_zeros(len(batch.ego_type), 1)
-        for index, chosen in self.pair_kinds(batch, kind, row):
-            above, below = (self.types[k] for k in divmod(index, len(self.types)))
-            inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
-            value = self.network_of(above, below)(inputs) * weight[chosen, None]
-            force = force.index_add(0, row[chosen], value)
-        return force

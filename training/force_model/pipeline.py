@@ -13,7 +13,7 @@ import torch
 from swarm_envs.agents.policy import CHECKPOINT
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
-from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
+from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.evaluate import (
     Findings,
     FitReport,
@@ -23,7 +23,7 @@ from swarm_envs.training.force_model.evaluate import (
     worth,
 )
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
+from swarm_envs.training.force_model.force_fit_config import REPORTS, WEIGHTS, FitConfig
 from swarm_envs.training.force_model.labels import (
     Treated,
     check_rows,
@@ -41,7 +41,7 @@ from swarm_envs.training.force_model.network import (
     NetworkKind,
     without_velocity,
 )
-from swarm_envs.training.force_model.train import teacher_checkpoint, train_taught
+from swarm_envs.training.force_model.train import train
 from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
@@ -71,22 +71,6 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
     check_same(path, *({k: v for k, v in c.items() if k not in aside} for c in (made, wanted)))
 
 
-WEIGHTS = {
-    "composed": "composed.safetensors",
-    "deep-set": "learned.safetensors",
-    "pairwise": "pairwise.safetensors",
-    "wake": "wake.json",
-}
-"""File of the fitted model, by kind; `swarm_envs.interactions.load` reads it."""
-REPORTS = {
-    "composed": "composed.json",
-    "deep-set": "learned.json",
-    "pairwise": "pairwise.json",
-    "wake": "wake-fit.json",
-}
-"""File of the report, by kind."""
-
-
 @typed
 def fit(config: FitConfig) -> FitReport:
     """Fit a model to rows and write it and its report into `config.out`.
@@ -100,12 +84,11 @@ def fit(config: FitConfig) -> FitReport:
             `config.out` holds a finished fit of other data or options.
     """
     began = time.perf_counter()
-    given, config = config, with_mode_defaults(config, config.mode, config.model)
     calibrated = is_calibrated(config)
     rows, logs = read_data(config.data, config.logs, config.progress, calibrated, config.torque)
     check_rows(rows)
     treated = treat(rows, config)
-    words, digest = fit_command(given), data_sha256(config.data)
+    words, digest = fit_command(config), data_sha256(config.data)
     check_finished(config.out / REPORTS[config.model], config, digest)
     provenance: dict[str, object] = {
         "command": words,
@@ -130,10 +113,7 @@ def fit(config: FitConfig) -> FitReport:
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
-    checkpoint = config.out / CHECKPOINT
-    for number in range(1, (config.teachers or 0) + 1):
-        teacher_checkpoint(checkpoint, number).unlink(missing_ok=True)
-    checkpoint.unlink(missing_ok=True)
+    (config.out / CHECKPOINT).unlink(missing_ok=True)
     return report
 
 
@@ -149,9 +129,7 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
     checkpoint = config.out / CHECKPOINT
     target = flown(treated.target) if spec.kind == "composed" else treated.target
     with scalar_writer(config.tensorboard) as watch:
-        run = train_taught(
-            target, spec, training_recipe(config), checkpoint, config.progress, watch
-        )
+        run = train(target, spec, training_recipe(config), checkpoint, config.progress, watch)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
     path = config.out / WEIGHTS[config.model]
@@ -165,15 +143,14 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
     torque = None
     if isinstance(network, DeepSet) and config.torque:
         torque = torque_errors(network, treated.rows)
-    found = {"history": run.history, "chosen": run.chosen, "notes": notes, "torque_errors": torque}
-    return findings, found
+    return findings, {"history": run.history, "notes": notes, "torque_errors": torque}
 
 
 def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     path = config.out / WEIGHTS["wake"]
     function, predicted, notes = fit_wake_model(path, treated, config, provenance)
     findings = examine(function, predicted, treated, 0, config.seed)
-    return findings, {"history": [], "chosen": "least squares", "notes": notes}
+    return findings, {"history": [], "notes": notes}
 
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
@@ -196,5 +173,5 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
 
 def fit_command(config: FitConfig) -> str:
     """Command line that makes this fit, with the folders left out of its file names."""
-    words = ["python -m swarm_envs.training.force_model", f"--data {config.data.name}", "--out DIR"]
+    words = ["swarm-envs fit", f"--data {config.data.name}", "--out DIR"]
     return " ".join([*words, *changed_options(config, aside=_ASIDE)])

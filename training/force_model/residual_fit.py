@@ -32,7 +32,7 @@ from swarm_envs.errors import check_name
 from swarm_envs.files import write_json
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
+from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.compare import default_fit, fitted_force_g, flight_folds
 from swarm_envs.training.force_model.force_fit_config import FITTED, ResidualConfig
 from swarm_envs.training.force_model.labels import flown, treat

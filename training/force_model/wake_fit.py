@@ -1,4 +1,4 @@
-"""The closed-form wake, and its fit: `python -m swarm_envs.training.force_model.wake_fit`.
+"""The closed-form wake, and its fit by least squares: `swarm-envs fit --model wake`.
 
 The vertical force on a drone, gram-force, downwash positive inside:
 
@@ -12,21 +12,16 @@ of the interaction volume as in the learned model.
 
 The fit is by least squares over every parameter at once, on training rows whose labels are free of
 calibration offsets and of the vertical drag. Drones of different types have very different
-residuals, so a second pass weighs each type's rows by what the first left over. The command
-compares the two velocities that may tilt a wake; `swarm-envs fit --model wake` takes the upper
-drone's own, which is what `swarm_envs.interactions` computes.
+residuals, so a second pass weights each type's rows by what the first left over.
 """
 
 from __future__ import annotations
 
-import time
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-import tyro
 from scipy.optimize import least_squares
 
 from swarm_envs.files import write_json
@@ -39,12 +34,10 @@ from swarm_envs.training.force_model.labels import (
     measured_range,
     never_together,
     shown_pairs,
-    treat,
 )
 from swarm_envs.training.force_model.network import OUTER_FADE, fade
-from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.interaction_rows.rows import InteractionRows, read_rows
-from swarm_envs.training.provenance import file_sha256, json_ready
+from swarm_envs.training.interaction_rows.rows import InteractionRows
+from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE
 
 ROTOR_DEPTH_M = 0.03
@@ -54,9 +47,6 @@ GROUND_REFERENCE_M = 0.07  # Height at which the ground effect is G: the lowest 
 
 MOST_ROWS = 100_000
 """Training rows that the least squares look at, drawn at random: they take a minute."""
-
-WakeVelocity = Literal["relative", "neighbor"]
-"""Which velocity tilts the wake: the neighbour's relative to the drone, or its own."""
 
 
 class WakeParameters(NamedTuple):
@@ -82,11 +72,11 @@ class _WakeRows(NamedTuple):
     pair_row: IntArray  # (P,) row that each pair belongs to
     pair_type: IntArray  # (P,) type of the neighbour
     offset_m: FloatArray  # (P, 3) p_j - p_i
-    wake_velocity: FloatArray  # (P, 2) horizontal velocity that tilts the wake, m/s
+    wake_velocity: FloatArray  # (P, 2) horizontal velocity of the neighbor, which tilts it, m/s
     weight: FloatArray  # (P,) fade at the edge of the volume
 
 
-def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> _WakeRows:
+def wake_rows(rows: InteractionRows) -> _WakeRows:
     """Pick the pairs out of a table of rows."""
     window = OUTER_FADE
     distance = torch.from_numpy(np.abs(rows.neighbor[..., :3]))
@@ -95,14 +85,13 @@ def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> _WakeRows:
     kept: BoolArray = rows.has_neighbor & (weight.numpy() > 0)
     row, slot = np.nonzero(kept)
     pair = rows.neighbor[row, slot]
-    moving = pair[:, 3:5] if velocity == "relative" else pair[:, 3:5] + rows.velocity[row, :2]
     return _WakeRows(
         ego_type=rows.ego_type,
         height_m=rows.position[:, 2],
         pair_row=row.astype(np.int64),
         pair_type=rows.neighbor_type[row, slot],
         offset_m=pair[:, :3],
-        wake_velocity=moving,
+        wake_velocity=pair[:, 3:5] + rows.velocity[row, :2],
         weight=weight.numpy()[row, slot],
     )
 
@@ -150,20 +139,6 @@ _LIMITS = {  # axes of types, start, lowest, highest
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class WakeFitConfig:
-    """What to fit the wake to."""
-
-    data: Path
-    """file of rows"""
-    out: Path
-    """folder for `wake.json`"""
-    rows: int = MOST_ROWS
-    """training rows to use, drawn at random"""
-    seed: int = 0
-    """of that draw"""
-
-
 def unpack(vector: FloatArray, types: int) -> WakeParameters:
     """Turn a packed vector into named parameters."""
     values: dict[str, Any] = {}
@@ -173,14 +148,14 @@ def unpack(vector: FloatArray, types: int) -> WakeParameters:
     return WakeParameters(**values)
 
 
-def fit_wake(rows: InteractionRows, velocity: WakeVelocity) -> WakeParameters:
+def fit_wake(rows: InteractionRows) -> WakeParameters:
     """Fit every parameter to the rows' vertical labels, in two passes.
 
     What no row shows has no force: a pair of types that never meets, the ground under a type that
     is the drone of no row.
     """
     types = len(rows.types)
-    table, label = wake_rows(rows, velocity), rows.force_g[:, 2]
+    table, label = wake_rows(rows), rows.force_g[:, 2]
     limits = [limits for axes, *limits in _LIMITS.values() for _ in range(types**axes)]
     packed, low, high = np.array(limits).T
     weight = np.ones(len(rows))
@@ -216,7 +191,7 @@ def draw_rows(rows: InteractionRows, seed: int, count: int = MOST_ROWS) -> Inter
 
 
 def description(
-    w: WakeParameters, types: tuple[str, ...], drag: FloatArray, errors: dict[str, float]
+    w: WakeParameters, types: tuple[str, ...], drag: FloatArray, error: float
 ) -> dict[str, object]:
     """Content of `wake.json`, without its provenance. `"L>S"` is a large drone above a small."""
     index = {name: i for i, name in enumerate(types)}
@@ -241,7 +216,7 @@ def description(
         "mitigation": {"M": w.mitigation, "hm_m": w.mitigation_height_m},
         "drag": {name: drag[i].tolist() for name, i in index.items()},
         "window": OUTER_FADE._asdict(),
-        "validation_mse_g2": errors,
+        "validation_mse_g2": error,
     }
 
 
@@ -258,9 +233,9 @@ def fit_wake_model(
     """
     target = treated.target
     drawn = draw_rows(target, config.seed)
-    fitted = fit_wake(drawn, "neighbor")
-    predicted = wake_force_g(fitted, wake_rows(target, "neighbor"))
-    error = {"tilted by neighbor velocity": mean_squared_errors(predicted, target).overall}
+    fitted = fit_wake(drawn)
+    predicted = wake_force_g(fitted, wake_rows(target))
+    error = mean_squared_errors(predicted, target).overall
     content = description(fitted, target.types, treated.drag, error)
     content["input_range"] = measured_range(treated.rows)
     content["provenance"] = provenance | {"training_rows": len(drawn)}
@@ -271,37 +246,3 @@ def fit_wake_model(
         for above, below in np.argwhere(~shown_pairs(drawn))
     ]
     return CompiledForce(load(str(path))), predicted - drag_g, notes
-
-
-def write_wake(config: WakeFitConfig) -> dict[str, object]:
-    """Fit the wake with either tilt, and write `wake.json` into `config.out`."""
-    began = time.perf_counter()
-    rows = read_rows(config.data)
-    treated = treat(rows, FitConfig(data=config.data, out=config.out, model="wake"))
-    drawn = draw_rows(treated.target, config.seed, config.rows)
-    ends: dict[str, float] = {}
-    velocities: tuple[WakeVelocity, ...] = ("relative", "neighbor")  # the last ships
-    for velocity in velocities:
-        fitted = fit_wake(drawn, velocity)
-        predicted = wake_force_g(fitted, wake_rows(treated.target, velocity))
-        errors = mean_squared_errors(predicted, treated.target)
-        ends[f"tilted by {velocity} velocity"] = errors.overall
-    ends |= {"zero": errors.zero, "scenario mean": errors.scenario_mean}
-    content = description(fitted, rows.types, treated.drag, ends)
-    content["validation_mse_g2_by_scenario"] = errors.scenario
-    content["input_range"] = asdict(measured_range(rows))
-    content["provenance"] = {
-        "data": config.data.name,
-        "data_sha256": file_sha256(config.data),
-        "offset_rule": RULE,
-        "training_rows": config.rows,
-        "seed": config.seed,
-        "wall_time_s": round(time.perf_counter() - began, 1),
-    }
-    write_json(config.out / "wake.json", json_ready(content))
-    return content
-
-
-if __name__ == "__main__":
-    fitted = write_wake(tyro.cli(WakeFitConfig, description="Fit the closed-form wake to rows."))
-    print(fitted["validation_mse_g2"])  # noqa: T201

@@ -1,8 +1,4 @@
-"""Tables of rows: which are refused and how to mend them, and how several become one.
-
-A table holds no angles and no clock, so what can be checked is sizes. The limits lie well outside
-of what small quadrotors do; `check_units` of `LogOptions` turns them off.
-"""
+"""Tables of rows: which are refused, and how several become one."""
 
 from __future__ import annotations
 
@@ -12,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.state import IntArray
 from swarm_envs.training.interaction_rows.rows import NO_NEIGHBOR, InteractionRows
-from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
+from swarm_envs.vehicles import VEHICLES
 
-__all__ = ["check_row_table", "join_rows", "notes_of", "vehicle_name", "with_present_types"]
+__all__ = ["check_row_table", "join_rows", "vehicle_name", "with_present_types"]
 
 
 def join_rows(tables: Sequence[InteractionRows]) -> InteractionRows:
@@ -112,29 +108,40 @@ def _concatenated(parts: Sequence[InteractionRows], names: dict[int, str]) -> In
     return dataclasses.replace(parts[0], **changes)
 
 
-HEIGHT_M = (0.0, 20.0)  # Median height over the ground
-FASTEST = 15.0  # 99 % of the speeds, m/s
-FARTHEST_M = 50.0  # 99 % of the distances of neighbours
-FORCE_G = (0.3, 60.0)
-"""99 % of the vertical forces are smaller than the second, and not all smaller than the first."""
-TORQUE_N_M = 0.05  # 99 % of the torques; a small quadrotor gives 6e-3 N m at most
+LIMITS = {
+    "position": (200.0, "m, world frame"),
+    "velocity": (30.0, "m/s, world frame"),
+    "neighbor": (400.0, "m and m/s, relative to the drone"),
+    "force_g": (200.0, "gram-force"),
+    "torque": (0.05, "N m"),
+}
+"""Largest magnitude of the numbers of an array, and their unit."""
+LOWEST_M = -0.5  # Lowest height that is accepted: the ground is at 0
 
 
-def check_row_table(rows: InteractionRows, units: bool = True) -> None:
-    """Refuse a table of finite numbers of the right shapes that cannot be what it says.
+def check_row_table(rows: InteractionRows) -> tuple[str, ...]:
+    """Check a table of finite numbers of the right shapes; return notes on what is odd about it.
 
     Raises:
-        ValueError: a rule is broken; the message names the value, the rule and the fix.
+        ValueError: it has no row, a row twice, or a number outside of `LIMITS`.
     """
     if not len(rows):
         raise ValueError("it holds no row; add rows or remove the file")
     _check_twice(rows)
-    if units:
-        _check_sizes(rows)
-
-
-def notes_of(rows: InteractionRows) -> tuple[str, ...]:
-    """What is odd about a table, though nothing is wrong with it."""
+    for name, (most, unit) in LIMITS.items():
+        values = getattr(rows, name)
+        if values is not None and np.abs(values).max(initial=0.0) > most:
+            index = tuple(int(i) for i in np.argwhere(np.abs(values) > most)[0])
+            raise ValueError(
+                f"{name} is {values[index]:g} at index {index}, but must lie between {-most:g} and "
+                f"{most:g} ({unit})"
+            )
+    lowest = int(np.argmin(rows.position[:, 2]))
+    if rows.position[lowest, 2] < LOWEST_M:
+        raise ValueError(
+            f"position is {rows.position[lowest, 2]:g} at index ({lowest}, 2), but heights must "
+            f"be at least {LOWEST_M:g} m: z points up, and the ground is at 0"
+        )
     known = {vehicle.interaction_type for vehicle in VEHICLES.values()}
     strange = [name for name in rows.types if name not in known]
     if not strange:
@@ -152,52 +159,4 @@ def _check_twice(rows: InteractionRows) -> None:
             f"step {step} of flight {flight} is there {count[k]} times for vehicle {vehicle} "
             f"(first in row {first[k]}), but a drone has one row at a time; remove doubles, and "
             "count steps and number flights so that none collide"
-        )
-
-
-def _check_sizes(rows: InteractionRows) -> None:
-    _check_height(rows)
-    speed, pair = np.linalg.norm(rows.velocity, axis=1), rows.neighbor[rows.has_neighbor]
-    fix = "it looks like millimetres a second: divide by 1000"
-    _check_below("velocity", speed, FASTEST, "m/s", fix if _largest(speed) > 100.0 else "give m/s")
-    apart, closing = (np.linalg.norm(pair[:, k : k + 3], axis=1) for k in (0, 3))
-    _check_below("neighbor[..., :3]", apart, FARTHEST_M, "m", "give p_j - p_i in m")
-    _check_below("neighbor[..., 3:]", closing, 2.0 * FASTEST, "m/s", "give v_j - v_i in m/s")
-    force, (low, high) = np.abs(rows.force_g[:, 2]), FORCE_G
-    if 0.0 < _largest(force) < low:
-        raise ValueError(
-            f"force_g[:, 2] stays below {_largest(force):.3g} g, but must reach {low:g} g; it "
-            f"looks like newtons: divide by {GRAM_FORCE:.6g}. If the forces are so weak, set "
-            "check_units to False"
-        )
-    fix = f"give gram-force without the weight; if it is millinewtons: divide by {GRAVITY}"
-    _check_below("force_g[:, 2]", force, high, "g", fix)
-    if rows.torque is not None:
-        size = np.abs(rows.torque)
-        _check_below("torque", size, TORQUE_N_M, "N m", "give N m")
-
-
-def _largest(values: FloatArray) -> float:
-    return float(np.quantile(values, 0.99)) if values.size else 0.0
-
-
-def _check_below(name: str, values: FloatArray, most: float, unit: str, fix: str) -> None:
-    found = _largest(values)
-    if found > most:
-        raise ValueError(
-            f"{name} reaches {found:.4g} {unit}, but must stay below {most:g} {unit}; {fix}"
-        )
-
-
-def _check_height(rows: InteractionRows) -> None:
-    height = float(np.median(rows.position[:, 2]))
-    low, high = HEIGHT_M
-    if not low <= height <= high:
-        fix = "give heights over the ground in m"
-        if height < low:
-            fix = "z must point up: turn the sign of position, velocity and neighbours round"
-        elif height > 200.0:
-            fix = "it looks like millimetres: divide by 1000"
-        raise ValueError(
-            f"position[:, 2] is usually {height:.4g}, but must be {low:g} to {high:g} m; {fix}"
         )

@@ -174,15 +174,14 @@ def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
             arrays = {key: file[key] for key in file.files}
     except _DAMAGED as error:
         raise ValueError(
-            f"{name!r} cannot be read as an npz file without pickle ({error}); copy it again or "
-            "delete it"
+            f"it cannot be read as an npz file without pickle ({error}); copy it again or delete it"
         ) from error
     if "format" in arrays and str(arrays["format"]) == FORMAT:
         return _saved_rows(arrays)
     if set(_PUBLISHED) <= set(arrays):
         return _published_rows(arrays)
     raise ValueError(
-        f"{name!r} holds {sorted(arrays)}, which is neither {FORMAT!r} nor the "
+        f"it holds {sorted(arrays)}, which is neither {FORMAT!r} nor the "
         "table of published flights (x, fa, names, cf, val, ...); write it with save_rows"
     )
 

@@ -17,9 +17,9 @@ from swarm_envs.training.collection.collect import (
 )
 from swarm_envs.training.collection.flight import fly_motion
 from swarm_envs.training.collection.log import LOG_RATE, FlightLog
-from swarm_envs.training.collection.storage import to_table
 from swarm_envs.training.flight_logs import FlightTable
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
+from tests.helpers.real_logs import to_table
 
 
 @cache

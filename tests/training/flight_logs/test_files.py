@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from swarm_envs.training.flight_logs import LogOptions, read_logs, read_table, write_table
+from swarm_envs.training.flight_logs import LogOptions, read_data, read_table, write_table
 from swarm_envs.training.flight_logs.checks import checked_drones
-from swarm_envs.training.flight_table import from_columns
-from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL
+from swarm_envs.training.flight_logs.flight_table import COLUMNS, from_columns
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +40,9 @@ def test_a_table_survives_its_file(suffix, table, tmp_path):
 def test_parquet_without_pyarrow_names_the_extra(table, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    (tmp_path / "flight.parquet").touch()
+    (tmp_path / "flight.parquet").write_text("1")
     with pytest.raises(ImportError, match=r"pip install 'swarm-envs\[parquet\]'"):
-        read_logs(tmp_path)
+        read_data(tmp_path)
     with pytest.raises(ImportError, match=r"pip install 'swarm-envs\[parquet\]'"):
         write_table(tmp_path / "b.parquet", table)
     write_table(tmp_path / "b.csv", table)
@@ -60,33 +61,131 @@ def test_columns_in_any_order_quoted_spaced_and_strange_ones_named(table, tmp_pa
     read = read_table(path)
     same(read, table)
     assert read.ignored == ("note",)
-    _, report = read_logs(path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
+    _, report = read_data(path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
     assert "flight.csv: ignored columns note" in report.lines()
 
 
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda t: t.replace("voltage", "vbatt", 1), "column 'voltage' is missing; .*'vbatt'"),
+        (
+            lambda t: t.replace("voltage", "vbatt", 1),
+            "column 'voltage' is missing; there are .*, voltage \\(V\\)",
+        ),
         (lambda t: t.replace(",pwm4", "", 1), r"column 'pwm4' is missing"),
         (lambda t: t.replace(",ay,", ",accy,", 1), r"column 'ay' is missing"),
         (lambda t: t.replace(",vx,", ",x,", 1), r"column 'x' is there more than once"),
-        (lambda t: t.replace(",", ";"), "separate columns by commas"),
+        (lambda t: t.replace(",", ";"), "separated by commas"),
         (lambda t: t.splitlines()[0], "no line follows the header"),
-        (lambda t: "", "^the file is empty; copy it again or delete it$"),
-        (lambda t: "\n\n", "the file is empty"),
-        (lambda t: "\n" + t.replace("cf1,L,", "\n \ncf1,L,oops", 1), "oops.* in line 6"),
-        (lambda t: t.replace("cf1,L,", "cf1,L,oops", 1), r"'time' holds 'oops.*' in line 3"),
-        (lambda t: t.replace("cf1,L,", "cf1,L,,", 1), r"line 3|row 2"),
-        (lambda t: t.replace("cf1,L,", "\ncf1\ncf1,L,", 1), "line 4 has 1 values; write one"),
+        (lambda t: "", "the file is empty; copy it again or delete it$"),
+        (lambda t: "\n\n", "column 'time' is missing"),
+        (lambda t: "\n" + t.replace("cf1,L,", "\n \ncf1,L,oops", 1), "line 6: .*'oops"),
+        (lambda t: t.replace("cf1,L,", "cf1,L,oops", 1), "line 3: column 'time' is 'oops"),
+        (lambda t: t.replace("cf1,L,", "cf1,L,,", 1), "line 3: it has 22 values, .* 21 columns"),
+        (lambda t: t.replace("cf1,L,", "\ncf1\ncf1,L,", 1), "line 4: it has 1 values"),
+        (lambda t: t.replace("cf1,L,", "\n ,L,", 1), "line 4: column 'drone' is empty"),
+        (lambda t: t.replace("cf1,L,", "\ncf1,L,nan", 1).replace("nan1", "nan,1", 1), "line 4: "),
     ],
 )
 def test_a_file_that_is_no_such_table(edit, message, table, tmp_path):
     path = tmp_path / "flight.csv"
     write_table(path, table)
     path.write_text(edit(path.read_text()))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=rf"^flight\.csv: .*{message}"):
         read_table(path)
+
+
+def test_a_signature_other_line_ends_and_capitals_make_no_difference(table, tmp_path):
+    path = tmp_path / "FLIGHT.CSV"
+    write_table(path, table)
+    text = path.read_text()
+    for ending in ("\n", "\r\n", "\r"):
+        content = "\ufeff" + text.replace("\n", ending)
+        path.write_text(content, encoding="utf-8", newline="")
+        same(read_table(path), table)
+
+
+def parquet_of(table, path, **changes):
+    """Write a table with other columns in place of its own, as (values, type of Arrow)."""
+    arrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    columns = {name: arrow.array(v.tolist()) for name, v in table.columns().items()}
+    given = {name: arrow.array(values, kind) for name, (values, kind) in changes.items()}
+    parquet.write_table(arrow.table(columns | given), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "kind", "message"),
+    [
+        ("drone", ["cf0", None], "string", "line 2: column 'drone' is empty"),
+        ("drone", ["cf0", " "], "string", "line 2: column 'drone' is empty"),
+        ("drone", [b"cf0", b"cf1"], "binary", "column 'drone' holds binary, but must hold text"),
+        ("type", [1, 2], "int64", "column 'type' holds int64, but must hold text"),
+        ("x", [0.0, None], "float64", "line 2: column 'x' is empty"),
+        ("x", ["0", "1"], "string", "column 'x' holds string, but must hold numbers"),
+        ("time", [0, 1], "timestamp[ns]", "column 'time' holds timestamp"),
+        ("voltage", [True, False], "bool_", "column 'voltage' holds bool, but must hold numbers"),
+    ],
+)
+def test_a_parquet_column_must_hold_what_it_says(name, values, kind, message, table, tmp_path):
+    arrow = pytest.importorskip("pyarrow")
+    kind = arrow.timestamp("ns") if "timestamp" in kind else getattr(arrow, kind)()
+    repeated = (values * len(table))[: len(table)]
+    path = parquet_of(table, tmp_path / "flight.parquet", **{name: (repeated, kind)})
+    with pytest.raises(ValueError, match=rf"^flight\.parquet: .*{re.escape(message)}"):
+        read_table(path)
+
+
+def test_lines_are_read_by_drone_and_time_whatever_their_order(table, tmp_path):
+    pytest.importorskip("pyarrow")
+    names = np.where(table.drone == "cf0", "drone_10", "drone_2")
+    table = dataclasses.replace(table, drone=names)
+    write_table(tmp_path / "a.parquet", table)
+    columns = table.columns()
+    for order in (
+        np.lexsort((names, table.time)),
+        np.random.default_rng(0).permutation(len(names)),
+    ):
+        shuffled = from_columns({name: values[order] for name, values in columns.items()})
+        write_table(tmp_path / "b.parquet", shuffled)
+        pairs = (checked_drones(read_table(tmp_path / f"{name}.parquet")) for name in "ab")
+        for one, other in zip(*pairs, strict=True):
+            assert one.name == other.name
+            assert np.array_equal(one.position, other.position)
+            assert np.array_equal(one.time, other.time)
+
+
+def test_a_jump_of_the_clock_costs_one_file_and_no_memory(table, tmp_path):
+    write_table(tmp_path / "a.csv", table)
+    late = np.arange(len(table)) > len(table) // 2
+    for k, jump in enumerate((1e5, 1e9, 1e300)):
+        bad = dataclasses.replace(table, time=table.time + jump * late)
+        write_table(tmp_path / f"bad-{k}.csv", bad)
+    _, report = read_data(tmp_path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
+    refused = [file.refused for file in report.files if file.refused]
+    assert len(refused) == 3
+    first = int(np.argmax(late & (table.drone == "cf0"))) + 2
+    assert refused[0].startswith(f"bad-0.csv: line {first}: the time of drone 'cf0'")
+    assert "jumps by 100000 s" in refused[0]
+
+
+def test_a_file_that_would_fill_the_memory_is_refused_by_its_size(table, tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr("swarm_envs.training.flight_logs.flight_table.MOST_ROWS", 100)
+    for name in ("a.csv", "a.parquet"):
+        write_table(tmp_path / name, table)
+        with pytest.raises(ValueError, match=rf"{name}: it has .* 100"):
+            read_table(tmp_path / name)
+
+
+def test_the_docs_list_the_columns():
+    text = (Path(__file__).parents[3] / "docs" / "flight-logs.md").read_text(encoding="utf-8")
+    for name, column in COLUMNS.items():
+        (row,) = [line for line in text.splitlines() if re.search(rf"^\|.*`{name}[`|]", line)]
+        assert f"| {column.unit} |" in row and column.meaning in row
+        if np.isfinite(column.low):
+            assert f"| {column.low:g} to {column.high:g} |" in row
 
 
 def changed(name, change):
@@ -113,28 +212,6 @@ def degrees(columns):
     return columns | {"qx": angles + 3.0, "qy": angles, "qz": angles, "qw": 0.0 * angles}
 
 
-def rotor_forces(unit):
-    """Each rotor's force, in gram-force times `unit`, where its signal belongs."""
-    weight = {"S": SMALL.mass, "L": LARGE.mass}
-
-    def edit(columns):
-        share = np.array([weight[kind] / GRAM_FORCE for kind in columns["type"]]) * GRAVITY / 4.0
-        return columns | dict.fromkeys(PWM, share * unit)
-
-    return edit
-
-
-def forces(unit, kind="SL"):
-    """Mass times acceleration, in newtons times `unit`, of the drones of a kind."""
-    mass = {"S": SMALL.mass, "L": LARGE.mass}
-
-    def edit(columns):
-        factor = np.array([mass[t] * unit if t in kind else 1.0 for t in columns["type"]])
-        return columns | {name: columns[name] * factor for name in ACCELERATION}
-
-    return edit
-
-
 def mirrored(columns):
     """Heights from a ceiling down, though the accelerometer keeps z up."""
     return columns | {"z": 2.5 - columns["z"], "vz": -columns["vz"]}
@@ -147,42 +224,32 @@ ACCELERATION = ["ax", "ay", "az"]
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (changed("vy", at(7, np.nan)), r"'vy' is nan in line 9 \(drone 'cf1'\), .*finite; remove"),
-        (changed("time", at(20, np.inf)), r"column 'time' is inf in line 22"),
-        (
-            changed("time", at(20, 0.0)),
-            r"time of drone 'cf0' goes from 100\..* must increase; sort",
-        ),
-        (changed("time", lambda t: t * 1000), r"usually 8\.333\d* apart, .*time in seconds"),
+        (changed("vy", at(7, np.nan)), "line 9: column 'vy' is nan, but must be a finite number"),
+        (changed("time", at(20, np.inf)), "line 22: column 'time' is inf"),
+        (changed("time", at(20, 100.0)), r"line 22: drone 'cf0' has time 100 s in line 2 too"),
+        (changed("time", lambda t: t * 1000), r"usually 8\.333\d* s apart, but must be 0\.0005"),
         (changed("type", lambda t: np.where(t == "S", "s", t)), "unknown vehicle type 's' of"),
         (changed("type", at(4, "L")), "drone 'cf0' has the types L, S, but must have one"),
-        (changed("drone", at(4, "")), "'drone' is empty"),
+        (changed("drone", at(4, "")), "line 6: column 'drone' is empty"),
         (changed("drone", at(4, "cf9")), "drone 'cf9' has 1 lines"),
-        (changed("qw", at(6, 0.5)), r"quaternion of drone 'cf0' has length 0\.\d+ at its line 4"),
-        (lambda c: c | {"qx": c["qw"], "qw": c["qx"]}, "qw the scalar"),
-        (degrees, r"quaternion of drone 'cf0' has length .* no angles \(it looks like degrees\)"),
-        (rotor_forces(1.0), "looks like thrust in gram-force: log the signal"),
-        (rotor_forces(GRAM_FORCE), "looks like thrust in newtons: log the signal"),
-        (scaled(["x", "y", "z"], 1000.0), "moves 1e[+]03 times as its velocity says"),
+        (changed("qw", at(6, 0.5)), r"line 8: the quaternion of drone 'cf0' has length 0\.\d+"),
+        (lambda c: c | {"qx": c["qw"], "qw": c["qx"]}, "qx, qy, qz, qw, body to world, z up"),
+        (degrees, r"line 2: column 'qx' is \S+, but must lie between -1.01 and 1.01"),
+        (scaled(["x", "y", "z"], 1000.0), r"column 'x' is \S+, but .* -200 and 200 m|moves 1e"),
+        (scaled(["x", "y", "z"], 10.0), "moves 10 times as its velocity says"),
         (scaled(["vx", "vy", "vz"], -1.0), "moves -1 times as its velocity says"),
-        (scaled(ACCELERATION, 1 / 9.80665), "looks like multiples of g: multiply by 9.80665"),
-        (scaled(ACCELERATION, 1000 / 9.80665), "looks like thousandths of g"),
-        (forces(1.0), r"of drone 'cf0' .*a force in newtons: divide by the mass, 0\.0"),
-        (forces(1.0, "L"), r"of drone 'cf1' .*a force in newtons: divide by the mass, 0\.0"),
-        (forces(1 / GRAM_FORCE), "looks like a force in gram-force"),
-        (scaled(ACCELERATION, 0.4), r"gravity included; give m/s\^2 in the world frame, z up$"),
-        (mirrored, r"az - 9\.81 of drone 'cf\d' opposes the change of vz .*z must point up"),
-        (scaled(["z", "vz"], -1.0), r"z of drone 'cf0' is usually -.*: z must point up; turn"),
-        (scaled(["ax"], -1.0), r"ax of drone 'cf\d' opposes .*same world frame"),
-        (scaled(ACCELERATION, -1.0), "sign is turned round"),
-        (changed("az", lambda a: a - 9.80665), "gravity seems to be missing: add 9.80665"),
-        (scaled(PWM, 1 / 65535), "looks like 0 to 1: multiply by 65535"),
-        (scaled(PWM, 100 / 65535), "looks like per cent: multiply by 655.35"),
-        (scaled(PWM, 255 / 65535), "looks like 0 to 255: multiply by 257"),
-        (scaled(PWM, 3.0), "must be the signal from 0 to 65535$"),
+        (scaled(ACCELERATION, 1 / 9.80665), r"az of drone 'cf0' is usually \+1 m/s\^2, but must"),
+        (scaled(ACCELERATION, 1000 / 9.80665), r"column 'az' is .* between -200 and 200 m/s\^2"),
+        (mirrored, r"az of drone 'cf\d' opposes the change of vz .*z up"),
+        (scaled(["z", "vz"], -1.0), r"line 2: column 'z' is -\S+, but must lie between -0.5 and"),
+        (scaled(["ax"], -1.0), r"ax of drone 'cf\d' opposes .*world frame"),
+        (scaled(ACCELERATION, -1.0), r"az of drone 'cf0' is usually -9\.\d+ m"),
+        (changed("az", lambda a: a - 9.80665), r"about \+9.81, gravity included"),
+        (scaled(PWM, 1 / 65535), "motors of drone 'cf0' never run"),
+        (scaled(PWM, 3.0), "column 'pwm1' is .* between 0 and 65535;"),
         (scaled(PWM, 0.0), "motors of drone 'cf0' never run"),
-        (scaled(["voltage"], 1000.0), "looks like millivolts: divide by 1000"),
-        (scaled(["voltage"], 1 / 4.2), "looks divided by 4.2 V"),
+        (scaled(["voltage"], 1000.0), r"column 'voltage' is .* between 2.5 and 4.5 V"),
+        (scaled(["voltage"], 1 / 4.2), r"line 2: column 'voltage' is 0\.\d+, but must lie"),
         (scaled(PWM, 0.5), "check the type, the PWM and the voltage"),
     ],
 )
@@ -199,28 +266,32 @@ def test_a_folder_goes_on_without_what_is_refused(flown, as_table, tmp_path):
     lone = as_table(flown("L"), "L", names=["cf0"])
     write_table(tmp_path / "c.csv", lone)
     (tmp_path / "notes.txt").write_text("windy")
-    rows, report = read_logs(tmp_path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
+    rows, report = read_data(tmp_path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
     assert [file.file for file in report.files] == ["a.csv", "b.csv", "c.csv"]
-    assert [file.rows for file in report.files] == [len(rows), 0, 0]
+    counts = [file.rows for file in report.files]
+    assert counts[0] + counts[2] == len(rows) and counts[1] == 0
     said = "\n".join(report.lines())
-    assert "1 of 3 flights are sound: " in said
+    assert "2 of 3 files are sound" in said
     assert "not read: notes.txt; data is .csv" in said
-    assert "refused b.csv: voltage of drone 'cf0'" in said
-    assert "refused c.csv: drone 'cf0' has the type 'L' here, but 'S' in an earlier file" in said
+    assert "refused b.csv: line 2: column 'voltage' is " in said
+    assert set(report.vehicles) == {"cf0 (S)", "cf0 (L)", "cf1"}
 
 
 def test_what_gives_no_row_says_why(flown, as_table, tmp_path):
     table = as_table(flown("SL"), "SL")
     write_table(tmp_path / "bad.csv", dataclasses.replace(table, pwm=table.pwm / 65536))
-    with pytest.raises(ValueError, match=r"no flight .* is sound: bad\.csv: PWM of drone 'cf0'"):
-        read_logs(tmp_path)
+    with pytest.raises(ValueError, match=r"no file .* is sound: bad\.csv: motors of drone 'cf0'"):
+        read_data(tmp_path)
     write_table(tmp_path / "bad.csv", table)
-    with pytest.raises(ValueError, match=r"1 flights give no row .*scenario too small"):
-        read_logs(tmp_path, LogOptions(min_scenario_rows=100_000, min_quiet_rows=0))
+    with pytest.raises(ValueError, match=r"no row is left of 1 files .*scenario too small"):
+        read_data(tmp_path, LogOptions(min_scenario_rows=100_000, min_quiet_rows=0))
     with pytest.raises(FileNotFoundError, match="no data at"):
-        read_logs(tmp_path / "none")
+        read_data(tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileNotFoundError, match="has no flight log, only nothing"):
-        read_logs(tmp_path / "empty")
-    with pytest.raises(ValueError, match=r"ends in '\.txt', but must in"):
+    with pytest.raises(
+        FileNotFoundError, match="has no flight log and no table of rows, only nothing"
+    ):
+        read_data(tmp_path / "empty")
+    (tmp_path / "a.txt").write_text("windy")
+    with pytest.raises(ValueError, match=r"^a\.txt: the name must end in \.csv or \.parquet"):
         read_table(tmp_path / "a.txt")

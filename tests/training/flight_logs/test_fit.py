@@ -17,17 +17,16 @@ from swarm_envs.training.flight_logs import (
     FlightTable,
     LogOptions,
     LogReport,
-    read_logs,
     write_table,
 )
 from swarm_envs.training.flight_logs.__main__ import check_logs as look
-from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_report import Calibration
-from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
+from swarm_envs.training.flight_logs.read import data_sha256, read_data
+from swarm_envs.training.force_model.force_fit_config import REPORTS, WEIGHTS
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
-from swarm_envs.vehicles import GRAM_FORCE, SMALL
+from swarm_envs.vehicles import SMALL
 
-QUICK = ("--steps", "30", "--batch-size", "64", "--slope-inputs", "16", "--lipschitz-samples", "50")
+QUICK = ("--steps", "30", "--batch-size", "64", "--lipschitz-samples", "50")
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +48,9 @@ def test_fit_reads_a_folder_of_logs_and_says_what_became_of_it(logs, tmp_path, c
     code = main(["fit", "--data", str(logs), "--out", str(out), *QUICK, "--logs.guard-s", "0.25"])
     assert code == 0
     said = capsys.readouterr().out
-    assert "3 of 4 flights are sound" in said
-    assert "refused bad.csv: column 'voltage' is missing; the nearest there is 'volts'" in said
+    assert "3 of 4 files are sound" in said
+    assert "refused bad.csv: column 'voltage' is missing; there are " in said
+    assert f"fly it: swarm-envs fly --interactions {out / 'learned.safetensors'}" in said
     assert "validation MSE" in said
     report = json.loads((out / "learned.json").read_text())
     vehicle = report["logs"]["vehicles"]["cf-S-2"]
@@ -75,7 +75,7 @@ def test_flights_of_lone_drones_are_fitted_without_pairs_to_report(logs, tmp_pat
 def test_logs_that_cannot_be_fitted_are_explained_without_traceback(logs, tmp_path, capsys):
     code = main(["fit", "--data", str(logs / "bad.csv"), "--out", str(tmp_path), *QUICK])
     assert code == 1
-    assert "swarm-envs fit: error: no flight of" in capsys.readouterr().err
+    assert "swarm-envs fit: error: bad.csv: column" in capsys.readouterr().err
     assert not (tmp_path / "learned.json").exists()
 
 
@@ -84,7 +84,7 @@ def test_the_look_at_logs_writes_the_rows_that_a_fit_reads(logs, tmp_path, capsy
     monkeypatch.setattr("sys.argv", ["flight_logs", str(logs), "--rows", str(file)])
     assert look() == 0
     assert "cf-S-2: calibration offset" in capsys.readouterr().out
-    rows, _ = read_logs(logs)
+    rows, _ = read_data(logs)
     assert np.array_equal(read_rows(file).force_g, rows.force_g)
     monkeypatch.setattr("sys.argv", ["flight_logs", str(logs / "bad.csv")])
     assert look() == 1
@@ -94,17 +94,13 @@ def test_the_look_at_logs_writes_the_rows_that_a_fit_reads(logs, tmp_path, capsy
 def test_a_folder_that_collect_wrote_is_read(tmp_path):
     config = CollectionConfig(teams=("S", "SL"), walks=2, low_walks=0, swaps=0, duration_s=3.0)
     flights = collect(config, tmp_path, progress=False)
-    rows, report = read_logs(tmp_path)
-    assert np.array_equal(rows.force_g, interaction_rows(flights).force_g)
-    assert sum(file.rows for file in report.files) == report.rows == len(rows)
-    first, pair = report.files[0], report.files[-1]
-    assert (first.drones, pair.drones) == ({"S1": "S"}, {"S1": "S", "L1": "L"})
-    for file in report.files:
-        assert file.entries == round(file.seconds * 120) * len(file.drones)
-        assert file.entries == file.rows + sum(file.dropped.values())
-    (tmp_path / "manifest.json").write_text("{}")
-    with pytest.raises(ValueError, match="collection was not finished"):
-        read_logs(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"no rows\.npz: the collection was not finished"):
+        read_data(tmp_path, OPTIONS)
+    table = interaction_rows(flights)
+    save_rows(tmp_path / "rows.npz", table)
+    rows, report = read_data(tmp_path, OPTIONS)
+    assert np.array_equal(rows.force_g, table.force_g)
+    assert [file.file for file in report.files] == ["rows.npz"]
 
 
 def test_the_fingerprint_of_a_folder_depends_on_every_file(tmp_path):
@@ -132,16 +128,16 @@ def rows(table: FlightTable, tmp_path_factory: pytest.TempPathFactory) -> Intera
     """The rows of that flight."""
     path = tmp_path_factory.mktemp("log") / "flight.csv"
     write_table(path, table)
-    return read_logs(path, OPTIONS)[0]
+    return read_data(path, OPTIONS)[0]
 
 
 def test_a_copy_of_a_flight_is_refused(table, tmp_path):
     write_table(tmp_path / "a.csv", table)
-    alone = len(read_logs(tmp_path, OPTIONS)[0])
+    alone = len(read_data(tmp_path, OPTIONS)[0])
     renamed = np.char.add(table.drone, "x")
     copy = dataclasses.replace(table, drone=renamed, time=table.time + 5.0)
     write_table(tmp_path / "b.csv", copy)
-    found, report = read_logs(tmp_path, OPTIONS)
+    found, report = read_data(tmp_path, OPTIONS)
     assert len(found) == alone
     assert [file.refused is None for file in report.files] == [True, False]
     assert "b.csv is a copy of a.csv" in str(report.files[1].refused)
@@ -176,20 +172,6 @@ def test_what_is_not_read_is_said(table, rows, tmp_path):
     _, report = read_data(tmp_path, OPTIONS)
     assert {file.file for file in report.files} == {"UP.CSV", "d.npz"}
     assert report.not_read == others
-    assert read_logs(tmp_path, OPTIONS)[1].not_read == ("b.tsv", "c.csv.gz", "d.npz", *others[2:])
-
-
-@pytest.mark.parametrize("with_rows", [False, True])
-def test_a_flight_in_two_files_is_refused_alone(with_rows, table, rows, tmp_path):
-    write_table(tmp_path / "a.csv", table)
-    for name in ("b.csv", "b.parquet"):
-        (tmp_path / name).write_text("1")
-    if with_rows:
-        save_rows(tmp_path / "c.npz", rows)
-    _, report = read_data(tmp_path, OPTIONS)
-    refused = {file.file: file.refused for file in report.files if file.refused}
-    reason = "flight 'b' is there as b.csv and as b.parquet; keep one of them"
-    assert refused == {"b.csv": reason, "b.parquet": reason}
 
 
 def test_sound_files_without_rows_are_counted(table, flown, as_table, tmp_path):
@@ -200,8 +182,8 @@ def test_sound_files_without_rows_are_counted(table, flown, as_table, tmp_path):
         low, position=low.position * level, velocity=low.velocity * level, acceleration=None
     )
     write_table(tmp_path / "b.csv", low)
-    said = read_logs(tmp_path, OPTIONS)[1].lines()
-    assert said[0].startswith("2 of 2 flights are sound, 1 of them gives no row: ")
+    said = read_data(tmp_path, OPTIONS)[1].lines()
+    assert said[0].startswith("2 of 2 files are sound, 1 of them gives no row: ")
 
 
 def test_damaged_files_are_refused_alone(table, rows, tmp_path):
@@ -218,8 +200,8 @@ def test_damaged_files_are_refused_alone(table, rows, tmp_path):
     refused = {file.file: str(file.refused) for file in read_data(tmp_path, OPTIONS)[1].files}
     for name in ("broken.parquet", "cut.npz", "bent.npz"):
         assert "cannot be read" in refused[name] and "copy it again or delete it" in refused[name]
-    assert refused["empty.csv"] == refused["void.parquet"]
-    assert refused["empty.csv"] == "the file is empty; copy it again or delete it"
+    for name in ("empty.csv", "void.parquet"):
+        assert refused[name] == f"{name}: the file is empty; copy it again or delete it"
 
 
 def test_an_implausible_calibration_offset_is_a_warning():
@@ -250,8 +232,7 @@ def folder(table: FlightTable, rows: InteractionRows, tmp_path: Path) -> Path:
     unknown = np.full(len(table), "M")
     write_table(data / "bad-nan.csv", dataclasses.replace(table, velocity=velocity))
     write_table(data / "bad-unknown-type.csv", dataclasses.replace(table, type=unknown))
-    force = rows.force_g * GRAM_FORCE
-    save_rows(data / "bad-newtons.npz", dataclasses.replace(rows, force_g=force))
+    save_rows(data / "bad-force.npz", dataclasses.replace(rows, force_g=1e3 * rows.force_g))
     (data / "bad-cut.npz").write_bytes((data / "table.npz").read_bytes()[:900])
     (data / "notes.txt").write_text("windy")
     return data
@@ -268,7 +249,7 @@ def test_logs_and_tables_are_joined(folder, rows):
     for file in report.files:
         if file.refused is None:
             assert file.rows + sum(file.dropped.values()) == file.entries, file.file
-    assert "force_g[:, 2] stays below" in str(files["bad-newtons.npz"].refused)
+    assert "bad-force.npz: force_g is " in str(files["bad-force.npz"].refused)
 
 
 def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(table, tmp_path):
@@ -284,29 +265,27 @@ def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(table, tmp_path):
 
 def test_logs_alone_give_no_torque(table, tmp_path):
     write_table(tmp_path / "flight.csv", table)
-    with pytest.raises(ValueError, match="a flight log carries no torque"):
+    with pytest.raises(ValueError, match="a torque head is wanted"):
         read_data(tmp_path, MIXED, torque=True)
 
 
 def test_only_bad_files_end_the_fit_with_every_reason(folder):
     (folder / "a-log.csv").unlink()
     (folder / "table.npz").unlink()
-    with pytest.raises(
-        ValueError, match=r"none of 2 logs and 2 tables in .* is sound: bad-"
-    ) as end:
+    with pytest.raises(ValueError, match=r"no file of .* is sound: bad-") as end:
         read_data(folder, MIXED)
-    for message in ("column 'vy' is nan in line 7", "unknown vehicle type 'M'"):
+    for message in ("line 7: column 'vy' is nan", "unknown vehicle type 'M'"):
         assert message in str(end.value)
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise", "wake"])
+@pytest.mark.parametrize("model", ["deep-set", "composed", "wake"])
 def test_the_command_fits_every_model_and_reports_alike(model, folder, tmp_path, capsys):
     out, copy = tmp_path / "out", tmp_path / "copy.json"
     logs = ["--logs.min-scenario-rows", "20", "--logs.min-quiet-rows", "0", "--offsets", "none"]
     command = ["fit", "--data", str(folder), "--out", str(out), "--json", str(copy), *logs, *QUICK]
     assert main([*command, "--model", model]) == 0
     said = capsys.readouterr().out
-    assert "2 of 6 files are sound" in said and "refused bad-nan.csv: column 'vy'" in said
+    assert "2 of 6 files are sound" in said and "refused bad-nan.csv: line 7: column 'vy'" in said
     assert f"{model}: validation MSE" in said
     report = json.loads(copy.read_text())
     assert report == json.loads((out / REPORTS[model]).read_text())

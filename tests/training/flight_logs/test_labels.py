@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from swarm_envs.training.collection.table import DroneRows
-from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
+from swarm_envs.training.flight_logs import LogOptions, read_data, write_table
 from swarm_envs.training.flight_logs.clock import filtered
+from swarm_envs.training.flight_logs.flight_table import from_columns
 from swarm_envs.training.flight_logs.log_options import held_out_blocks, is_guarded, is_held_out
-from swarm_envs.training.flight_table import from_columns
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 
@@ -25,7 +25,7 @@ EXACT = LogOptions(smoothing_s=0.0, keep_every=1, min_scenario_rows=1, min_quiet
 def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_table, tmp_path):
     table = as_table(flown(team, kind), team, accelerometer=accelerometer)
     write_table(tmp_path / "flight.csv", table)
-    rows, report = read_logs(tmp_path / "flight.csv", EXACT)
+    rows, report = read_data(tmp_path / "flight.csv", EXACT)
     (file,) = report.files
     assert file.acceleration == ("logged" if accelerometer else "differentiated")
     truth = modelled_force_g(rows, "learned")
@@ -40,7 +40,7 @@ def test_planted_mass_is_recovered_from_lone_flight(flown, as_table, tmp_path):
     for team, mass_g in (("S", -2.0), ("L", 1.5)):
         table = as_table(flown(team, "walk", 25.0, mass_g), team, names=[f"cf-{team}"])
         write_table(tmp_path / f"{team}.csv", table)
-    rows, report = read_logs(tmp_path, LogOptions())
+    rows, report = read_data(tmp_path, LogOptions())
     offsets = estimate_offsets(rows)
     for name, planted in (("cf-S", 2.0), ("cf-L", -1.5)):  # m a / g - T: too heavy a type, +
         vehicle = report.vehicles[name]
@@ -64,8 +64,8 @@ def test_drones_on_clocks_and_signs_of_their_own_give_the_same(flown, as_table, 
     for name in ("qx", "qy", "qz", "qw"):
         apart[name] = apart[name] * flip
     write_table(tmp_path / "apart.csv", from_columns(apart))
-    a, _ = read_logs(tmp_path / "together.csv", EXACT)
-    b, _ = read_logs(tmp_path / "apart.csv", EXACT)
+    a, _ = read_data(tmp_path / "together.csv", EXACT)
+    b, _ = read_data(tmp_path / "apart.csv", EXACT)
     both = np.intersect1d(a.step * 2 + a.ego_type, b.step * 2 + b.ego_type)
     assert len(both) > 0.9 * len(a)
     a, b = (r.select(np.isin(r.step * 2 + r.ego_type, both)) for r in (a, b))
@@ -82,7 +82,7 @@ def test_gaps_and_standing_motors_give_no_rows(flown, as_table, tmp_path):
     for k in range(1, 5):
         columns[f"pwm{k}"][time > 6.0] = 0.0
     write_table(tmp_path / "a.csv", from_columns(columns))
-    rows, report = read_logs(tmp_path / "a.csv", EXACT)
+    rows, report = read_data(tmp_path / "a.csv", EXACT)
     flown_at = rows.step / 100.0
     assert report.files[0].rate_hz == 100.0
     assert report.files[0].gap_seconds == pytest.approx(0.5, abs=0.02)
@@ -97,13 +97,13 @@ def test_only_common_time_counts(flown, as_table, tmp_path):
     early = (table.drone == "cf0") | (table.time < 104.0)
     cut = from_columns({name: values[early] for name, values in table.columns().items()})
     write_table(tmp_path / "a.csv", cut)
-    rows, report = read_logs(tmp_path / "a.csv", EXACT)
+    rows, report = read_data(tmp_path / "a.csv", EXACT)
     assert rows.step.max() <= 400
     assert report.files[0].uncommon_seconds == pytest.approx(4.0, abs=0.05)
     late = dataclasses.replace(table, time=table.time + np.where(table.drone == "cf0", 50.0, 0.0))
     write_table(tmp_path / "b.csv", late)
-    with pytest.raises(ValueError, match=r"have 0\.00 s in common .*one flight a file"):
-        read_logs(tmp_path / "b.csv", EXACT)
+    with pytest.raises(ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one flight a file"):
+        read_data(tmp_path / "b.csv", EXACT)
 
 
 def test_a_vehicle_that_never_flew_quietly_is_left_out_and_named(flown, as_table, tmp_path):
@@ -114,14 +114,14 @@ def test_a_vehicle_that_never_flew_quietly_is_left_out_and_named(flown, as_table
         velocity=log.velocity + np.array([1.0, 0.0, 0.0]),
     )
     write_table(tmp_path / "b.csv", as_table(fast, "S", names=["fast"]))
-    rows, report = read_logs(tmp_path, LogOptions())
+    rows, report = read_data(tmp_path, LogOptions())
     assert set(rows.vehicle) == {report.vehicles["known"].id}
     assert report.vehicles["fast"].refused is not None
     (file,) = (file for file in report.files if file.file == "b.csv")
     assert file.rows == 0 and file.dropped["vehicle not calibrated"] > 100
     assert file.rows + sum(file.dropped.values()) == file.entries
     assert any("fast: calibration offset unknown" in line for line in report.lines())
-    every, _ = read_logs(tmp_path, LogOptions(min_quiet_rows=0))
+    every, _ = read_data(tmp_path, LogOptions(min_quiet_rows=0))
     assert len(set(every.vehicle)) == 2
 
 
