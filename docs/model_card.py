@@ -150,7 +150,6 @@ def write_card(config: CardConfig) -> Path:
     text = Path(__file__).with_name("model_card.txt").read_text(encoding="utf-8")
     card = text.format(
         **{**learned, "rows": found["rows"], "validation_rows": found["validation_rows"]},
-        commands=[reports[name]["command"] for name in ("learned", "deep-set")],
         offsets=", ".join(f"{vehicle}: {value:+.2f}" for vehicle, value in offsets),
         **_comparison(reports["comparison"]),
         errors_table=_errors(reports),

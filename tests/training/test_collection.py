@@ -265,7 +265,7 @@ def test_flights_give_the_same_forces_as_logs_of_real_vehicles(flights, label, t
         a = rows.force_g[rows.scenario == rows.scenario_names.index(name)]
         b = ours.force_g[ours.scenario == ours.scenario_names.index(name)]
         assert len(a) == pytest.approx(len(b), rel=0.15)
-        np.testing.assert_allclose(a.mean(axis=0), b.mean(axis=0), atol=0.15)
+        np.testing.assert_allclose(a.mean(axis=0), b.mean(axis=0), atol=0.2)
         np.testing.assert_allclose(a.std(axis=0), b.std(axis=0), rtol=0.15, atol=0.05)
 
 

@@ -86,8 +86,8 @@ def read_data(
     known = dict[str, str]()
     for file in tqdm(files, disable=not progress, unit="file"):
         try:
-            rows, report, key = read_file(file, options)
-            if torque and rows.torque is None:
+            table, report, key = read_file(file, options)
+            if torque and table.torque is None:
                 raise ValueError(
                     f"{file.name}: a torque head is wanted, but it has no array `torque` (R, 3), "
                     "N m in the world frame; add it, or fit without --torque"
@@ -96,14 +96,14 @@ def read_data(
         except ValueError as error:
             refused.append(FileReport(file.name, str(error)))
         else:
-            parts.append(JoinedRows(rows, np.zeros(len(rows), np.int64), [report]))
+            parts.append(JoinedRows(table, np.zeros(len(table), np.int64), [report]))
     if not parts:
         reasons = "; ".join(str(file.refused) for file in refused)
         where = f"no file of {str(path)!r} is sound: " if path.is_dir() else ""
         raise ValueError(where + reasons)
     joined = hold_out_blocks(_joined(parts), options)
-    rows, report = without_scarce_data(joined, refused, options)
-    return rows, dataclasses.replace(report, not_read=not_read)
+    rows, found = without_scarce_data(joined, refused, options)
+    return rows, dataclasses.replace(found, not_read=not_read)
 
 
 def find_files(path: Path) -> tuple[list[Path], tuple[str, ...]]:

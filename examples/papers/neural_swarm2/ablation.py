@@ -17,23 +17,15 @@ from tqdm import tqdm
 from examples.papers.common import Row, comparison, within, write_csv, write_json
 from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.errors import check_name
-from swarm_envs.training.flight_logs.fit_data import data_sha256
+from swarm_envs.training.flight_logs.read import data_sha256
 from swarm_envs.training.force_model import pipeline
-from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
-from swarm_envs.viewing.style import GREY, INK, picture
+from swarm_envs.training.force_model.force_fit_config import REPORTS, FitConfig
+from swarm_envs.viewing.style import INK, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-OUR_COLOR, PAPER_COLOR, PAIRS_COLOR = "#0072B2", "#B8BEC5", "#D55E00"
-EPOCHS = 80.0
-RECIPE: Mapping[str, Any] = {
-    "optimiser": "adam",
-    "teachers": 0,
-    "schedule": "constant",
-    "average_share": 0.2,
-}
-"""Training of the table's networks: each by itself on the labels, as the paper's are."""
+OUR_COLOR, PAPER_COLOR = "#0072B2", "#B8BEC5"
 
 
 @dataclass(frozen=True)
@@ -58,11 +50,10 @@ ABLATIONS = {
         AblationCell("no-relative-velocity", 7.60, None, {"relative_velocity": False}),
         AblationCell("no-spectral-norm", changes={"spectral": "none"}),
         AblationCell("exact-spectral-norm", changes={"spectral": "exact"}),
-        AblationCell("pairwise", changes={"model": "pairwise"}),
     )
 }
 """Table III; from Sec. VII-C the networks that do not see velocities; and cells for which the paper
-gives no number: no spectral normalization, or exactly eq. (12), and a sum over pairs."""
+gives no number: no spectral normalization, or exactly eq. (12)."""
 
 COLUMNS = ("cell", "paper_g2", "ours_g2", "ours_deviation_g2", "three_drones_g2", "runs")
 
@@ -74,7 +65,7 @@ def table_3(
     out: Path = Path("neural_swarm2"),
     cells: tuple[str, ...] = tuple(ABLATIONS),
     seeds: int = 3,
-    steps: int | None = None,
+    steps: int = 6000,
     seed: int = 0,
 ) -> None:
     """Fit deep sets of other widths and depths, without velocities or spectral clip (Table III).
@@ -88,7 +79,7 @@ def table_3(
         out: folder, made if missing.
         cells: which cells to fit.
         seeds: fits of each cell.
-        steps: optimizer steps of each fit; 80 passes over the rows if not given.
+        steps: optimizer steps of each fit.
         seed: of the first fit of each cell.
     """
     for cell in cells:
@@ -106,18 +97,17 @@ def table_3(
     print(comparison(compare_table(table, simulated)))
 
 
-def ablation_fit(data: Path, out: Path, cell: str, seed: int, steps: int | None) -> FitConfig:
+def ablation_fit(data: Path, out: Path, cell: str, seed: int, steps: int) -> FitConfig:
     """Return the configuration of a fit, in a folder of its own: the paper's form, plain labels."""
     plain = FitConfig(
         data=data,
         out=out / "runs" / cell / f"seed_{seed}",
         mode="measured",
+        steps=steps,
         lipschitz_samples=0,
         seed=seed,
     )
-    length = {"epochs": EPOCHS} if steps is None else {"steps": steps}
-    changed = replace(plain, **{**RECIPE, **length, **ABLATIONS[cell].changes})
-    return with_mode_defaults(changed, "measured")
+    return replace(plain, **ABLATIONS[cell].changes)
 
 
 def fit_or_read(config: FitConfig) -> dict[str, Any]:
@@ -126,7 +116,7 @@ def fit_or_read(config: FitConfig) -> dict[str, Any]:
     Raises:
         ValueError: the folder has a fit of other options or data.
     """
-    path = config.out / pipeline.REPORTS[config.model]
+    path = config.out / REPORTS[config.model]
     pipeline.check_finished(path, config, data_sha256(config.data))
     if not path.is_file():
         pipeline.fit(config)
@@ -251,22 +241,17 @@ def _ratio_reason(name: str, simulated: bool) -> tuple[str, tuple[float, float]]
 
 
 def plot_table(path: Path, table: Mapping[str, Any]) -> None:
-    """Draw all cells beside the paper's, and deep set and sum over pairs by scenario."""
+    """Draw all cells beside the paper's."""
     rows = table["rows"]
-    named = {row["cell"]: row for row in rows}
-    both = [named[name] for name in (BASE, "pairwise") if name in named]
-    parts = 1 + (len(both) == 2)
-    height = 1.4 + max(0.52 * len(rows), 0.34 * len(both[0]["scenarios_g2"]) if parts > 1 else 0.0)
-    with picture(path, 6.6 * parts, height, "Validation error of f_a,z: ablations") as figure:
-        axes = figure.subplots(1, parts, squeeze=False)[0]
-        _plot_cells(axes[0], rows)
-        if parts > 1:
-            _plot_scenarios(axes[1], both)
-        for axis in axes:  # the legend is next to the title, where no bar can be
-            look: Any = {"ncols": 2, "fontsize": 9, "borderpad": 0.0}
-            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)
-            axis.invert_yaxis()
-            axis.grid(True, axis="x")
+    with picture(
+        path, 6.6, 1.4 + 0.52 * len(rows), "Validation error of f_a,z: ablations"
+    ) as figure:
+        axis = figure.subplots()
+        _plot_cells(axis, rows)
+        look: Any = {"ncols": 2, "fontsize": 9, "borderpad": 0.0}
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)  # where no bar can be
+        axis.invert_yaxis()
+        axis.grid(True, axis="x")
 
 
 def _plot_cells(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -292,25 +277,3 @@ def _plot_cells(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     axis.set_xlabel("Mean squared error (g²); whiskers: one standard deviation of single runs")
     axis.margins(x=0.12)
     axis.set_title("Cells of Table III, and others")
-
-
-def _plot_scenarios(axis: Axes, both: Sequence[Mapping[str, Any]]) -> None:
-    names = sorted(both[0]["scenarios_g2"], key=_order)
-    place = np.arange(len(names))
-    looks = ((-0.19, OUR_COLOR, "deep set"), (0.19, PAIRS_COLOR, "sum over pairs"))
-    for (offset, color, label), row in zip(looks, both, strict=True):
-        values = [row["scenarios_g2"][name] for name in names]
-        axis.barh(place + offset, values, 0.36, color=color, label=label)
-    axis.set_yticks(place, names)
-    three = [k for k, name in enumerate(names) if is_three_drones(name)]
-    if three:
-        axis.axhspan(three[0] - 0.5, three[-1] + 0.5, color="#F4F1E6", zorder=0)
-        axis.text(0.99, three[-1] + 0.4, "three drones", ha="right", va="bottom", color=GREY,
-                  transform=axis.get_yaxis_transform())  # fmt: skip
-    axis.set_xlabel("Mean squared error (g²)")
-    axis.set_title("By scenario")
-
-
-def _order(scenario: str) -> tuple[bool, bool, str]:
-    """Sort lone drones first, then pairs, then three."""
-    return is_three_drones(scenario), not scenario.startswith("Ge"), scenario
