@@ -2,7 +2,7 @@
 
 `recommended.json` holds a line for each task of the benchmark: what was flown, and the agents that
 succeeded, the best first. `python docs/recommend.py DIR` writes it from
-the folder of a benchmark.
+the results of a benchmark.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.run import finished_report, train_policy
-from swarm_envs.training.scoreboard.standings import align_columns
+from swarm_envs.training.scoreboard.summary import align_columns
 
 AIRS: Mapping[str, Mapping[str, Any]] = {
     "none": {"interactions": "none", "world": "ideal"},

@@ -28,9 +28,7 @@ from swarm_envs.agents.evaluation import (
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.files import LOCK
-from swarm_envs.training.scoreboard.board import Board
-from swarm_envs.training.scoreboard.tasks import TASKS
-from tests.helpers.scoreboards import scores
+from swarm_envs.training.scoreboard.results import Cell, Results
 from tests.helpers.users_agents import FAILING, FINE
 
 QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "4", "--seed", "7"]
@@ -310,18 +308,25 @@ def test_a_refusal_names_the_agent_that_can(capsys):
     assert f"try --agent {best}" in capsys.readouterr().err
 
 
-def test_recommendations_follow_from_the_board():
-    content = scores()
-    for cell in content["cells"]:
-        if cell["status"] == "flown":
-            cell["values"]["score"] = cell["values"]["success_rate"]
-    rows = recommendations(Board(content))
-    plain = [t["id"] for t in content["tasks"] if t["id"] in TASKS]
-    assert [row["drones"] for row in rows] == [TASKS[name].drones for name in plain]
-    for row in rows:
-        rates = [about["success"] for about in row["agents"].values()]
-        assert rates == sorted(rates, reverse=True)
-        assert not rates or min(rates) >= 0.5
-    assert replaced(rows, Board(content)) == rows
-    old = [{**rows[0], "agents": {"mine": {"success": 1.1, "score": 1.0}, "hover": {}}}]
-    assert list(replaced(old, Board(content))[0]["agents"]) == ["mine", *rows[0]["agents"]]
+def test_recommendations_follow_from_the_results():
+    tasks = ("swap-circle-4-v2", "swap-random-SSLL-v2", "robust-ring-5-hall-v2")
+    shares = {"orca": 0.75, "hover": 0.25, "swap-dagger": 1.0, "mine.py:Mine": 1.0}
+    cells = [
+        Cell(task, agent, [
+            {"refusal": None, "success": k < 8 * share, "score": 0.5 * (k < 8 * share)}
+            for k in range(8)
+        ])
+        for task in tasks for agent, share in shares.items()
+    ]  # fmt: skip
+    about = {"tasks": tasks, "agents": {agent: {"privileged": False} for agent in shares}}
+    results = Results(about, cells)
+    rows = recommendations(results)
+    assert [(r["task"], r["layout"], r["drones"], r.get("world")) for r in rows] == [
+        ("swap", "circle", 4, None), ("ring", None, 5, "hall"),
+    ]  # fmt: skip
+    numbers = {"success": 0.75, "score": 0.5, "learned": False, "privileged": False}
+    assert rows[0]["agents"]["orca"] == numbers  # half of the scores in the middle are 0.5
+    assert list(rows[0]["agents"]) == ["swap-dagger", "orca"]
+    assert replaced(rows, results) == rows
+    old = [{**rows[0], "agents": {"other": {"success": 1.1, "score": 1.0}, "hover": {}}}]
+    assert list(replaced(old, results)[0]["agents"]) == ["other", *rows[0]["agents"]]

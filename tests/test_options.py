@@ -299,16 +299,6 @@ def test_train_flies_them(tmp_path):
     assert found.task.reward_weights["at_goal"] == pytest.approx(2.0 / 3.5)
 
 
-@pytest.mark.slow
-def test_the_benchmark_flies_them_under_another_id(tmp_path):
-    given = ["--task", "swap-random-2-v2", "--agent", "straight-line", "--episodes", "2"]
-    more = [*WORDS, *CREW, "--no-replays", "--table", "csv"]
-    assert main(["benchmark", "--out", str(tmp_path), *given, *more]) == 0
-    (task,) = json.loads((tmp_path / "scores.json").read_text())["tasks"]
-    assert task["id"].startswith("swap-random-2-v2-") and "hall" in task["label"]
-    assert task["options"]["team"] == "SSL" and "num_drones" not in task["options"]
-
-
 @pytest.mark.parametrize("command", ["fly", "evaluate", "train"])
 def test_a_team_and_another_number_of_drones_contradict_each_other(command, tmp_path, refused):
     said = refused(command, "--team", "SSL", "--drones", "5", "--out", tmp_path / "out")

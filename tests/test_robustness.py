@@ -24,7 +24,7 @@ resource = pytest.importorskip("resource")  # POSIX
 
 FLY = "fly --agent hover --drones 2 --horizon-s 0.5 --physics batch --trajectory OUT/flight.npz"
 EVALUATE = "evaluate --drones 2 --horizon-s 1 --agent hover --episodes 60 --out OUT"
-BENCHMARK = "benchmark --agent hover --task swap-random-2-v2 --episodes 24 --table csv --out OUT"
+BENCHMARK = "benchmark --agent hover --task swap-random-2-v2 --episodes 24 --out OUT"
 GRADE = "grade --assignment controller --agent KIT/controller.py:MyController --episodes 4"
 TRAIN = "train --drones 2 --environments 8 --hidden 8 --num-neighbors 1 --interactions none"
 TRAIN += " --judge-every 2 --judge-episodes 4 --no-tensorboard --n-steps 8 --batch-size 64"
@@ -34,7 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "demo": "demo --swaps 1 --no-video --out OUT",
     "fly": FLY,
     "evaluate": EVALUATE,
-    "benchmark": f"{BENCHMARK} --no-replays",
+    "benchmark": BENCHMARK,
     "grade": f"{GRADE} --out OUT/grades.csv",
     "assignment": "assignment start controller OUT/kit",
     "collect": "collect --teams S SL --duration-s 4 --no-progress --out OUT",

@@ -33,13 +33,13 @@ from swarm_envs.commands.fly import (
 )
 from swarm_envs.files import claimed, write_json
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.training.scale_out.options import ScaleOptions
+from swarm_envs.training.scale_out import ScaleOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
     from swarm_envs.agents.evaluation import Episode, EpisodeFile
     from swarm_envs.envs.parallel import SwarmParallelEnv
-    from swarm_envs.training.scale_out.episodes import AgentEpisodes
+    from swarm_envs.training.scale_out import Flight, Flown
 
     Made = tuple[Agent, SwarmParallelEnv] | BaseException
 
@@ -146,13 +146,13 @@ def _reports(
     options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
 ) -> list[dict[str, Any]]:
     """Each agent's scores; or, under `error`, why it has none."""
-    from swarm_envs.agents.evaluation import frozen_seeds, score_episodes, source_digest
+    from swarm_envs.agents.evaluation import TIMED, frozen_seeds, score_episodes, source_digest
     from swarm_envs.agents.protocol import flies_batches
-    from swarm_envs.training.scale_out.episodes import AgentEpisodes
+    from swarm_envs.training.scale_out import Flight
 
     seeds = frozen_seeds(options.seed, options.episodes)
     found: dict[str, dict[str, Any]] = {name: {"agent": name} for name in made}
-    records: list[AgentEpisodes] = []
+    flights: list[tuple[Flight, EpisodeFile | None, list[Episode]]] = []
     for name, each in made.items():
         if isinstance(each, BaseException):
             found[name]["error"] = f"cannot be flown: {type(each).__name__}: {each}"
@@ -165,20 +165,31 @@ def _reports(
             if options.scale.alone:
                 found[name] |= _fly_here(name, agent, env, seeds, kept)
             else:
-                batched = flies_batches(env, agent)
-                records.append(AgentEpisodes(name, source_digest(agent), batched, kept))
+                before = {} if kept is None else kept.episodes
+                flight = Flight(
+                    agent=name,
+                    digest=source_digest(agent),
+                    task=about["task"],
+                    setting=options.setting(),
+                    seeds=[seed for seed in seeds if seed not in before],
+                    timed=sum(seed not in before for seed in seeds[:TIMED]),
+                    batched=flies_batches(env, agent),
+                )
+                done = [before[seed] for seed in seeds if seed in before]
+                flights.append((flight, kept, done))
         except Exception as error:
             if ":" in name:  # its author needs to see where it failed
                 traceback.print_exception(error.__cause__ or error)
             found[name]["error"] = str(error)
-    _fly_apart(records, seeds, options, about["task"])
-    for record in records:
-        if record.failure is None:
-            found[record.name] |= score_episodes(record.flown(seeds))
+    failed = _fly_apart(flights, options.scale)
+    for k, (flight, _, episodes) in enumerate(flights):
+        if k not in failed:
+            by_seed = {episode["seed"]: episode for episode in episodes}
+            found[flight.agent] |= score_episodes([by_seed[seed] for seed in seeds])
             continue
-        found[record.name]["error"] = record.failure
-        if ":" in record.name:
-            sys.stderr.write(record.trace)
+        found[flight.agent]["error"] = failed[k].error
+        if ":" in flight.agent:
+            sys.stderr.write(failed[k].trace)
     return [*found.values()]
 
 
@@ -224,28 +235,36 @@ def _open_episodes(
 
 
 def _fly_apart(
-    agents: list[AgentEpisodes], seeds: Sequence[int], options: EvaluateOptions, task: str
-) -> None:
-    """Every episode that is not there yet, by other processes or a cluster, with one bar."""
-    from swarm_envs.training.scale_out.episodes import EvaluationSpec, evaluate_distributed
+    flights: Sequence[tuple[Flight, EpisodeFile | None, list[Episode]]], scale: ScaleOptions
+) -> dict[int, Flown]:
+    """Add every episode that is not there yet, flown by other processes or a cluster, with one bar.
 
-    before = {e.name: sum(seed in e.episodes for seed in seeds) for e in agents}
-    for name, count in before.items():
-        _tell_before(name, count, len(seeds))
-    total, there = len(seeds) * len(agents), sum(before.values())
-    if there == total:
-        return
-    with (
-        options.scale.open() as workers,
-        tqdm(total=total, initial=there, unit="episode", mininterval=0.5) as bar,
-    ):
+    Args:
+        flights: of each agent, where its episodes are kept, and the episodes.
+        scale: the workers.
 
-        def on_episode(record: AgentEpisodes, episode: Episode) -> None:
-            bar.set_description_str(record.name[-30:], refresh=False)
-            bar.update()
+    Returns:
+        By index of the flight, why it failed.
+    """
+    from swarm_envs.training.scale_out import fly_flights
 
-        specs = [EvaluationSpec(e, task, options.setting(), seeds) for e in agents]
-        evaluate_distributed(specs, workers, on_episode)
+    for flight, _, episodes in flights:
+        _tell_before(flight.agent, len(episodes), len(episodes) + len(flight.seeds))
+    before = sum(len(episodes) for _, _, episodes in flights)
+    missing = sum(len(flight.seeds) for flight, _, _ in flights)
+    if not missing:
+        return {}
+    with tqdm(total=before + missing, initial=before, unit="episode", mininterval=0.5) as bar:
+
+        def keep(k: int, new: list[Episode]) -> None:
+            flight, kept, episodes = flights[k]
+            if kept is not None:
+                kept.add(*new)
+            episodes.extend(new)
+            bar.set_description_str(flight.agent[-30:], refresh=False)
+            bar.update(len(new))
+
+        return fly_flights([flight for flight, _, _ in flights], scale, keep)
 
 
 def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
@@ -257,7 +276,7 @@ def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
 
 def _table(agents: list[dict[str, Any]]) -> str:
     """The reports in a few columns; a number that no agent has is left out."""
-    from swarm_envs.training.scoreboard.standings import align_columns
+    from swarm_envs.training.scoreboard.summary import align_columns
 
     known = [report for report in agents if "error" not in report]
     shown = {n: head for n, head in _COLUMNS.items() if any(r.get(n) is not None for r in known)}

@@ -1,1 +1,1 @@
-"""The scoreboard: every agent on every task, and the page that shows how they did."""
+"""The benchmark: every agent on every task, in one table of episodes."""

@@ -26,7 +26,6 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.errors import unknown_name
 from swarm_envs.hall import Hall
-from swarm_envs.training.scoreboard.board import TaskInfo
 from swarm_envs.vehicles import parse_team
 
 __all__ = ["SEED", "TASKS", "choose_tasks", "digest", "make_scored"]
@@ -44,14 +43,25 @@ Score = Literal["time", "shapes", "tracking", "own"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScoredTask(TaskInfo):
-    """A row of the table; its options are those beside `COMMON`, ready for JSON.
+class ScoredTask:
+    """A row of the table; its options are those beside `COMMON`, ready for JSON."""
 
-    Slow agents fly the first so many of its episodes.
-    """
-
-    score: Score  # What an episode is scored by
-    clock_s: float  # How long an episode lasts at most, s
+    id: str
+    """Such as `swap-circle-4-v2`; another meaning has another version."""
+    family: str
+    """Such as `classic` or `air`."""
+    environment: str
+    """First argument of `swarm_envs.make`."""
+    options: Mapping[str, Any]
+    """Of the environment, beside what an agent requires."""
+    episodes: int
+    """Of each agent; slow agents fly the first of them."""
+    help: str
+    """Description."""
+    score: Score
+    """What an episode is scored by."""
+    clock_s: float
+    """How long an episode lasts at most, s."""
     full_score: tuple[str, float] | None = None
     """Where the score is `own`: the metric that is the task's own score, and what counts as 1."""
     certificate: str
@@ -63,19 +73,6 @@ class ScoredTask(TaskInfo):
         """How many fly."""
         team = self.options.get("team")
         return int(self.options["num_drones"]) if team is None else len(parse_team(team))
-
-    def changed(self, options: Mapping[str, Any]) -> ScoredTask:
-        """The task with other options, under an id of its own, since scores do not compare."""
-        if not options:
-            return self
-        new = json.dumps(options, sort_keys=True)
-        kept = {k: v for k, v in self.options.items() if "team" not in options or k != "num_drones"}
-        return replace(
-            self,
-            id=f"{self.id}-{hashlib.sha256(new.encode()).hexdigest()[:8]}",
-            label=", ".join([self.label, *(f"{name} {value}" for name, value in options.items())]),
-            options={**kept, **options},
-        )
 
     @property
     def setting(self) -> dict[str, Any]:
@@ -139,10 +136,8 @@ _KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
 _LONG_S = 12.0  # The clock of swaps of 16 drones and more, in which planners arrive
 
 
-def _classic(
-    name: str, layout: str | None, size: int | str, help_: str, team: str | None = None
-) -> ScoredTask:
-    """A swap, ring or formation of `size` small drones, or of a team, which `team` describes."""
+def _classic(name: str, layout: str | None, size: int | str, help_: str) -> ScoredTask:
+    """Return a swap, ring or formation of `size` small drones, or of a team."""
     score, clock_s, episodes = _KINDS.get(name) or _KINDS[f"{name} {layout}"]
     options: dict[str, Any] = {"layout": layout} if layout else {}
     options["num_drones" if isinstance(size, int) else "team"] = size
@@ -150,10 +145,9 @@ def _classic(
         options["horizon_s"] = clock_s = _LONG_S
     return ScoredTask(
         id="-".join(filter(None, (name, layout, f"{size}-v2"))),
-        task="classic",
+        family="classic",
         environment=f"{name}_v1",
         options=options,
-        label=", ".join(filter(None, (name, layout, team or f"{size} drones"))),
         help=help_,
         score=score,
         clock_s=clock_s,
@@ -170,26 +164,14 @@ _SHUFFLE = "From a plane into a cube, places drawn: ways cross, above and below 
 _CLASSIC_ROWS = (
     _classic("swap", "random", 2, _RANDOM),
     _classic("swap", "random", 4, _RANDOM),
-    _classic(
-        "swap",
-        "random",
-        "SSLL",
-        f"{_RANDOM} Two small drones and two large ones.",
-        "2 small + 2 large",
-    ),
+    _classic("swap", "random", "SSLL", f"{_RANDOM} Two small drones and two large ones."),
     _classic("swap", "random", 8, _RANDOM),
     _classic("swap", "random", 16, _RANDOM),
     _classic("swap", "circle", 2, "Two drones change places head on."),
     _classic("swap", "circle", 4, _CIRCLE),
     _classic("swap", "circle", 8, _CIRCLE),
     _classic("swap", "circle", 16, _CIRCLE),
-    _classic(
-        "swap",
-        "stacked",
-        "L2S",
-        "A small drone passes right below a large one.",
-        "large above small",
-    ),
+    _classic("swap", "stacked", "L2S", "A small drone passes right below a large one."),
     _classic("swap", "stacked", 4, "Four planes of one small drone each, aligned half way."),
     _classic("ring", None, 4, "Two small drones on an upright circle, two on a level one."),
     _classic(
@@ -223,9 +205,8 @@ def _new(
     return replace(
         other,
         id=f"{name}-v2",
-        task=name.partition("-")[0],
+        family=name.partition("-")[0],
         options={**kept, **options},
-        label=name.replace("-", " "),
         help=help_,
         clock_s=options.get("horizon_s", other.clock_s),
         certificate=certificate,
@@ -246,10 +227,9 @@ def _of_own(
     score, clock_s, full_score = _SCORES[environment]
     return ScoredTask(
         id=f"{name}-v{version}",
-        task=name.partition("-")[0],
+        family=name.partition("-")[0],
         environment=environment,
         options={**options, **({"world": "hall"} if name.startswith("air") else {})},
-        label=name.replace("-", " "),
         help=help_,
         score=score,
         clock_s=options.get("horizon_s", 2.0 if options.get("layout") == "sprint" else clock_s),
@@ -336,14 +316,11 @@ TASKS: Mapping[str, ScoredTask] = MappingProxyType(
 """Every task by its id, in the order in which they are shown."""
 
 
-def choose_tasks(
-    patterns: Sequence[str], options: Mapping[str, Any] = MappingProxyType({})
-) -> list[ScoredTask]:
-    """The tasks whose ids match any of the patterns, in the table's order.
+def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
+    """Return the tasks whose ids match any of the patterns, in the table's order.
 
     Args:
         patterns: ids, or such as `swap-*` (`*`, `?`, `[...]` as in file names).
-        options: of the environment, to be changed in each.
 
     Raises:
         ValueError: a pattern matches none; the message names the nearest id.
@@ -353,9 +330,8 @@ def choose_tasks(
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in TASKS):
             raise ValueError(unknown_name("task", pattern, TASKS, "of the benchmark"))
-    chosen = [
+    return [
         task
         for task in TASKS.values()
         if any(fnmatchcase(task.id, pattern) for pattern in patterns)
     ]
-    return [task.changed(options) for task in chosen]

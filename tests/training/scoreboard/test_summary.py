@@ -1,0 +1,179 @@
+"""Aggregates and profiles against independent computations; tables, the file and plots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.stats import trim_mean
+
+from swarm_envs.training.scoreboard.metrics import COLUMNS
+from swarm_envs.training.scoreboard.plots import plot_scores, plot_success
+from swarm_envs.training.scoreboard.results import Cell, Results, read_results
+from swarm_envs.training.scoreboard.summary import (
+    THRESHOLDS,
+    aggregate,
+    align_columns,
+    markdown,
+    standings,
+    success_rates,
+    summarize,
+    weighted_interquartile_mean,
+)
+
+
+def draws(seed: int, *sizes: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [rng.beta(2.0, 3.0, size) for size in sizes]
+
+
+@pytest.mark.parametrize(
+    "weights", [np.ones(40), np.array([3, 1, 1, 2, 1, 1, 1, 4, 1, 1, 2, 1, 1])]
+)
+def test_whole_weights_are_values_that_occur_so_often(weights):
+    (values,) = draws(0, len(weights))
+    both = np.stack([values, values[::-1] ** 2])
+    repeated = np.repeat(both, weights.astype(int), axis=1)
+    assert repeated.shape[1] % 4 == 0  # else the trimmed mean leaves out other shares
+    found = weighted_interquartile_mean(both, weights.astype(float))
+    assert found == pytest.approx(trim_mean(repeated, 0.25, axis=1))
+
+
+def test_values_that_end_a_quarter_count_in_part():
+    values = np.array([0.0, 1.0, 2.0])  # quarters end within the outer two
+    expected = (0.0 * (1 / 3 - 1 / 4) + 1.0 / 3 + 2.0 * (1 / 3 - 1 / 4)) / 0.5
+    assert weighted_interquartile_mean(values, np.ones(3)) == pytest.approx(expected)
+
+
+def test_tasks_weigh_the_same_however_many_episodes_were_flown():
+    few, many = draws(2, 16, 64)
+    value = aggregate([few, many])["value"]
+    assert value == pytest.approx(trim_mean(np.concatenate([np.repeat(few, 4), many]), 0.25))
+
+
+def test_an_interval_holds_the_truth_about_as_often_as_it_says():
+    """Of two tasks whose scores are alike but for a shift; the truth is that of 80,000 draws."""
+    first, second = draws(3, 40_000, 40_000)
+    truth = trim_mean(np.concatenate([first, second + 0.2]), 0.25)
+    held = 0
+    for seed in range(80):
+        first, second = draws(100 + seed, 40, 20)
+        low, high = aggregate([first, second + 0.2])["interval"]
+        held += low <= truth <= high
+    assert 0.87 <= held / 80 <= 0.99  # 95 % give or take three standard errors
+
+
+def test_the_bootstrap_draws_within_tasks():
+    """Each task is constant: however it is drawn, nothing varies, and the interval is a point."""
+    found = aggregate([np.full(10, 0.2), np.full(30, 0.8)])
+    assert [found["value"], *found["interval"]] == pytest.approx([0.5, 0.5, 0.5])
+
+
+def test_a_profile_counts_what_is_above_each_threshold():
+    parts = draws(4, 24, 48)
+    found = aggregate(parts)
+    for threshold, fraction in zip(THRESHOLDS, found["fraction"], strict=True):
+        counted = np.mean([(part > threshold).mean() for part in parts])
+        assert fraction == pytest.approx(counted if threshold < 1.0 else 0.0)
+    ends = zip(found["low"], found["fraction"], found["high"], strict=True)
+    assert all(low - 1e-9 <= fraction <= high + 1e-9 for low, fraction, high in ends)
+    for score in (0.0, 1.0):  # perfect scores reach the last threshold
+        fractions = aggregate([np.full(5, score)])["fraction"]
+        assert fractions == [score] * len(THRESHOLDS)
+
+
+@pytest.mark.parametrize("scores", [[], [np.ones(3), np.ones(0)]])
+def test_nothing_to_aggregate_is_refused(scores):
+    with pytest.raises(ValueError, match="no score to aggregate"):
+        aggregate(scores)
+
+
+def test_one_episode_has_no_spread():
+    found = aggregate([np.array([0.25])])
+    assert (found["value"], found["interval"]) == (0.25, [0.25, 0.25])
+
+
+def row(agent: str, task: str, k: int, score: float, refusal: str | None = None) -> dict[str, Any]:
+    about = {"agent": agent, "task": task, "seed": k, "episode": k, "refusal": refusal}
+    flags = {"success": score > 0.0, "collided": False, "near_miss": False, "score": score}
+    return {**dict.fromkeys(COLUMNS), **about, **flags}
+
+
+def results() -> Results:
+    """Two agents on three tasks of two families: `a` flies one task, `b` fails on one."""
+    swaps, ring = ("swap-circle-2-v2", "swap-circle-4-v2"), "ring-5-v2"
+    families = {**dict.fromkeys(swaps, "swap"), ring: "ring"}
+    about = {
+        "command": "swarm-envs benchmark --out board",
+        "versions": {"swarm_envs": "9"},
+        "machine": {"cores": 2, "cpu": "A"},
+        "tasks": {name: {"family": family} for name, family in families.items()},
+        "agents": {"a": {"privileged": True}, "b": {"privileged": False}},
+    }
+    cells = [
+        Cell(swaps[0], "a", [row("a", swaps[0], k, 0.5 * (k > 0)) for k in range(8)]),
+        Cell(swaps[0], "b", failure="KeyError: 'x'"),
+        Cell(swaps[1], "a", [row("a", swaps[1], k, 0.0, "too many") for k in range(2)]),
+        Cell(swaps[1], "b", [row("b", swaps[1], k, 0.25, "odd"[: 3 * k] or None) for k in (0, 1)]),
+        Cell(ring, "a", mismatch="it flies swap"),
+        Cell(ring, "b", [row("b", ring, k, 0.0) for k in range(4)]),
+    ]
+    return Results(about, cells)
+
+
+def test_the_tables_are_what_the_cells_say():
+    content = summarize(results())
+    assert standings(content) == [
+        ["agent", "swap", "ring"],
+        ["a*", "0.50 [0.38, 0.50] (1 of 2)", "-"],  # 3 zeros of 8 in 7 % of resamples, 4 in 1 %
+        ["b", "0.12 [0.12, 0.12]", "0.00 [0.00, 0.00]"],
+    ]
+    assert success_rates(content, "swap") == [
+        ["agent", "circle 2", "circle 4"],
+        ["a*", "88", "-"],
+        ["b", "failed", "100"],
+    ]
+    assert success_rates(content, "ring") == [["agent", "5"], ["b", "0"]]
+    text = markdown(content)
+    assert text.startswith("`swarm-envs benchmark --out board`: 13 episodes, 2 processors (A)")
+    assert "| b | failed | 100 |" in text and "| a\\* | 88 | - |" in text
+    assert align_columns([["agent", "x"], ["longer*", "1"]]) == ["agent    x", "longer*  1"]
+
+
+def test_a_cell_says_why_it_was_not_flown():
+    found = {(c["task"], c["agent"]): c for c in summarize(results())["cells"]}
+    said = [(cell["status"], cell["reason"], cell["episodes"]) for cell in found.values()]
+    assert said == [
+        ("flown", "", 8),
+        ("failed", "KeyError: 'x'", 0),
+        ("unsupported", "too many", 0),
+        ("flown", "refused 1 of 2 episodes: odd", 1),
+        ("unsupported", "it flies swap", 0),
+        ("flown", "", 4),
+    ]
+
+
+def test_the_file_has_everything(tmp_path):
+    pytest.importorskip("pyarrow")
+    made = results()
+    made.write(tmp_path / "episodes.parquet")
+    read = read_results(tmp_path)
+    assert read.about == made.about
+    assert summarize(read) == summarize(made)
+    with pytest.raises(FileNotFoundError, match=r"there is no file .*none"):
+        read_results(tmp_path / "none")
+    (tmp_path / "other").write_text("no Parquet")
+    with pytest.raises(ValueError, match="is no file of a benchmark"):
+        read_results(tmp_path / "other")
+
+
+def test_plots_show_every_family(tmp_path: Path):
+    content = summarize(results())
+    for plot in (plot_success, plot_scores):
+        plot(tmp_path / "plot.png", content)
+        image = np.asarray(Image.open(tmp_path / "plot.png").convert("L"))
+        upper, lower = np.array_split(image < 128, 2)
+        assert upper.any() and lower.any()
