@@ -107,6 +107,9 @@ def content(file: Path) -> Any:
         rows = [line.split(",") for line in file.read_text("utf-8").splitlines()]
         kept = [k for k, name in enumerate(rows[0]) if not TIMES.search(name)]
         return [[row[k] for k in kept] for row in rows]
+    if file.suffix == ".parquet":
+        columns = pytest.importorskip("pyarrow.parquet").read_table(file).to_pydict()
+        return without_times(columns)
     if file.suffix == ".safetensors":
         return {name: array.tobytes() for name, array in load_file(file).items()}
     if file.suffix == ".npz":

@@ -24,6 +24,8 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
+from tqdm import tqdm
+
 from swarm_envs import __version__
 from swarm_envs.agents import Agent
 from swarm_envs.agents.evaluation import AgentFailed, Episode, evaluate_agent, source_digest
@@ -253,20 +255,24 @@ def _alone(function: Callable[[Any], Any], argument: Any) -> Any:
 
 @contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Provide a pool whose processes end at once on leaving, or when this process is killed."""
+    """Provide a pool whose processes end at once after an exception, or if this one is killed."""
     context = multiprocessing.get_context("spawn")
     lifeline, held = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(count, context, _start_process, (lifeline,))
     try:
         yield pool
-    finally:
+    except BaseException:
         held.close()
+        raise
+    finally:
         pool.shutdown(cancel_futures=True)
+        held.close()
         lifeline.close()
 
 
 def _start_process(lifeline: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the driver
+    tqdm.set_lock(threading.RLock())  # its own semaphore would outlive the process
     threading.Thread(target=_end_with_driver, args=(lifeline,), daemon=True).start()
 
 

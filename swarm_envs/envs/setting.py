@@ -1,4 +1,4 @@
-"""Options of an environment that `fly`, `evaluate`, `train` and `benchmark` share."""
+"""Options of an environment that `fly`, `evaluate` and `train` share."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Pages as their readers see them: parsed, and in a browser without a window."""
+"""Pages in a browser without a window."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -24,41 +23,6 @@ _OPTIONS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
-
-
-VOID = {"meta", "link", "input", "br", "img"}  # elements that are not closed
-
-
-class PageReader(HTMLParser):
-    """Collects a page's elements: tag, attributes, text, and the row of a table they stand in."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[dict[str, Any]] = []
-        self.elements: list[dict[str, Any]] = []
-        self.feed(text)
-        assert [e["tag"] for e in self.open] == []  # everything that was opened was closed
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Begin an element."""
-        row = next((e for e in self.open[::-1] if e["tag"] == "tr"), None)
-        element = {"tag": tag, "row": row, "text": "", **dict(attrs)}
-        self.elements.append(element)
-        if tag not in VOID:
-            self.open.append(element)
-
-    def handle_endtag(self, tag: str) -> None:
-        """End the element that was begun last."""
-        assert self.open.pop()["tag"] == tag
-
-    def handle_data(self, data: str) -> None:
-        """Add text to all elements that are open."""
-        for element in self.open:
-            element["text"] += data
-
-    def all(self, name: str) -> list[dict[str, Any]]:
-        """The elements of a tag."""
-        return [e for e in self.elements if e["tag"] == name]
 
 
 @contextmanager
