@@ -1,77 +1,57 @@
-"""Networks that act, in numpy: multilayer perceptrons, and sets over the neighbours.
+"""Networks that act, in numpy: multilayer perceptrons, and sets over the neighbors.
 
-A set encoder gives every neighbour, together with the drone's own numbers, to a network phi, pools
-the outputs, and continues with that and the drone's own numbers: the order of neighbours has no
-effect, and there may be any number of them (deep sets, Zaheer et al. 2017). Attention pools by a
-softmax of scores, each of a neighbour's code and of the mean of all (Batra et al. 2021, Decentral-
-ized Control of Quadrotor Swarms with End-to-end Deep Reinforcement Learning, Sec. 3.2).
+A set gives every neighbor, together with the drone's own features, to a network phi, and continues
+with the drone's own features, the largest and the sum of the outputs: the order of neighbors has no
+effect, and there may be any number of them (deep sets, Zaheer et al. 2017).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.envs.observation import Float32Array
 
-__all__ = ["ANY", "Layers", "Network", "plain"]
+__all__ = ["Layers", "Network"]
 
 Layers = tuple[tuple[Float32Array, Float32Array], ...]
 """Weight (out, in) and bias (out,) of each layer of a network, in order."""
-
-ENCODERS = ("mlp", "deep-set", "attention")
-"""How neighbours are encoded: one after another, or as a set that is pooled in one of two ways."""
-POOLINGS = ("mean", "max", "sum", "max-sum")
-"""What becomes of a deep set's members: their mean, largest values, sum, or largest values and sum;
-zero if there are none."""
-ACTIVATIONS = ("tanh", "relu")  # What follows every hidden layer
-ANY = ""
-"""Stands for vehicles of every type."""
+ACTIVATIONS = ("tanh", "relu")  # functions that can follow every hidden layer
 
 
 @dataclass(frozen=True)
 class Network:
-    """From features to the mean action."""
+    """A map from features to the mean action."""
 
     layers: Layers
-    """of the actor; nothing follows the last"""
+    """Layers of the actor; nothing follows the last."""
     phi: Layers | None = None
-    """of a set: from a drone's own numbers and a neighbour's to its code, an activation after the
-    last layer too; None: neighbours are given one after another"""
-    score: Layers | None = None
-    """of attention: from a code and the mean of all to one number; None for a deep set"""
-    pooling: str = "mean"
-    """of a deep set: one of `POOLINGS`"""
+    """Layers of a set, from a drone's own and a neighbor's features to a code, with an activation
+    after the last layer too; None: the features of neighbors are inputs of the actor, in order."""
     activation: str = "tanh"
-    """one of `ACTIVATIONS`"""
+    """One of `ACTIVATIONS`."""
 
     def __call__(self, values: Float32Array, sizes: FeatureSizes) -> Float32Array:
-        """Mean actions (..., width) for features (..., `sizes.width`)."""
+        """Return mean actions (..., width) for features (..., `sizes.width`)."""
         if self.phi is not None:
-            values = self._encoded(values, sizes)
-        return self._head(values, self.layers)
+            values = self._encoded(values, sizes, self.phi)
+        *hidden, (weight, bias) = self.layers
+        actions: Float32Array = self._hidden(values, hidden) @ weight.T + bias
+        return actions
 
-    def _encoded(self, values: Float32Array, sizes: FeatureSizes) -> Float32Array:
+    def _encoded(self, values: Float32Array, sizes: FeatureSizes, phi: Layers) -> Float32Array:
         own, around = sizes.split(values)
         present = around[..., sizes.mask, None]
-        assert self.phi is not None
-        (weight, bias), *deeper = self.phi
-        shared = own @ weight[:, : sizes.own].T + bias  # the same beside every neighbour
+        (weight, bias), *deeper = phi
+        shared = own @ weight[:, : sizes.own].T + bias  # the same beside every neighbor
         members = self._active(around @ weight[:, sizes.own :].T + shared[..., None, :])
         members = self._hidden(members, deeper)
-        if self.score is None:
-            code = pooled(members, present, self.pooling)
-        else:
-            mean = np.broadcast_to(pooled(members, present, "mean")[..., None, :], members.shape)
-            scores = self._head(np.concatenate([members, mean], axis=-1), self.score)
-            code = attended(members, present, scores)
-        return np.concatenate([own, code], axis=-1)
+        return np.concatenate([own, *pooled(members, present)], axis=-1)
 
     def _active(self, values: Float32Array) -> Float32Array:
         active: Float32Array = (
@@ -80,84 +60,42 @@ class Network:
         return active
 
     def _hidden(
-        self, values: Float32Array, layers: Iterable[tuple[Float32Array, Float32Array]]
+        self, values: Float32Array, layers: list[tuple[Float32Array, Float32Array]]
     ) -> Float32Array:
         for weight, bias in layers:
             values = self._active(values @ weight.T + bias)
         return values
 
-    def _head(self, values: Float32Array, layers: Layers) -> Float32Array:
-        *hidden, (weight, bias) = layers
-        out: Float32Array = self._hidden(values, hidden) @ weight.T + bias
-        return out
 
+def pooled(members: Float32Array, present: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Return the largest and the sum (..., width) of a set's members.
 
-def pooled(members: Float32Array, present: Float32Array, pooling: str) -> Float32Array:
-    """Pool (..., K, width) members of a set, those that are present (..., K, 1).
-
-    Returns:
-        (..., width), or (..., 2 width) for `max-sum`.
+    Args:
+        members: (..., K, width).
+        present: (..., K, 1), 1 for members that count; without any, both results are 0.
     """
-    if pooling == "max-sum":
-        parts = [pooled(members, present, part) for part in ("max", "sum")]
-        return np.concatenate(parts, axis=-1)
-    if pooling == "max":
-        found = np.where(present > 0, members, np.float32(-1.0)).max(axis=-2, initial=-1.0)
-        return np.where(present.any(axis=-2), found, np.float32(0.0))
-    total: Float32Array = (members * present).sum(axis=-2)
-    if pooling == "sum":
-        return total
-    return total / np.maximum(present.sum(axis=-2), np.float32(1.0))
+    largest = np.where(present > 0, members, np.float32(-1.0)).max(axis=-2, initial=-1.0)
+    some = np.where(present.any(axis=-2), largest, np.float32(0.0))
+    return some, (members * present).sum(axis=-2)
 
 
-def attended(members: Float32Array, present: Float32Array, scores: Float32Array) -> Float32Array:
-    """The mean (..., width) of members (..., K, width), weighed by a softmax of scores (..., K, 1).
-
-    Of those that are present (..., K, 1); zero if there are none.
-    """
-    shown = np.where(present > 0, scores, np.float32(-1e9))
-    weights = present * np.exp(shown - shown.max(axis=-2, keepdims=True, initial=-1e9))
-    total = np.maximum(weights.sum(axis=-2), np.float32(1e-9))
-    mean: Float32Array = (weights * members).sum(axis=-2) / total
-    return mean
-
-
-def act(networks: Mapping[str, Network], values: Float32Array, sizes: FeatureSizes) -> Float32Array:
-    """Actions (..., width): every drone by the network of its type, or all by that of `ANY`."""
-    if ANY in networks:
-        return networks[ANY](values, sizes)
-    actions: Any = 0.0
-    for token, network in networks.items():
-        own = values[..., sizes.own_column(token), None]
-        actions = actions + own * network(values, sizes)
-    made: Float32Array = actions
-    return made
-
-
-def plain(layers: Layers) -> dict[str, Network]:
-    """One multilayer perceptron for vehicles of every type."""
-    return {ANY: Network(layers)}
-
-
-def to_tensors(networks: Mapping[str, Network]) -> dict[str, Float32Array]:
-    """Tensors by name: `actor.<layer>.weight`, `phi.<layer>.bias`, `score.<layer>.weight`.
-
-    They stand behind `<type>/` where drones of each type have a network of their own.
-    """
+def to_tensors(network: Network) -> dict[str, Float32Array]:
+    """Return tensors by name: `actor.<layer>.weight`, `phi.<layer>.bias` and so on."""
     tensors = {}
-    for owner, network in networks.items():
-        before = f"{owner}/" if owner else ""
-        parts = {"actor": network.layers, "phi": network.phi, "score": network.score}
-        for part, layers in parts.items():
-            name = before + part
-            for k, (weight, bias) in enumerate(layers or ()):
-                tensors[f"{name}.{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
-                tensors[f"{name}.{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
+    for part, layers in (("actor", network.layers), ("phi", network.phi)):
+        for k, (weight, bias) in enumerate(layers or ()):
+            tensors[f"{part}.{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
+            tensors[f"{part}.{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
     return tensors
 
 
 def layers_from_tensors(tensors: Mapping[str, Float32Array], name: str, width: int) -> Layers:
-    """The layers `<name>.0.weight`, `<name>.0.bias` and so on, which take in so many numbers."""
+    """Return the layers `<name>.0.weight`, `<name>.0.bias` and so on for inputs of a width.
+
+    Raises:
+        KeyError: a tensor is missing.
+        ValueError: widths of layers do not fit each other.
+    """
     weight_of_layer = re.compile(rf"{re.escape(name)}\.[^.]*\.weight")
     count = sum(weight_of_layer.fullmatch(key) is not None for key in tensors)
     if not count:

@@ -1,10 +1,9 @@
 """Trained policies: their files, checked before they are used, and the agent that flies them.
 
 A file is safetensors with a JSON note. Tensors, float32: `actor.<layer>.weight` (out, in) and
-`actor.<layer>.bias`, layers in order; of a set also `phi.<layer>.weight`, and of attention
-`score.<layer>.weight`; all behind `<type>/` where each type of vehicle has a network of its own.
-The note, under the key `swarm_envs`, says what the policy was trained for. numpy is all that a
-policy needs to fly.
+`actor.<layer>.bias`, layers in order, and of a set also `phi.<layer>.weight` and so on. The note,
+under the key `swarm_envs`, says what the policy was trained for. numpy is all that a policy needs
+to fly.
 """
 
 from __future__ import annotations
@@ -25,11 +24,7 @@ from swarm_envs import TASKS, task_family
 from swarm_envs.agents.features import FEATURE_SETS, GOAL, FeatureSizes
 from swarm_envs.agents.networks import (
     ACTIVATIONS,
-    ANY,
-    ENCODERS,
-    POOLINGS,
     Network,
-    act,
     layers_from_tensors,
     to_tensors,
 )
@@ -59,7 +54,7 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
-FORMAT = "swarm-envs-policy-7"  # What a file of a policy says it is
+FORMAT = "swarm-envs-policy-8"  # What a file of a policy says it is
 MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
 LARGEST = 1e4  # No weight of a policy that was trained comes near it; one beyond it was damaged
 
@@ -87,14 +82,8 @@ class PolicyNote:
     """K, how many neighbours it observes"""
     features: str = GOAL
     """what is made of an observation row before the network sees it"""
-    encoder: str = "mlp"
-    """how neighbours are encoded: one of `ENCODERS`"""
-    pooling: str = "mean"
-    """of a deep set: one of `POOLINGS`"""
     types: tuple[str, ...] = ()
     """types of vehicles it was trained with and alone flies; none if it makes no difference"""
-    per_type: bool = False
-    """whether each of these types has a network of its own"""
     fewest: int = 1
     """smallest team it may fly in: places of neighbours that were never empty in its training can
     mislead it when they are"""
@@ -146,45 +135,28 @@ class PolicyNote:
         """Team sizes in which it flies, for people."""
         return f"{self.fewest} to {self.drones}" if self.fewest < self.drones else f"{self.drones}"
 
-    @property
-    def owners(self) -> tuple[str, ...]:
-        """Types of vehicles that have a network each; `ANY` alone if all share one."""
-        return self.types if self.per_type else (ANY,)
-
-    def networks(self, tensors: Mapping[str, Float32Array]) -> dict[str, Network]:
-        """The networks that a file holds for such a policy, every layer's widths checked.
+    def network(self, tensors: Mapping[str, Float32Array]) -> Network:
+        """Return the network that a file holds for such a policy, every layer's widths checked.
 
         Raises:
             ValueError: layers do not fit each other, features or actions, or a tensor is left over.
             KeyError: a tensor is missing.
         """
-        found = {
-            owner: self._network(tensors, f"{owner}/" if owner else "") for owner in self.owners
-        }
-        extra = set(tensors) - set(to_tensors(found))
-        if extra:
-            raise ValueError(f"it holds tensors that no network has: {', '.join(sorted(extra))}")
-        return found
-
-    def _network(self, tensors: Mapping[str, Float32Array], prefix: str) -> Network:
-        inputs, actions = self.sizes.width, ACTIONS[self.action].width
-        phi = score = None
-        if self.encoder != "mlp":
-            own, seen = self.sizes.own, self.sizes.own + self.sizes.neighbor
-            phi = layers_from_tensors(tensors, f"{prefix}phi", seen)
-            code = len(phi[-1][1])
-            inputs = own + code * (1 + (self.encoder == "deep-set" and self.pooling == "max-sum"))
-            if self.encoder == "attention":
-                score = layers_from_tensors(tensors, f"{prefix}score", 2 * code)
-                if len(score[-1][1]) != 1:
-                    raise ValueError(f"its layers {prefix + 'score'!r} do not give one number")
-        layers = layers_from_tensors(tensors, f"{prefix}actor", inputs)
+        inputs, actions, phi = self.sizes.width, ACTIONS[self.action].width, None
+        if any(name.startswith("phi.") for name in tensors):
+            phi = layers_from_tensors(tensors, "phi", self.sizes.own + self.sizes.neighbor)
+            inputs = self.sizes.own + 2 * len(phi[-1][1])
+        layers = layers_from_tensors(tensors, "actor", inputs)
         if len(layers[-1][1]) != actions:
             raise ValueError(
                 f"its layers do not lead from {inputs} features to the {actions} numbers of "
                 f"action {self.action!r}"
             )
-        return Network(layers, phi, score, self.pooling, self.activation)
+        network = Network(layers, phi, self.activation)
+        extra = set(tensors) - set(to_tensors(network))
+        if extra:
+            raise ValueError(f"it holds tensors that no network has: {', '.join(sorted(extra))}")
+        return network
 
     def check(self) -> None:
         """Refuse a note that speaks of what does not exist here.
@@ -196,15 +168,13 @@ class PolicyNote:
             check_name("task", name, TASKS)
         check_name("action", self.action, ACTIONS)
         check_name("features", self.features, FEATURE_SETS)
-        check_name("encoder", self.encoder, ENCODERS)
-        check_name("pooling", self.pooling, POOLINGS)
         check_name("activation", self.activation, ACTIVATIONS)
         for token in self.types:
             check_name("types", token, VEHICLES)
-        if (self.types and not self.sizes.typed) or (self.per_type and not self.types):
+        if self.types and not self.sizes.typed:
             raise ValueError(
-                f"types are {self.types}, per_type is {self.per_type} and features "
-                f"{self.features!r}, but types are named only in typed features"
+                f"types are {self.types} and features {self.features!r}, but types are named only "
+                "in typed features"
             )
         check_integer("fewest", self.fewest, 1)
         check_integer("drones", self.drones, self.fewest, MOST_DRONES)
@@ -217,15 +187,15 @@ class Policy:
 
     note: PolicyNote
     """What it was trained for."""
-    networks: Mapping[str, Network]
-    """One under `ANY`, or one for each type of vehicle."""
+    network: Network
+    """The map from features to the mean action."""
     provenance: Mapping[str, Any]
     """How it came about: command, seed, steps ..."""
 
     @property
     def digest(self) -> str:
         """SHA-256 of the weights."""
-        return _digest(to_tensors(self.networks))
+        return _digest(to_tensors(self.network))
 
     def actions(self, rows: Float32Array) -> Float32Array:
         """Actions (..., width) for observation rows (..., row width) of any number of drones.
@@ -234,7 +204,7 @@ class Policy:
             ValueError: the rows have another width.
         """
         values = FEATURE_SETS[self.note.features].make(rows, *self.note.form)
-        actions: Float32Array = np.clip(act(self.networks, values, self.note.sizes), -1.0, 1.0)
+        actions: Float32Array = np.clip(self.network(values, self.note.sizes), -1.0, 1.0)
         return actions
 
 
@@ -245,7 +215,7 @@ def write_policy(path: Path, policy: Policy) -> None:
         OSError: the folder cannot be made or written.
         ValueError: a weight is not finite.
     """
-    tensors = to_tensors(policy.networks)
+    tensors = to_tensors(policy.network)
     _check_numbers(tensors)
     note = {
         "format": FORMAT,
@@ -290,7 +260,7 @@ def read_policy(path: Path) -> Policy:
         if _digest(tensors) != note["weights_sha256"]:
             raise ValueError("its weights are not those that were written")
         about = _about(note)
-        networks = about.networks(tensors)
+        network = about.network(tensors)
         provenance = dict(note["provenance"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         raise ValueError(
@@ -302,7 +272,7 @@ def read_policy(path: Path) -> Policy:
             f"policy {str(path)!r} was trained on another layout of observations than this "
             "version's; train it again by `swarm-envs train`"
         )
-    return Policy(about, networks, provenance)
+    return Policy(about, network, provenance)
 
 
 def senses(obstacles: int, load: bool, force: bool, controller: str | None) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import atexit
-import importlib.util
 import json
 import math
 import os
@@ -65,11 +64,6 @@ def measured() -> Iterator[Measured]:
         ("flight alone, no forces", "flight", BATCH, {"interactions": "none"}),
         ("batch, learned forces", "batch", LARGE, {"force_rate": 240}),
     ]
-    if importlib.util.find_spec("stable_baselines3"):
-        for encoder in ("mlp", "deep-set"):
-            row = {"what": f"train, {encoder}", "environments": 128, "drones": 4, "force_rate": 48}
-            options = {"encoder": encoder}
-            yield Measured(row | {"unit": "agent-steps/s"}, "training", options, 4 * 16_384)
     for what, maker, (envs, n), chosen in kinds:
         row = {"what": what, "environments": envs, "drones": n, "unit": "agent-steps/s"}
         options = {"envs": envs, "drones": n, **chosen}
@@ -228,7 +222,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ref", default="HEAD", help="commit that this tree is measured against")
     parser.add_argument("--old", type=Path, help="a folder with its tree, in place of a commit")
     parser.add_argument("--new", type=Path, default=ROOT, help="this tree's folder")
-    parser.add_argument("--only", default="", help="measure this alone, such as training")
+    parser.add_argument("--only", default="", help="measure this alone, such as reset")
     parser.add_argument("--first-steps", type=int, default=3, help="runs of the first steps")
     parser.add_argument("--peers", help="interpreter that has crazyflow, measured beside")
 

@@ -17,7 +17,6 @@ import time
 import traceback
 from collections.abc import Callable
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -77,25 +76,7 @@ def flight(envs: int, drones: int, **options: Any) -> Call:
     return partial(fly, 5, np.ones(envs, dtype=np.bool_))
 
 
-def training(**options: Any) -> Call:
-    """Four rollouts of PPO with their updates, by the recipe for swaps of four drones."""
-    rl, starts = "swarm_envs.training.rl", count(0, 4)
-    try:
-        make_config = importlib.import_module(f"{rl}.rl_config").RlConfig
-    except ModuleNotFoundError:  # release 0.1.0
-        make_config = importlib.import_module(f"{rl}.config").TrainConfig
-    config = make_config(out=Path("never"), steps=10**9, threads=1, **options)
-    learner = importlib.import_module(f"{rl}.learner").make_learner(config, TASK)
-
-    def fly() -> None:
-        begin = next(starts)
-        learner.fly(range(begin, begin + 4))
-
-    return fly
-
-
 MAKERS: dict[str, Callable[..., Call]] = {
-    "training": training,
     "environment": environment,
     "reset": reset,
     "batch": batch,

@@ -35,7 +35,7 @@ from swarm_envs.errors import check_name
 from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
 from swarm_envs.training.rl.rl_config import RlConfig
-from swarm_envs.training.rl.run import finished_report, train_policy
+from swarm_envs.training.rl.runs import finished_report, train_policy
 from swarm_envs.training.scoreboard.summary import align_columns
 
 AIRS: Mapping[str, Mapping[str, Any]] = {
@@ -47,10 +47,10 @@ AIRS: Mapping[str, Mapping[str, Any]] = {
 RECIPE: Mapping[str, Any] = {
     **{"algo": "dagger", "environments": 96, "threads": 1},
     **{"action": "velocity", "decision_rate": 48, "controller": "air-blind"},
-    **{"encoder": "deep-set", "pooling": "max-sum", "activation": "relu"},
+    "encoder": "deep-set",
     **{"set_hidden": (48, 48), "hidden": (96, 96)},
-    **{"checkpoint_rollouts": 100, "judge_every": 99, "judge_episodes": 64},
-    **{"tensorboard": False, "progress": False},
+    **{"checkpoint_rollouts": 100, "evaluations": 1, "evaluation_episodes": 64},
+    **{"progress": False},
 }
 """Options of every training run."""
 TEACHERS = "swarm_envs/training/rl/teachers.py"

@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from swarm_envs import __version__, swap_v1
 from swarm_envs.agents.features import FEATURE_SETS, GOAL
-from swarm_envs.agents.networks import Layers, plain
+from swarm_envs.agents.networks import Layers, Network
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, write_policy
 from swarm_envs.arguments import Count, Range, Seed, typed
 from swarm_envs.envs.observation import Float32Array
@@ -216,8 +216,8 @@ def _learn(config: RllibConfig, algorithm: Any) -> Policy:
             bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
             bar.update(steps - bar.n)
             about = {"config": options, "steps": steps, "version": __version__}
-            networks = plain(actor(algorithm.get_module(SHARED), 3))
-            policy = Policy(config.note(), networks, about)
+            network = Network(actor(algorithm.get_module(SHARED), 3))
+            policy = Policy(config.note(), network, about)
             write_policy(config.out / FILE, policy)
     algorithm.stop()
     return policy

@@ -84,7 +84,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
     [
         ("fly --world hal", "unknown --world 'hal'; did you mean 'hall'?"),
         ("grade --assignment contoller", "did you mean 'controller'?"),
-        ("train --algo=pppo", "unknown --algo 'pppo'; did you mean 'ppo'?"),
+        ("train --out a --algo=pppo", "unknown --algo 'pppo'; did you mean 'ppo'?"),
         ("assignment strat swap", "did you mean 'start'?"),
         ("fit --logs.guard-s abc", "--logs.guard-s is 'abc', but must be finite and not negative"),
         (
@@ -109,10 +109,9 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("evaluate --agent", "--agent has no value, but must be"),
         ("evaluate --force-rate 7", "--force-rate is 7, but must be 240 over an integer"),
         ("train --steps 1e5", "but must be an integer of at least 1; did you mean '100000'?"),
-        ("train --algo PPO", "unknown --algo 'PPO'; did you mean 'ppo'?"),
+        ("train --out a --algo PPO", "unknown --algo 'PPO'; did you mean 'ppo'?"),
         ("train --hidden 64,64", "did you mean '64 64'?"),
         ("train --proximity 1", "--proximity is '1', but must be a tuple of 2 values, each"),
-        ("train --tau 0.1", "did you mean '--sac.tau'?"),
         ("train", "the following arguments are required: --out (see"),
         ("fit", "the following arguments are required: --data, --out (see"),
         ("assignment", "are required: command {list,start} (see"),
@@ -126,9 +125,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
         ("fly swap", "unexpected argument 'swap'; did you mean '--task swap'?"),
         ("evaluate mine.py:Mine", "did you mean '--agent mine.py:Mine'?"),
         ("demo --swap 3", "unknown option '--swap'; did you mean '--swaps'?"),
-        ("train --lr 1e-3", "unknown option '--lr'; did you mean '--learning-rate'?"),
-        ("train --epochs 3", "did you mean '--n-epochs'?"),
-        ("train --n-step 3", "did you mean '--n-steps'?"),
+        ("train --evaluation 3", "did you mean '--evaluations'?"),
         ("fly --gama 0.9", "unknown option '--gama' (see"),
         ("fly --model swap-dagger", "did you mean '--agent'?"),
         ("evaluate --policy swap-dagger", "did you mean '--agent'?"),
@@ -151,9 +148,9 @@ def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_near
 def test_what_an_option_can_take_is_no_mistake():
     words = "--drones None --world hall --task x --randomization mass=1:2 --out a --horizon-s 1e1"
     assert find_mistake(FlyOptions, words.split()) is None
-    several = "--out a --drones 4 6 --proximity 1 2.5 --sac.tau 0.1"
+    several = "--out a --drones 4 6 --proximity 1 2.5 --dagger.noise 0.1"
     assert find_mistake(RlConfig, several.split(), prefixes=True) is None
-    switches = "--out a --no-tensorboard --num_neighbors 3 --sac.train-freq=4 --log-std-init -0.7"
+    switches = "--out a --no-progress --num_neighbors 3 --dagger.train-freq=4"
     assert find_mistake(RlConfig, switches.split(), prefixes=True) is None
     assert find_mistake(FlyOptions, ["--unknown", "--help"]) is None
 

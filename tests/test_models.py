@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,20 +12,28 @@ import pytest
 from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode, from_model, load
 from swarm_envs.agents.evaluation import evaluate_agent
+from swarm_envs.envs.parallel import SwarmParallelEnv
 
 torch = pytest.importorskip("torch", reason="the extra `train`")
-OPTIONS = {"num_drones": 2, "physics": "batch", "decision_rate": 10, "interactions": "none"}
+OPTIONS: dict[str, Any] = {
+    "num_drones": 2,
+    "physics": "batch",
+    "decision_rate": 10,
+    "interactions": "none",
+}
 
 
 @pytest.fixture
-def env():
+def env() -> Iterator[SwarmParallelEnv]:
     made = swap_v1.parallel_env(**OPTIONS)
     yield made
     made.close()
 
 
 @pytest.mark.parametrize("features", [None, "full-1"])
-def test_a_model_of_stable_baselines3_flies_as_it_predicts(env, features) -> None:
+def test_a_model_of_stable_baselines3_flies_as_it_predicts(
+    env: SwarmParallelEnv, features: str | None
+) -> None:
     from stable_baselines3 import PPO
 
     from swarm_envs.training import SharedPolicyVecEnv
@@ -42,7 +52,7 @@ def test_a_model_of_stable_baselines3_flies_as_it_predicts(env, features) -> Non
     assert fly_episode(env, agent, 3)["length_s"] > 0.0
 
 
-def test_a_module_and_a_function_fly_alike_and_in_batches(env) -> None:
+def test_a_module_and_a_function_fly_alike_and_in_batches(env: SwarmParallelEnv) -> None:
     width = env.core.rows.shape[-1]
     layer = torch.nn.Sequential(torch.nn.Linear(width, 3), torch.nn.Tanh())
     weight, bias = (p.detach().numpy() for p in layer[0].parameters())
@@ -55,7 +65,7 @@ def test_a_module_and_a_function_fly_alike_and_in_batches(env) -> None:
         assert one["success"] == other["success"]
 
 
-def test_what_is_no_model_is_refused(env) -> None:
+def test_what_is_no_model_is_refused(env: SwarmParallelEnv) -> None:
     with pytest.raises(TypeError, match="model is 3, but must be a model of Stable-Baselines3"):
         from_model(3, env)
     agent = from_model(lambda rows: rows[:1, :3], env)
@@ -64,20 +74,20 @@ def test_what_is_no_model_is_refused(env) -> None:
         fly_episode(env, agent, 0)
 
 
-def test_a_model_of_other_rows_is_refused(env) -> None:
+def test_a_model_of_other_rows_is_refused(env: SwarmParallelEnv) -> None:
     from gymnasium import spaces
 
     class Model:
         observation_space = spaces.Box(-1.0, 1.0, (7,))
 
-        def predict(self, rows, deterministic):
+        def predict(self, rows: Any, deterministic: bool) -> Any:
             return rows, None
 
     with pytest.raises(ValueError, match=r"the model observes \(7,\), but rows"):
         from_model(Model(), env)
 
 
-def test_a_function_of_a_file_is_an_agent(env, tmp_path: Path) -> None:
+def test_a_function_of_a_file_is_an_agent(env: SwarmParallelEnv, tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("def still(rows):\n    return 0.0 * rows[:, :3]\n")
     agent = load(f"{file}:still")

@@ -62,9 +62,9 @@ from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.rl.learner import training_blueprint
 from swarm_envs.training.rl.recipes import with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.runs import training_blueprint
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}

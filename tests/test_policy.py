@@ -19,7 +19,7 @@ from swarm_envs import make, ring_v1, swap_v1
 from swarm_envs.agents import SafetyFilter, fly_episode, load
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.features import FEATURE_SETS, FULL, REFERENCE, TYPED, goal_features
-from swarm_envs.agents.networks import ANY, plain
+from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import (
     FILE,
     Policy,
@@ -44,7 +44,7 @@ def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
         for into, out in pairwise(widths)
     )
     rounded = tuple((weight, bias.astype(np.float32)) for weight, bias in layers)
-    return Policy(note, plain(rounded), {"seed": seed})
+    return Policy(note, Network(rounded), {"seed": seed})
 
 
 def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[str, slice]]:
@@ -121,8 +121,8 @@ def test_a_file_holds_the_filter_of_its_policy(tmp_path):
 
 def test_actions_stay_within_their_bounds():
     loud = policy()
-    layers = tuple((100 * weight, bias) for weight, bias in loud.networks[ANY].layers)
-    loud = replace(loud, networks=plain(layers))
+    layers = tuple((100 * weight, bias) for weight, bias in loud.network.layers)
+    loud = replace(loud, network=Network(layers))
     rows, _ = observed(20, 2, 3)
     actions = PolicyAgent(loud).act_batch(rows)
     assert np.abs(actions).max() == 1.0
@@ -222,7 +222,7 @@ def test_pickles_and_missing_files_are_refused(tmp_path):
 
 def test_weights_that_are_no_numbers_are_not_written(tmp_path):
     broken = policy()
-    broken.networks[ANY].layers[0][0][0, 0] = np.nan
+    broken.network.layers[0][0][0, 0] = np.nan
     with pytest.raises(ValueError, match=r"actor\.0\.weight.* not finite"):
         write_policy(tmp_path / FILE, broken)
     assert not list(tmp_path.iterdir())

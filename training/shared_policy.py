@@ -107,8 +107,6 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         self._actions: list[FloatArray] = []
         self._next_seeds: list[list[int] | None] = [None] * len(self.cores)
         self._begun = self._closed = False
-        self.decision_cost = 0.0
-        """Taken off every reward: what time costs in training."""
         if seed is not None:
             self.seed(seed)
 
@@ -203,8 +201,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 core.rows[done] = 0.0  # what is observed next: they wait, or begin again
             if over.any():
                 core.reset(mask=over)
-            paid = result.rewards.reshape(-1) - self.decision_cost
-            rewards.append(paid.astype(np.float32))
+            rewards.append(result.rewards.reshape(-1).astype(np.float32))
             dones.append(done.reshape(-1))
         return self._observations(), np.concatenate(rewards), np.concatenate(dones), infos
 

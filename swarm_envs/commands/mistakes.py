@@ -28,7 +28,6 @@ _SYNONYMS = (
     {"task", "env", "environment", "scenario", "assignment"},
     {"out", "o", "output", "output-dir", "dir", "folder", "log-dir"},
     {"learning-rate", "lr", "rate"},
-    {"n-epochs", "epochs", "num-epochs"},
     {"steps", "timesteps", "total-timesteps", "n-timesteps"},
     {"environments", "num-envs", "n-envs"},
     {"episodes", "flights", "num-episodes", "n-eval-episodes", "swaps"},

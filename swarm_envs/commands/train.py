@@ -34,7 +34,7 @@ def run_train(config: RlConfig) -> None:
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
         )
     from swarm_envs.files import write_json
-    from swarm_envs.training.rl.run import finished_report, train_policy
+    from swarm_envs.training.rl.runs import finished_report, train_policy
 
     report = finished_report(config, task)
     if report is not None:

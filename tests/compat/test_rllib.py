@@ -12,7 +12,7 @@ import pytest
 from swarm_envs import swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.features import goal_features
-from swarm_envs.agents.networks import plain
+from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.cli import main
 
@@ -77,7 +77,7 @@ def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
     register_env(rllib_ppo.ENVIRONMENT, rllib_ppo.make_env)
     algorithm = rllib_ppo.algorithm_config(config).build_algo()
     module = algorithm.get_module(rllib_ppo.SHARED)
-    agent = PolicyAgent(Policy(config.note(), plain(rllib_ppo.actor(module, 3)), {}))
+    agent = PolicyAgent(Policy(config.note(), Network(rllib_ppo.actor(module, 3)), {}))
     env = swap_v1.parallel_env(num_drones=2, physics="batch", **agent.requires)
     rows = np.stack(list(env.reset(seed=3)[0].values()))
     told = goal_features(rows, 1)

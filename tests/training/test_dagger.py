@@ -1,4 +1,4 @@
-"""DAgger: who teaches where, and what is imitated; encoders: sets without order, in two ways."""
+"""DAgger: who teaches where, and what is imitated; networks in torch and numpy."""
 
 from __future__ import annotations
 
@@ -14,35 +14,33 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
-from stable_baselines3.common.type_aliases import RolloutBufferSamples
-from torch.distributions import Normal, kl_divergence
 
 from swarm_envs import crowd_v0, swap_v1
-from swarm_envs.agents import fly_episode, load
+from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
-from swarm_envs.agents.networks import ANY, Network, to_tensors
-from swarm_envs.agents.policy import Policy, PolicyAgent, read_policy, write_policy
+from swarm_envs.agents.features import FEATURE_SETS, TYPED
+from swarm_envs.agents.networks import Network
+from swarm_envs.agents.policy import Policy
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.training.rl import teachers
-from swarm_envs.training.rl.dagger import DaggerLearner
+from swarm_envs.training.rl.dagger import Dagger
+from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
-from swarm_envs.training.rl.learner import make_learner
-from swarm_envs.training.rl.ppo import PpoLearner
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
-from swarm_envs.training.rl.run import policy_note
+from swarm_envs.training.rl.runs import make_setting
 
 OPTIONS: dict[str, Any] = {
-    **{"out": Path("never"), "algo": "dagger", "encoder": "deep-set", "pooling": "max-sum"},
-    **{"activation": "relu", "decision_rate": 20, "threads": 1, "interactions": "none"},
+    **{"out": Path("never"), "algo": "dagger", "encoder": "deep-set"},
+    **{"decision_rate": 20, "threads": 1, "interactions": "none"},
 }
 
 
-def learner(**given: Any) -> DaggerLearner:
-    return DaggerLearner(RlConfig(**{**OPTIONS, **given}), "swap_v1")
+def learner(task: str = "swap_v1", **given: Any) -> Dagger:
+    return Dagger(make_setting(RlConfig(**{**OPTIONS, **given}), task))
 
 
 def test_the_last_teacher_that_fits_teaches():
@@ -80,7 +78,7 @@ def test_an_agent_that_cannot_teach_is_refused(name, given, why):
 def test_a_teacher_says_what_the_agent_does_of_the_neighbours_that_it_sees():
     """Of a student that observes three neighbours; the weight says whom others concern."""
     made = learner(drones=8, environments=8, num_neighbors=3)
-    core, agent = made.env.cores[0], load("roundabout")
+    core, agent = made.cores[0], load("roundabout")
     core.reset(list(range(core.num_envs)))
     env = SwarmParallelEnv(core.task, replace(core.config, **agent.requires))
     rows = []
@@ -88,7 +86,7 @@ def test_a_teacher_says_what_the_agent_does_of_the_neighbours_that_it_sees():
         observations, _ = env.reset(seed=e)
         agent.reset(env, e)
         rows.append(np.stack(list(agent.act(observations, None).values())))
-    wanted, weight = made._teachers[0].labels(core, 3.0)
+    wanted, weight = made.teachers[0].labels(core, 3.0)
     np.testing.assert_allclose(wanted, np.clip(rows, -1.0, 1.0), atol=1e-6)
     assert set(np.unique(weight)) == {1.0, 3.0}
 
@@ -127,12 +125,10 @@ def test_the_teacher_of_crowds_reaches_more_goals_in_a_forest_than_scripts_and_h
 
 
 def test_all_layouts_of_crowd_are_learned_with_short_ways_between_buildings():
-    given = {"task": "crowd", "layout": "all", "drones": 8, "environments": 6, "num_neighbors": 7}
+    given = {"layout": "all", "drones": 8, "environments": 6, "num_neighbors": 7}
     teacher = str(Path(teachers.__file__)) + ":WayFinder"
-    config = RlConfig(
-        **{**OPTIONS, **given}, num_obstacles=3, dagger=DaggerConfig(teacher=(teacher,))
-    )
-    tasks = [core.tasks[0] for core in DaggerLearner(config, "crowd_v0").env.cores]
+    made = learner("crowd_v0", **given, num_obstacles=3, dagger=DaggerConfig(teacher=(teacher,)))
+    tasks = [core.tasks[0] for core in made.cores]
     reach = {t.layout: t.reach_m for t in tasks if isinstance(t, CrowdTask)}
     assert reach == {"open": (1.0, 3.0), "forest": (1.0, 3.0), "buildings": (0.8, 2.2)}
 
@@ -227,26 +223,30 @@ def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered(
     made = learner(
         drones=(2, 4), environments=40, dagger=DaggerConfig(batch_size=64, buffer_size=700)
     )
-    assert [core.num_envs for core in made.env.cores] == [12, 5, 3] * 2
-    assert [core.num_drones for core in made.env.cores] == [2] * 3 + [4] * 3
-    for core in made.env.cores:
+    assert [core.num_envs for core in made.cores] == [12, 5, 3] * 2
+    assert [core.num_drones for core in made.cores] == [2] * 3 + [4] * 3
+    for core in made.cores:
         core.reset(list(range(core.num_envs)))
+    made.rng, made.ends = np.random.default_rng(0), []
+    make = FEATURE_SETS[made.setting.features].make
     for _ in range(7):
-        seen = np.concatenate([made._features(core) for core in made.env.cores])
-        made._step(0.5)
-    assert (made._filled, made._place) == (700, 7 * 120 % 700)
-    last = (np.arange(120) + made._place - 120) % 700
-    assert np.array_equal(made._memory["seen"][last], seen)
+        seen = [make(core.rows, *core.form[1:]) for core in made.cores]
+        made._decide(0.5)
+    memory = made.memory
+    assert (memory.filled, memory.place) == (700, 7 * 120 % 700)
+    last = (np.arange(120) + memory.place - 120) % 700
+    flat = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in seen])
+    assert np.array_equal(memory.parts[0][last], flat)
 
 
 def test_a_short_training_imitates_where_the_straight_line_collides():
     """Four drones on a circle: without others in view all meet in the middle."""
     made = learner(layout="circle", drones=4, environments=32, steps=100_000, horizon_s=5.0)
-    losses = [made.fly(segment)["loss"] for segment in made.config.segments()]
+    losses = [made.fly(k)["loss"] for k in range(10, made.config.rollouts, 10)]
     assert losses[-1] < 0.5 * losses[0]
-    agent = PolicyAgent(Policy(policy_note(made, "swap_v1"), made.actor(), {}))
+    policy = Policy(made.setting.note(), made.actor.network(), {})
     flown = {"num_drones": 4, "interactions": "none"}
-    rates = evaluate_policy(agent.policy, "swap_v1", ("circle",), choosing_seeds(32), flown)
+    rates = evaluate_policy(policy, "swap_v1", ("circle",), choosing_seeds(32), flown)
     assert rates["circle_success"] > 0.9
 
 
@@ -265,199 +265,53 @@ def test_the_example_of_ppo_learns():
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.01
 
 
-SET = {"encoder": "deep-set", "num_neighbors": 4}
-KINDS = {
-    "sizes": {"drones": (2, 4), "num_neighbors": 3},
-    "mean": {"drones": 4, **SET},
-    "max": {"team": ("SSLL", "SL"), "pooling": "max", **SET},
-    "max and sum": {"drones": (2, 6), "pooling": "max-sum", "activation": "relu", **SET},
-    "sum of each type": {"team": ("SSLL",), "pooling": "sum", "per_type": True, **SET},
-    "attention": {"drones": (2, 6), "encoder": "attention", "num_neighbors": 4},
-    "attention of types": {
-        **{"team": ("SSLL", "SL"), "encoder": "attention", "num_neighbors": 3},
-        "activation": "relu",
-    },
-    "a perceptron each": {"team": ("SSLL",), "per_type": True},
-}
+SIZES = FEATURE_SETS[TYPED].sizes(4)
+NETWORKS = {"mlp": None, "deep-set": (8, 6)}
 
 
-def make(**given) -> PpoLearner:
-    """A learner whose last layers are no longer small, so that actions tell networks apart."""
-    options = {"environments": 4, "n_steps": 16, "batch_size": 64, "hidden": (8, 8), **given}
-    config = RlConfig(out=Path("never"), interactions="none", **options)
-    learner = PpoLearner(config, "swap_v1")
-    with torch.no_grad():
-        learner.model.policy.action_net.weight.mul_(50.0)
-        learner.model.policy.action_net.bias.add_(0.1)
-    return learner
+def actor_of(kind: str, activation: str = "relu") -> Actor:
+    torch.manual_seed(1)
+    return Actor(SIZES, (9, 7), 3, NETWORKS[kind], activation)
 
 
-def policy_of(learner: PpoLearner) -> Policy:
-    return Policy(policy_note(learner, "swap_v1"), learner.actor(), {})
-
-
-def saved(learner: PpoLearner, folder: Path) -> Path:
-    write_policy(folder / "policy.safetensors", policy_of(learner))
-    return folder
-
-
-def rows_of(learner: PpoLearner) -> np.ndarray:
-    """Observation rows of every drone after some decisions."""
-    learner.env.reset()
+def values_of(count: int = 40) -> np.ndarray:
+    """Features of drones with none to four neighbors, nearest first."""
     rng = np.random.default_rng(0)
-    for _ in range(5):
-        learner.env.step(rng.uniform(-1, 1, (learner.env.num_envs, 3)))
-    rows = [core.rows for core in learner.env.cores]
-    return np.concatenate([row.reshape(-1, row.shape[-1]) for row in rows])
+    own, around = SIZES.split(rng.normal(size=(count, SIZES.width)).astype(np.float32))
+    present = np.arange(4) < rng.integers(0, 5, (count, 1))
+    around[..., SIZES.mask] = 1.0
+    around *= present[..., None]
+    return np.concatenate([own, around.reshape(count, -1)], axis=1)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_flies_is_what_was_trained(kind, tmp_path):
-    learner = make(**KINDS[kind])
-    agent = PolicyAgent(read_policy(saved(learner, tmp_path) / "policy.safetensors"))
-    rows = rows_of(learner)
-    actions, _ = learner.model.predict(learner.env.observe(rows), deterministic=True)
-    np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
-    assert np.ptp(actions, axis=0).min() > 0.01
-    options = {**learner.config.teams[0], "physics": "batch", "interactions": "none"}
-    env = swap_v1.parallel_env(**options, horizon_s=0.5, **agent.requires)
-    assert fly_episode(env, agent, seed=0)["length_s"] > 0
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+@pytest.mark.parametrize("kind", NETWORKS)
+def test_what_flies_is_what_was_trained(kind, activation):
+    actor, values = actor_of(kind, activation), values_of()
+    trained = actor(torch.from_numpy(values)).detach().numpy()
+    np.testing.assert_allclose(actor.network()(values, SIZES), trained, atol=2e-6)
+    assert np.ptp(trained, axis=0).min() > 0.01
 
 
-SETS = [kind for kind, options in KINDS.items() if "encoder" in options]
-
-
-@pytest.mark.parametrize("kind", SETS)
-def test_the_order_of_neighbours_changes_nothing(kind):
-    learner = make(**KINDS[kind])
-    sizes = learner.sizes
-    values = learner.env.observe(rows_of(learner))
-    own, around = sizes.split(values)
-    swapped = np.concatenate([own, around[:, ::-1].reshape(len(own), -1)], axis=1)
-    assert not np.array_equal(swapped, values)
-    for network in learner.actor().values():
-        np.testing.assert_allclose(network(swapped, sizes), network(values, sizes), atol=2e-6)
-    before, after = (
-        learner.model.policy.predict_values(torch.from_numpy(v)).detach().numpy()
-        for v in (values, swapped)
-    )
-    np.testing.assert_allclose(after, before, atol=2e-6)
-
-
-@pytest.mark.parametrize("kind", SETS)
-def test_who_is_not_there_is_not_in_the_set(kind):
-    """Slots with one neighbour act as one slot with the same neighbour, and none as none."""
-    learner = make(**KINDS[kind])
-    sizes, network = learner.sizes, next(iter(learner.actor().values()))
-    values = learner.env.observe(rows_of(learner))
-    own, around = sizes.split(values)
+def test_a_set_has_no_order_and_no_places_for_who_is_not_there():
+    network, values = actor_of("deep-set").network(), values_of()
+    own, around = SIZES.split(values)
+    turned = np.concatenate([own, around[:, ::-1].reshape(len(own), -1)], axis=1)
+    np.testing.assert_allclose(network(turned, SIZES), network(values, SIZES), atol=2e-6)
     alone = np.concatenate([own, around[:, 0]], axis=1)
     around[:, 1:] = 0.0
     padded = np.concatenate([own, around.reshape(len(own), -1)], axis=1)
-    np.testing.assert_allclose(
-        network(padded, sizes), network(alone, sizes._replace(num_neighbors=1)), atol=2e-6
-    )
-    nobody = np.concatenate([own, np.zeros_like(around).reshape(len(own), -1)], axis=1)
-    none = sizes._replace(num_neighbors=0)
-    np.testing.assert_allclose(network(nobody, sizes), network(own, none), atol=2e-6)
+    single = SIZES._replace(num_neighbors=1)
+    np.testing.assert_allclose(network(padded, SIZES), network(alone, single), atol=2e-6)
 
 
-def test_every_type_flies_by_a_network_of_its_own():
-    """Whose network is broken shows in who acts otherwise; a phi that is broken, likewise."""
-    learner = make(**KINDS["sum of each type"])
-    networks, sizes = learner.actor(), learner.sizes
-    rows = rows_of(learner)
-    large = learner.env.observe(rows)[:, sizes.own_column("L")] == 1.0
-    assert large.mean() == 0.5
-
-    def changed(other: dict[str, Network]) -> np.ndarray:
-        note = policy_note(learner, "swap_v1")
-        first, second = (PolicyAgent(Policy(note, n, {})) for n in (networks, other))
-        return (first.act_batch(rows) != second.act_batch(rows)).any(axis=1)
-
-    mute = tuple((weight, bias + 0.3) for weight, bias in networks["L"].layers)
-    assert np.array_equal(changed({**networks, "L": replace(networks["L"], layers=mute)}), large)
-    blind = tuple((0.0 * weight, bias) for weight, bias in networks["S"].phi or ())
-    assert np.array_equal(changed({**networks, "S": replace(networks["S"], phi=blind)}), ~large)
-
-
-@pytest.mark.parametrize("encoder", ["mlp", "deep-set", "attention"])
-@pytest.mark.parametrize("algo", ["mappo", "sac"])
-def test_every_algorithm_has_every_encoder(algo, encoder):
-    """The network that flies gives the means that are trained; SAC's through a tanh."""
-    options: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64, "n_steps": 16}
-    options |= {"algo": algo, "encoder": encoder, "interactions": "none", "hidden": (8, 8)}
-    config = RlConfig(out=Path("never"), environments=4, **options)
-    learner: Any = make_learner(config, "swap_v1")
-    values = learner.env.observe(rows_of(learner))
-    seen = torch.from_numpy(values)
-    policy = learner.network()
-    sac = algo == "sac"
-    means = policy.actor.get_action_dist_params(seen)[0].tanh() if sac else policy.means(seen)
-    found = learner.actor()[ANY](values, learner.sizes)
-    np.testing.assert_allclose(found, means.detach().numpy(), atol=2e-6)
-
-
-@pytest.mark.parametrize("algo", ["mappo", "dagger"])
-def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
-    first = make(drones=4, **SET)
-    start = str(saved(first, tmp_path))
-    options: dict[str, Any] = {"algo": algo, "start": start, "hidden": (8, 8), **SET}
-    options |= {"batch_size": 64, "n_steps": 16} if algo == "mappo" else {}
-    config = RlConfig(out=Path("never"), environments=12, interactions="none", **options)
-    found = to_tensors(make_learner(config, "swap_v1").actor())
-    for name, tensor in to_tensors(first.actor()).items():
-        assert np.array_equal(found[name], tensor), name
-
-
-@pytest.mark.parametrize("algo", ["ppo", "mappo"])
-def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path, algo):
-    """By the gradient of the divergence of normal distributions of the same deviation."""
-    first = make(drones=4, **SET)
-    start = {"algo": algo, "start": str(saved(first, tmp_path)), "start_kl": 3.0}
-    config = replace(first.config, seed=9, **start)
-    learner: Any = make_learner(config, "swap_v1")
-    values = learner.env.reset()
-    before = first.model.predict(values[:, : first.sizes.width], deterministic=True)[0]
-    np.testing.assert_allclose(learner.model.predict(values, deterministic=True)[0], before)
-    model, seen = learner.model, torch.from_numpy(values)
-    with torch.no_grad():
-        model.policy.action_net.bias += 0.2
-        means = model.policy.means(seen)
-    zeros = torch.zeros(len(values))
-    batch = RolloutBufferSamples(seen, means + 0.1, zeros, zeros, zeros, zeros)
-    found = []
-    for model.start_kl in (0.0, 3.0):
-        model.policy.log_std.grad = torch.zeros(3)
-        found.append([model._loss_gradient(means, batch)[0], model.policy.log_std.grad])
-    at, log_std = means.clone().requires_grad_(), model.policy.log_std.detach().requires_grad_()
-    away = kl_divergence(Normal(at, log_std.exp()), Normal(means - 0.2, log_std.exp()))
-    (3.0 * away.sum(-1).mean()).backward()
-    for k, wanted in enumerate((at.grad, log_std.grad)):
-        torch.testing.assert_close(found[1][k] - found[0][k], wanted, atol=1e-6, rtol=1e-4)
-    with pytest.raises(ValueError, match="the policy to start from has networks"):
-        make(drones=4, start=str(tmp_path))
-
-
-def test_two_types_learn_apart():
-    """What only large drones have flown changes their network, and not the small ones'."""
-    learner = make(team=("SSLL",), per_type=True)
-    policy = learner.model.policy
-    values = torch.from_numpy(learner.env.observe(rows_of(learner)))
-    large = values[:, learner.sizes.own_column("L")] == 1.0
-    small_before = policy.get_distribution(values[~large]).mode().detach()
-    optimiser = torch.optim.SGD(policy.pi_features_extractor.parameters(), lr=0.1)
-    policy.get_distribution(values[large]).mode().square().sum().backward()
-    optimiser.step()
-    assert torch.equal(policy.get_distribution(values[~large]).mode(), small_before)
-
-
-def test_types_that_are_not_there_are_refused():
-    with pytest.raises(ValueError, match="--per-type needs vehicles of several types"):
-        make(per_type=True)
-    learner = make(team=("SSLL",), per_type=True)
-    agent = PolicyAgent(policy_of(learner))
-    options = {"team": "SSSS*", "physics": "batch", "interactions": "none", **agent.requires}
-    env = swap_v1.parallel_env(**options)
-    with pytest.raises(ValueError, match=r"trained for vehicles S, L, but the team has S\*"):
-        fly_episode(env, agent, seed=0)
+@pytest.mark.parametrize("kind", NETWORKS)
+def test_training_begins_as_another_policy(kind):
+    first: Network = actor_of(kind).network()
+    torch.manual_seed(2)
+    second = Actor(SIZES, (9, 7), 3, NETWORKS[kind], "relu")
+    assert not np.array_equal(second.network().layers[0][0], first.layers[0][0])
+    second.fill(first)
+    assert np.array_equal(second.network()(values_of(), SIZES), first(values_of(), SIZES))
+    with pytest.raises(ValueError, match="the policy to start from has layers"):
+        Actor(SIZES, (9, 8), 3, NETWORKS[kind], "relu").fill(first)

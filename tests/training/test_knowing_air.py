@@ -21,7 +21,7 @@ from tests.helpers.interrupts import calls_of
 
 def test_an_interrupted_study_resumes_with_the_same_results(tmp_path, monkeypatch):
     monkeypatch.setattr(knowing_air, "AIRS", {name: AIRS[name] for name in ("none", "hall")})
-    small = {"environments": 2, "judge_episodes": 1, "hidden": (8,), "set_hidden": (8,)}
+    small = {"environments": 2, "evaluation_episodes": 1, "hidden": (8,), "set_hidden": (8,)}
     monkeypatch.setattr(knowing_air, "RECIPE", {**knowing_air.RECIPE, **small})
     study = AirStudy(out=tmp_path / "study", task=["sprint"], seeds=[0], steps=120, episodes=2)
     with calls_of(knowing_air, "train_policy", killed_at=3), pytest.raises(KeyboardInterrupt):

@@ -27,9 +27,9 @@ from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import parse_team
 
 TINY = [
-    *("--drones", "2", "--environments", "8", "--n-steps", "8", "--batch-size", "64"),
-    *("--hidden", "8", "--steps", "256", "--judge-episodes", "2", "--num-neighbors", "1"),
-    *("--interactions", "none", "--n-epochs", "1", "--no-tensorboard", "--no-progress"),
+    *("--drones", "2", "--environments", "8", "--set", "n_steps=8", "batch_size=64", "n_epochs=1"),
+    *("--hidden", "8", "--steps", "256", "--evaluation-episodes", "2", "--num-neighbors", "1"),
+    *("--interactions", "none", "--no-progress"),
 ]
 
 
@@ -39,11 +39,10 @@ def options(**given) -> RlConfig:
 
 def test_what_is_not_given_is_the_recipes():
     ring, swap = with_recipe(options(), "ring_v1"), with_recipe(options(), "swap_v1")
-    assert (ring.layout, ring.horizon_s, ring.log_std_init) == ("rings", 5.0, np.log(0.2))
-    assert (ring.gamma, swap.gamma) == (0.95, 0.98)
-    assert (swap.layout, swap.horizon_s, swap.log_std_init) == ("random", 3.5, -0.5)
-    given = with_recipe(options(layout="tour", horizon_s=9.0, log_std_init=-1.0), "formation_v1")
-    assert (given.layout, given.horizon_s, given.log_std_init) == ("tour", 9.0, -1.0)
+    assert (ring.layout, ring.horizon_s) == ("rings", 5.0)
+    assert (swap.layout, swap.horizon_s) == ("random", 3.5)
+    given = with_recipe(options(layout="tour", horizon_s=9.0), "formation_v1")
+    assert (given.layout, given.horizon_s) == ("tour", 9.0)
     assert with_recipe(given, "formation_v1") == given
 
 

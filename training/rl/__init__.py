@@ -1,8 +1,7 @@
-"""Reinforcement learning: one policy for all drones, by PPO, MAPPO, SAC or DAgger.
+"""Learning: one policy for all drones, by Stable-Baselines3 or by DAgger.
 
-Order of reading: `run` (a run from its options to its report), `learner` (what the algorithms
-share), `ppo`, `mappo`, `sac` or `dagger`; besides these `rl_config` (options and schedules) and
-`recipes` (what is particular to each task).
+Order of reading: `rl_config` (options), `recipes` (what is particular to each task), `runs` (what
+all runs share), then `sb3` or `dagger` with `labels` and `teachers`; `encoders` has the networks.
 
 Command: `swarm-envs train --out DIR --seed 0`; the page is docs/rl.md.
 """

@@ -1,184 +1,302 @@
 """DAgger in plain torch: a policy imitates teachers in the states to which it brings itself.
 
 Ross et al., "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
-Learning", 2011: the policy flies, a teacher says at every decision what it would have done, and the
-policy is fitted to all that is remembered. At first the teacher flies too, less and less often; a
-third of the environments add noise, from which the policy learns to come back.
+Learning", 2011: the policy flies, a teacher labels every decision with what it would have done, and
+the policy is fitted to all that is remembered. At first the teacher flies too, less and less often;
+a third of the environments add noise, from which the policy learns to come back.
 
 A teacher is any agent, and may be privileged: see `labels`. Parts of a curriculum and sizes of
-teams may have teachers of their own. A checkpoint holds what is remembered too; that of a run's
-end, when nothing is learned any more, holds none.
+teams may have teachers of their own. After each checkpoint new episodes begin, with random numbers
+that follow from the seed and the number of rollouts, so that a run that resumes ends like one that
+was never interrupted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import math
+import time
 from typing import Any
 
 import numpy as np
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
+from tqdm import tqdm
 
+from swarm_envs import __version__
 from swarm_envs.agents.features import FEATURE_SETS
-from swarm_envs.agents.networks import Network
+from swarm_envs.agents.policy import CHECKPOINT, PolicyAgent
+from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import Blueprint
+from swarm_envs.files import claimed, write_json, write_table
+from swarm_envs.training.force_model.export import write_safetensors
+from swarm_envs.training.provenance import check_same, scalar_writer
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
-from swarm_envs.training.rl.learner import Entry, Learner, Watch
 from swarm_envs.training.rl.recipes import recipe_of
 from swarm_envs.training.rl.rl_config import RlConfig
-from swarm_envs.training.shared_policy import SharedPolicyVecEnv
+from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
 
-_MEMORY, _PLACE = "memory.", "memory_place"
-_LARGEST_GRADIENT = 1.0
-_NOISY = 3  # Every so many environments, one flies with noise
+LARGEST_GRADIENT = 1.0
+NOISY = 3  # every so many environments, one flies with noise
+CURVE = "progress.csv"
 
 
-class DaggerLearner(Learner):
-    """A policy in training by DAgger; what its methods are for, see `Learner`."""
+def train_dagger(config: RlConfig, task: str) -> dict[str, Any]:
+    """Train to the end and return the report, which is also written: see `runs.train_policy`."""
+    torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+    with claimed(config.out):
+        dagger = Dagger(make_setting(config, task))
+        try:
+            dagger.resume()
+            dagger.train()
+        finally:
+            dagger.close()
+        report = {
+            "config": result_options(config, task),
+            "steps": dagger.steps,
+            "chosen": dagger.evaluation.best,
+            "last": dagger.evaluation.results[-1],
+            "cpu_s": round(dagger.cpu_s, 1),
+            "wall_s": round(dagger.wall_s, 1),
+            "version": __version__,
+        }
+        write_json(config.out / REPORT, report)
+    return report
 
-    prefix = "networks."
 
-    def __init__(self, config: RlConfig, task: str) -> None:
-        torch.manual_seed(config.seed)
-        super().__init__(config, task)
-        self.networks = Actor(self.spec, self.env.core.mode.width)
-        self.start_from(self.networks.trunks, self.networks.head)
-        self.adam = torch.optim.Adam(self.networks.parameters(), fused=True)
-        size = self.config.dagger.buffer_size
-        widths = {"seen": self.sizes.width, "wanted": self.env.core.mode.width, "weight": 1}
-        self._memory = {name: torch.zeros(size, width) for name, width in widths.items()}
-        self._place, self._filled, self._flown = 0, 0, 0
-        self._rng = np.random.default_rng(config.seed)
+class Memory:
+    """A ring of decisions: features (size, width), labels (size, actions), weights (size, 1)."""
 
-    def make_env(self, blueprints: list[Blueprint], share: int) -> SharedPolicyVecEnv:
-        """The parts of every team's curriculum, each with its share of environments."""
-        parts, counts, taught = [], [], []
-        for blueprint in blueprints:
+    def __init__(self, size: int, width: int, actions: int) -> None:
+        self.parts = [torch.zeros(size, columns) for columns in (width, actions, 1)]
+        self.size, self.place, self.filled = size, 0, 0
+
+    def add(self, *rows: Float32Array) -> None:
+        """Write rows (R, width) of each part over the oldest."""
+        count = len(rows[0])
+        places = torch.from_numpy((self.place + np.arange(count)) % self.size)
+        for part, new in zip(self.parts, rows, strict=True):
+            part[places] = torch.from_numpy(new)
+        self.place = (self.place + count) % self.size
+        self.filled = min(self.filled + count, self.size)
+
+    def draw(self, rng: np.random.Generator, count: int) -> list[Tensor]:
+        """Return a batch of each part."""
+        chosen = torch.from_numpy(rng.integers(self.filled, size=count))
+        return [part[chosen] for part in self.parts]
+
+
+class Dagger:
+    """A policy in training.
+
+    Args:
+        setting: what it trains in.
+
+    Raises:
+        ValueError: a part of the training has no teacher or no environment, or the policy to start
+            from does not fit.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting, self.config = setting, setting.config
+        self.evaluation = Evaluation(setting)
+        self._make_cores()
+        width = self.cores[0].mode.width
+        torch.manual_seed(self.config.seed)
+        sets = self.config.set_hidden if self.config.encoder == "deep-set" else None
+        self.actor = Actor(setting.sizes, self.config.hidden, width, sets)
+        self._start()
+        self.adam = torch.optim.Adam(self.actor.parameters())
+        self.memory = Memory(self.config.dagger.buffer_size, setting.sizes.width, width)
+        self.rollout, self.cpu_s, self.wall_s = 0, 0.0, 0.0
+        self.curve: list[dict[str, Any]] = []
+
+    def _make_cores(self) -> None:
+        """Make the parts of every team's curriculum, each with its environments and teacher."""
+        share = self.config.environments // len(self.setting.blueprints)
+        parts: list[Blueprint] = []
+        counts: list[int] = []
+        taught: list[tuple[str, int]] = []
+        for blueprint in self.setting.blueprints:
             found = recipe_of(blueprint.task.name).parts(blueprint.task, self.config)
             given = [max(1, round(portion * share)) for portion, _ in found.values()]
             counts += [share - sum(given[1:]), *given[1:]]
-            for part, (_, task) in found.items():
-                parts.append(blueprint._replace(task=task))
-                taught.append((part, len(task.team)))
+            parts += [blueprint._replace(task=task) for _, task in found.values()]
+            taught += [(part, len(task.team)) for part, (_, task) in found.items()]
         if min(counts) < 1:
             raise ValueError(
                 f"--environments is {self.config.environments}, but each of {len(counts)} parts of "
                 f"the training needs one or more; give at least {len(counts)}"
             )
         names = teachers_of(self.config.dagger.teacher, taught)
-        self._teachers = [Teacher(n, b) for n, b in zip(names, parts, strict=True)]
-        return SharedPolicyVecEnv(parts, counts, self.config.seed)
+        self.teachers = [Teacher(n, b) for n, b in zip(names, parts, strict=True)]
+        self.cores = [
+            SwarmCore(b.task, b.config, count) for b, count in zip(parts, counts, strict=True)
+        ]
 
-    def fly(self, segment: range, watch: Watch | None = None) -> Entry:
-        """Train for the rollouts of a segment."""
-        config, seed = self.config, self.config.segment_seed(segment)
-        self._rng, self._flown = np.random.default_rng(seed), segment.stop
-        for core in self.env.cores:
-            seed += core.num_envs
+    def _start(self) -> None:
+        if self.config.start is None:
+            return
+        agent = load_agent(self.config.start)
+        if not isinstance(agent, PolicyAgent):
+            raise ValueError(f"--start is {self.config.start!r}, but must be a trained policy")
+        self.actor.fill(agent.policy.network)
+
+    @property
+    def steps(self) -> int:
+        """Decisions of single drones so far."""
+        return self.rollout * self.config.decisions * self.config.dagger.train_freq
+
+    def train(self) -> None:
+        """Train to the end, with checkpoints and evaluations on the way."""
+        config, total = self.config, self.config.rollouts
+        due = {math.ceil((k + 1) * total / config.evaluations) for k in range(config.evaluations)}
+        bar = tqdm(total=total, initial=self.rollout, unit="rollout", disable=not config.progress)
+        with scalar_writer(config.out / "tensorboard") as log, bar:
+            while self.rollout < total:
+                begun = time.process_time(), time.monotonic()
+                end = min(self.rollout + config.checkpoint_rollouts, total)
+                entry = self.fly(end, bar)
+                if due & {*range(end - config.checkpoint_rollouts + 1, end + 1)} or end == total:
+                    entry |= self.evaluation.add(self.actor.network(), self.steps)
+                self.curve.append(entry)
+                self.cpu_s += time.process_time() - begun[0]
+                self.wall_s += time.monotonic() - begun[1]
+                self.save()
+                if log is not None:
+                    log(entry)
+
+    def fly(self, end: int, bar: Any = None) -> dict[str, Any]:
+        """Train up to a rollout from new episodes; return averages over these rollouts."""
+        config = self.config
+        words = np.random.SeedSequence([config.seed, self.rollout]).generate_state(2)
+        self.rng, seed = np.random.default_rng(words), int(words[0]) >> 1
+        for core in self.cores:
             core.reset([seed + e for e in range(core.num_envs)])
-        self.start_counting()
-        for rollout in segment:
-            guided = config.dagger.guided * config.rollouts
-            share = max(0.0, 1.0 - rollout / guided) if guided else 0.0
+            seed += core.num_envs
+        self.ends: list[tuple[bool, bool]] = []  # success and collision of each episode
+        guided = config.dagger.guided * config.rollouts
+        while self.rollout < end:
+            share = max(0.0, 1.0 - self.rollout / guided) if guided else 0.0
             for _ in range(config.dagger.train_freq):
-                self._step(share)
-            rate = config.learning_rate_after(rollout)
-            loss = self._learn(rate)
-            if watch is not None:
-                watch()
-        step = float(segment.stop * config.rollout_steps)
-        return {"step": step, **self.rates(), "learning_rate": rate, "loss": loss}
+                self._decide(share)
+            loss = self._learn()
+            self.rollout += 1
+            success, collision = np.mean(self.ends or [(False, False)], axis=0)
+            if bar is not None:
+                bar.set_postfix_str(f"success {success:.0%}, loss {loss:.3g}", refresh=False)
+                bar.update()
+        return {"step": self.steps, "success": success, "collision": collision, "loss": loss}
 
-    def _step(self, guided: float) -> None:
-        """One decision of every drone: fly it, and remember what the teacher would have done."""
-        seen = [self._features(core) for core in self.env.cores]
-        with torch.no_grad():
-            means = self.networks(torch.from_numpy(np.concatenate(seen))).numpy()
-        first = 0
-        for core, teacher, features in zip(self.env.cores, self._teachers, seen, strict=True):
+    def _decide(self, guided: float) -> None:
+        """Fly one decision of every drone, and remember what the teacher would have done."""
+        for core, teacher in zip(self.cores, self.teachers, strict=True):
+            rows = FEATURE_SETS[self.setting.features].make(core.rows, *core.form[1:])
+            with torch.no_grad():
+                own = self.actor(torch.from_numpy(rows)).numpy()
             wanted, weight = teacher.labels(core, self.config.dagger.avoiding)
-            running = means[first : first + len(features)].reshape(wanted.shape)
-            first += len(features)
-            flies = core.world.drones["active"].reshape(-1) > 0.0
-            rows = (features, wanted, weight)
-            self._remember(*(part.reshape(len(flies), -1)[flies] for part in rows))
-            self._fly(core, self._flown_actions(running, wanted, guided))
+            flies = core.world.drones["active"] > 0.0
+            self.memory.add(rows[flies], wanted[flies], weight[flies])
+            result = core.step(self._flown(own, wanted, guided))
+            ended = result.terminated | result.truncated
+            if ended.any():
+                metrics = core.metrics_of(np.flatnonzero(ended).tolist())
+                self.ends += [(m["success"], m["collided_drones"] > 0) for m in metrics]
+                core.reset(mask=ended)
 
-    def _features(self, core: SwarmCore) -> Float32Array:
-        """(E * N, width) of every drone of a core now."""
-        made = FEATURE_SETS[self.features].make(core.rows, *core.form[1:])
-        return made.reshape(-1, made.shape[-1])
-
-    def _flown_actions(self, own: Float32Array, wanted: Float32Array, guided: float) -> Any:
-        """Of each environment the policy's or the teacher's (E, N, width), with noise in some."""
-        draws = self._rng.random((len(own), 1, 1))
-        noise = self._rng.normal(0.0, self.config.dagger.noise, own.shape)
-        noise[np.arange(len(own)) % _NOISY != 0] = 0.0
+    def _flown(self, own: Float32Array, wanted: Float32Array, guided: float) -> Any:
+        """Return each environment's policy or teacher (E, N, width), with noise in some."""
+        draws = self.rng.random((len(own), 1, 1))
+        noise = self.rng.normal(0.0, self.config.dagger.noise, own.shape)
+        noise[np.arange(len(own)) % NOISY != 0] = 0.0
         return np.clip(np.where(draws < guided, wanted, own) + noise, -1.0, 1.0)
 
-    def _fly(self, core: SwarmCore, actions: Any) -> None:
-        result = core.step(actions)
-        ended = result.terminated | result.truncated
-        if ended.any():
-            for metrics in core.metrics_of(np.flatnonzero(ended).tolist()):
-                self.count(metrics)
-            core.reset(mask=ended)
-
-    def _remember(self, *rows: Float32Array) -> None:
-        """Write rows (R, width) over the oldest."""
-        count, size = len(rows[0]), self.config.dagger.buffer_size
-        places = torch.from_numpy((self._place + np.arange(count)) % size)
-        for held, new in zip(self._memory.values(), rows, strict=True):
-            held[places] = torch.from_numpy(new)
-        self._place = (self._place + count) % size
-        self._filled = min(self._filled + count, size)
-
-    def _learn(self, rate: float) -> float:
-        """Gradient steps on what is remembered; the mean loss."""
+    def _learn(self) -> float:
+        """Take the gradient steps of a rollout; return the mean loss."""
         options, losses = self.config.dagger, []
-        self.adam.param_groups[0]["lr"] = rate
+        cosine = 0.5 + 0.5 * math.cos(math.pi * self.rollout / self.config.rollouts)
+        self.adam.param_groups[0]["lr"] = options.learning_rate * max(cosine, options.last_rate)
         for _ in range(options.gradient_steps):
-            chosen = torch.from_numpy(self._rng.integers(self._filled, size=options.batch_size))
-            seen, wanted, weight = (held[chosen] for held in self._memory.values())
+            seen, wanted, weight = self.memory.draw(self.rng, options.batch_size)
             errors = nn.functional.huber_loss(
-                self.networks(seen), wanted, reduction="none", delta=options.huber
+                self.actor(seen), wanted, reduction="none", delta=options.huber
             )
             loss = (weight * errors).mean()
             self.adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(self.networks.parameters(), _LARGEST_GRADIENT)
+            nn.utils.clip_grad_norm_(self.actor.parameters(), LARGEST_GRADIENT)
             self.adam.step()
             losses.append(float(loss.detach()))
         return float(np.mean(losses))
 
-    def actor(self) -> dict[str, Network]:
-        """The networks whose output is the action."""
-        return self.networks.networks()
+    def save(self) -> None:
+        """Write the checkpoint; that of the end holds no decisions to learn from."""
+        filled = self.memory.filled if self.rollout < self.config.rollouts else 0
+        tensors = {f"actor.{n}": t for n, t in self.actor.state_dict().items()}
+        tensors |= {f"memory.{k}": part[:filled] for k, part in enumerate(self.memory.parts)}
+        for k, state in self.adam.state_dict()["state"].items():
+            tensors |= {f"adam.{k}.{n}": torch.as_tensor(t).clone() for n, t in state.items()}
+        progress = {
+            "config": result_options(self.config, self.setting.task),
+            "rollout": self.rollout,
+            "place": self.memory.place,
+            "evaluations": self.evaluation.results,
+            "curve": self.curve,
+            "cpu_s": self.cpu_s,
+            "wall_s": self.wall_s,
+        }
+        metadata = {"progress": json.dumps(progress, allow_nan=False)}
+        write_safetensors(self.config.out / CHECKPOINT, tensors, metadata)
+        names = dict.fromkeys(name for entry in self.curve for name in entry)
+        rows = [{name: entry.get(name, "") for name in names} for entry in self.curve]
+        write_table(self.config.out / CURVE, rows)
 
-    def network(self) -> nn.Module:
-        """The actor alone."""
-        return self.networks
+    def resume(self) -> None:
+        """Continue from the checkpoint of the folder, if there is one.
 
-    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        """Adam."""
-        return {"optimiser.": self.adam}
+        Raises:
+            ValueError: the checkpoint is damaged, or of a run with other options.
+        """
+        path = self.config.out / CHECKPOINT
+        if not path.is_file():
+            return
+        try:
+            with safe_open(path, framework="pt") as file:
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                progress: dict[str, Any] = json.loads((file.metadata() or {})["progress"])
+            made = dict(progress["config"])
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"checkpoint {str(path)!r} is damaged ({error}); delete the folder and train again"
+            ) from error
+        check_same(path, made, result_options(self.config, self.setting.task))
+        self._restore(tensors, progress)
+        tqdm.write(f"resuming at {self.steps:,} steps from the checkpoint in {self.config.out}")
 
-    def tensors(self) -> dict[str, Tensor]:
-        """Weights and Adam's averages; and while it learns, what is remembered."""
-        tensors = super().tensors()
-        if self._flown < self.config.rollouts:
-            held = {_MEMORY + n: part[: self._filled] for n, part in self._memory.items()}
-            tensors |= {**held, _PLACE: torch.tensor(self._place)}
-        return tensors
+    def _restore(self, tensors: dict[str, Tensor], progress: dict[str, Any]) -> None:
+        self.actor.load_state_dict(
+            {n.removeprefix("actor."): t for n, t in tensors.items() if n.startswith("actor.")}
+        )
+        state: dict[int, dict[str, Tensor]] = {}
+        for name in (name for name in tensors if name.startswith("adam.")):
+            _, number, entry = name.split(".")
+            state.setdefault(int(number), {})[entry] = tensors[name]
+        groups = self.adam.state_dict()["param_groups"]
+        self.adam.load_state_dict({"state": state, "param_groups": groups})
+        for k, part in enumerate(self.memory.parts):
+            held = tensors[f"memory.{k}"]
+            part[: len(held)] = held
+            self.memory.filled = len(held)
+        self.memory.place, self.rollout = int(progress["place"]), int(progress["rollout"])
+        self.evaluation = Evaluation(self.setting, progress["evaluations"])
+        self.curve = progress["curve"]
+        self.cpu_s, self.wall_s = progress["cpu_s"], progress["wall_s"]
 
-    def load(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take what `tensors` gave."""
-        super().load(tensors)
-        if _PLACE in tensors:
-            for name, part in self._memory.items():
-                held = tensors[_MEMORY + name]
-                part[: len(held)] = held
-            self._place, self._filled = int(tensors[_PLACE]), len(held)
+    def close(self) -> None:
+        """Free the environments."""
+        for core in self.cores:
+            core.close()

@@ -13,7 +13,6 @@ below others sinks.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -101,8 +100,8 @@ class SwapCurriculum(SwapTask):
 
 
 def swap_curriculum(task: Task, config: RlConfig) -> Task:
-    """The task in which a swap is learned: in the layout `random`, hard starts too if wanted."""
-    if config.layout == "random" and config.hard_starts:
+    """The task in which a swap is learned: in the layout `random`, with hard starts."""
+    if config.layout == "random":
         return SwapCurriculum(
             team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
         )
@@ -190,19 +189,14 @@ class FormationCurriculum(FormationTask):
 
 
 def formation_curriculum(task: Task, config: RlConfig) -> Task:
-    """The task in which formations are learned: the same unless hard starts are wanted."""
-    if not config.hard_starts:
-        return task
+    """The task in which formations are learned."""
     return FormationCurriculum(
         team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
     )
 
 
-_REACH = {"horizon_s": 3.5, "log_std_init": -0.5, "gamma": 0.98}
-"""Defaults where places are to be found: explored widely, rewarded late."""
-_OF_ALGORITHM: Mapping[str, Mapping[str, float]] = {"sac": {"gamma": 0.9}}
-"""Defaults of an algorithm in place of a task's. SAC learns 89 % of random swaps of four drones,
-with a discount factor of 0.98 30 %."""
+_REACH = {"horizon_s": 3.5}
+"""Defaults where places are to be found: failures come early, and the time-out is bootstrapped."""
 _WHOLE_CLOCK: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
 Metrics = Mapping[str, Any]  # `episode_metrics` of one episode
 LOST_M = 0.15
@@ -367,8 +361,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             defaults={
                 "layout": "rings",
                 "horizon_s": 5.0,
-                "log_std_init": math.log(0.2),
-                "gamma": 0.95,
             },
             reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
             features=REFERENCE,
@@ -412,13 +404,12 @@ def with_recipe(config: RlConfig, task: str) -> RlConfig:
     recipe = recipe_of(task)
     seen = 3 if recipe.has_obstacles or config.obstacles else 0  # As many as environments show
     of_task = {"num_obstacles": seen, **recipe.defaults}
-    defaults = {**of_task, **_OF_ALGORITHM.get(config.algo, {})}
-    missing = [k for k in defaults if config.uses(k) and getattr(config, k) is None]
-    whole = replace(config, **{k: defaults[k] for k in missing})
+    missing = [name for name in of_task if getattr(config, name) is None]
+    whole = replace(config, **{name: of_task[name] for name in missing})
     check_name("--layout", whole.layout, recipe.layouts)
     if config.controller is not None:
         controller_of(config.controller)
-    if whole.layout == ALL and config.algo != "dagger":
+    if whole.layout == ALL and not config.imitates:
         single = ", ".join(sorted(set(recipe.layouts) - {ALL}))
         raise ValueError(
             f"all layouts of {task} together are learned by --algo dagger alone; name one by "

@@ -1,19 +1,19 @@
-"""Options of a training run, and its schedules: readable where torch is not installed."""
+"""Options of a training run: readable where torch is not installed."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import tyro
 
 from swarm_envs.agents.features import FEATURE_SETS
 from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, OneOf, Range, Seed, typed
 from swarm_envs.envs.setting import AirOptions
+from swarm_envs.errors import check_name
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
@@ -21,40 +21,14 @@ __all__ = ["RlConfig"]
 
 Share = Annotated[float, Range(0.0, 1.0)]  # A number from 0 to 1
 Rate = Annotated[float, Range(1e-7, 1.0)]  # A small positive number
-
-
-@partial(typed, owner="--sac.")
-@dataclass(frozen=True)
-class SacConfig:
-    """Of `--algo sac`: how often it learns from what it remembers."""
-
-    train_freq: Count = 8
-    """decisions of each drone between two rounds of gradient steps"""
-    gradient_steps: Count = 64
-    """of a round; each takes a batch from all that is remembered"""
-    batch_size: Count = 256
-    """decisions per gradient step"""
-    learning_rate: Rate = 2e-3
-    """of Adam at the start, for actor, critics and temperature; it falls linearly"""
-    last_rate: Rate = 0.1
-    """final learning rate, as a share of the initial one"""
-    lookahead: Count = 3
-    """rewards that are counted before the critic estimates what follows (n-step returns)"""
-    learning_starts: Annotated[int, Range(0)] = 8192
-    """decisions of single drones, drawn at random, before the first gradient step"""
-    buffer_size: Count = 300_000
-    """size of the replay buffer in steps of single drones; checkpoints contain it, 0.6 kB each"""
-    tau: Rate = 0.02
-    """share by which target critics follow the critics at each gradient step"""
-    ent_coef: Rate = 0.02
-    """weight of entropy relative to reward at the start; it is learned. Far above what a decision's
-    reward is, the policy is rewarded for jitter"""
+DAGGER = "dagger"  # The algorithm of `--dagger.*`; others are Stable-Baselines3's
+ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # those that need no import path
 
 
 @partial(typed, owner="--dagger.")
 @dataclass(frozen=True)
 class DaggerConfig:
-    """Of `--algo dagger`: the teachers, and the gradient steps."""
+    """Options of `--algo dagger`: the teachers, and the gradient steps."""
 
     teacher: tuple[str, ...] = ("roundabout",)
     """the teachers: names or files of agents, which may be privileged, each optionally after a
@@ -63,15 +37,15 @@ class DaggerConfig:
     train_freq: Count = 10
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: Count = 12
-    """of a round; each takes a batch from all that is remembered"""
+    """gradient steps of a round; each takes a batch from all that is remembered"""
     batch_size: Count = 1024
     """decisions per gradient step"""
     learning_rate: Rate = 2e-3
-    """of Adam at the start; it falls as a cosine"""
+    """learning rate of Adam at the start; it falls as a cosine"""
     last_rate: Rate = 0.02
     """final learning rate, as a share of the initial one"""
     buffer_size: Count = 400_000
-    """size of the replay buffer in steps of single drones; checkpoints contain it, 0.6 kB each"""
+    """size of the replay buffer in decisions of single drones; checkpoints contain it"""
     guided: Share = 0.125
     """share of the run during which the teacher flies too; its share of the decisions falls from 1
     to 0"""
@@ -88,21 +62,19 @@ class RunOptions:
     """What is trained, and where it is kept: these come first in the help."""
 
     out: Path
-    """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
+    """folder of the run: policy.safetensors, progress.csv, report.json, checkpoints, event files"""
     task: str = "swap"
     """the task, such as `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
-    """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
-    crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`),
-    `stack` for columns (or `sprint`), `all` for pursuit and crowd, by DAgger"""
-    algo: Literal["ppo", "mappo", "sac", "dagger"] = "ppo"
-    """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
-    that sees the whole team; `sac`, soft actor-critic, which learns from every decision often;
-    `dagger`, which imitates another agent where the policy itself has flown"""
+    """the layout of the task; default: `random` for swap (half of the episodes are crowded, a
+    quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`), `stack` for
+    columns (or `sprint`), `all` for pursuit and crowd, by DAgger"""
+    algo: str = "ppo"
+    """the algorithm: `ppo`, `sac` or `td3` of Stable-Baselines3, the import path of another of its
+    algorithms or of sb3-contrib's, such as `sb3_contrib.TQC`, or `dagger`, which imitates another
+    agent where the policy itself has flown; one policy flies all drones"""
     start: str | None = None
-    """a trained policy, by name, file or folder, from which the actor begins"""
-    start_kl: Annotated[float, Range(0.0, 1e4)] = 0.0
-    """weight in the loss of the policy's divergence from that policy (Kullback-Leibler)"""
+    """a trained policy, by name, file or folder, from which DAgger begins"""
     drones: Count | tuple[Count, ...] = 4
     """number of drones; of several numbers, such as `4 8`, each has an equal share of the
     environments; the policy will fly in teams from the smallest to the largest"""
@@ -124,62 +96,28 @@ class RunOptions:
 @partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class RlConfig(AirOptions, RunOptions):
-    """Train one policy for all drones by reinforcement learning.
+    """Train one policy for all drones by Stable-Baselines3, or by DAgger from a teacher.
 
-    Interrupted or killed at any moment, the same command resumes from the last checkpoint, and ends
-    with the policy that an uninterrupted run would have. A finished run is not overwritten.
+    Interrupted or killed at any moment, the same command resumes from the last checkpoint. A
+    finished run is not overwritten.
     """
 
+    set: tuple[str, ...] = ()
+    """arguments of the algorithm of Stable-Baselines3, as NAME=VALUE, such as `learning_rate=3e-4
+    n_steps=64`, in place of the defaults that docs/rl.md lists"""
     environments: Count = 128
     """teams that fly at once, of all sizes together"""
     threads: Count = 2
-    """of the environments; their number changes nothing of what is learned"""
-    n_steps: Count = 32
-    """decisions of each drone between two updates of the policy"""
-    batch_size: Count = 2048
-    """decisions per gradient step"""
-    n_epochs: Count = 5
-    """epochs over each rollout"""
-    learning_rate: Rate = 1e-3
-    """initial learning rate of Adam; it decays linearly"""
-    last_rate: Share = 0.02
-    """final learning rate, as a share of the initial one"""
-    gamma: Share | None = None
-    """discount factor; default: the task's, and 0.9 with `--algo sac`"""
-    gae_lambda: Share = 0.95
-    """lambda of generalised advantage estimation"""
-    clip_range: Annotated[float, Range(1e-3, 1.0)] = 0.2
-    """how far a decision's probability may move per update, as a ratio"""
-    ent_coef: Share = 0.003
-    """weight of the policy's entropy in the loss: keeps it exploring"""
+    """threads of the environments, which do not change the policy"""
+    encoder: Literal["mlp", "deep-set"] = "mlp"
+    """how neighbors are encoded: `mlp`, one after another, nearest first; `deep-set`, each with
+    the drone's own features through a small network, then pooled"""
     hidden: tuple[Count, ...] = (64, 64)
-    """widths of the hidden layers of actor and critic, which share none"""
-    activation: Literal["tanh", "relu"] = "tanh"
-    """what follows every hidden layer of the actor"""
-    encoder: Literal["mlp", "deep-set", "attention"] = "mlp"
-    """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each with
-    the drone's own numbers through a small network, then pooled; `attention`, the same, pooled by
-    weights that are learned"""
-    pooling: Literal["mean", "max", "sum", "max-sum"] = "mean"
-    """of a deep set; `max-sum` is both"""
+    """widths of the hidden layers of the actor"""
     set_hidden: tuple[Count, ...] = (32, 32)
-    """widths of the network that a set gives each neighbour to"""
-    per_type: bool = False
-    """a policy of its own for each type of vehicle in the team"""
-    log_std_init: Annotated[float, Range(-7.0, 2.5)] | None = None
-    """logarithm of the actions' standard deviation at the start; the same in every state, and
-    learned; default: the task's"""
-    second_stage: Annotated[float, Range(0.0, 0.9)] = 0.25
-    """share of the steps that are trained again from what the others gave: with a fresh Adam, and
-    more exploration again; 0 for one stage"""
-    second_rate: Rate = 7e-4
-    """of Adam at the start of the second stage"""
-    second_deviation: Annotated[float, Range(0.0, 10.0)] = 0.3
-    """least standard deviation of actions at its start"""
-
+    """widths of the network to which a deep set gives each neighbor"""
     horizon_s: Annotated[float, Range(0.2, 1000.0, unit="s")] | None = None
-    """time limit of training, s; default: the task's: shorter than the task's, since failures
-    come early; the time-out is bootstrapped"""
+    """time limit of an episode in training, s; default: the task's"""
     action: Literal["acceleration", "velocity", "ctbr", "rotors"] = "acceleration"
     """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust
     and body rates (`ctbr`), or each of the `rotors`; it will fly with this one alone"""
@@ -203,33 +141,20 @@ class RlConfig(AirOptions, RunOptions):
     `air-aware`; the default controller if not given"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    hard_starts: bool = True
-    """with the layout `random`: crowded starts and circles among the episodes"""
     proximity: tuple[Annotated[float, NOT_NEGATIVE], Annotated[float, NOT_NEGATIVE]] = (4.0, 2.0)
-    """cost of being near another drone, from the first quarter to the last of the first stage; too
-    much for too long, and drones hover next to their goals"""
-    crash: Annotated[float, Range(0.0, 1e6)] = 1.0
-    """cost of a collision, which also ends the episode"""
-    time_cost: Annotated[float, Range(0.0, 1e3)] = 0.0
-    """cost of every second until the episode ends"""
-    reward_scale: Annotated[float, Range(1e-6, 1e6)] = 1.0
-    """all rewards times this"""
-
-    checkpoint_rollouts: Count = 20
-    """rollouts between checkpoints"""
-    judge_every: Count = 3
-    """checkpoints between evaluations; the last is always evaluated"""
-    judge_episodes: Count = 256
+    """cost of being near another drone, before and after 37 % of the steps; too much for too long,
+    and drones hover next to their goals"""
+    checkpoint_rollouts: Count = 100
+    """rollouts between two checkpoints of DAgger"""
+    evaluations: Count = 5
+    """number of evaluations, evenly spread; the last one is at the end"""
+    evaluation_episodes: Count = 256
     """episodes of an evaluation, on each layout, on seeds that are the same in every run and never
     trained on; the policy that does best on them is kept"""
-    tensorboard: bool = True
-    """write event files, where the package tensorboard is installed"""
     progress: bool = True
     """show a progress bar"""
-    sac: SacConfig = SacConfig()
-    """only with `--algo sac`: replaces the PPO options above"""
     dagger: DaggerConfig = DaggerConfig()
-    """only with `--algo dagger`: replaces the PPO options above"""
+    """only with `--algo dagger`"""
 
     def __post_init__(self) -> None:
         """Refuse options that do not fit each other."""
@@ -248,7 +173,7 @@ class RlConfig(AirOptions, RunOptions):
                 f"{', '.join(map(str, self.team_sizes))}; give one of them"
             )
         named = [str(team) for team in self.teams]
-        if not named or len(set(named)) < len(named):
+        if not named or len({*named}) < len(named):
             raise ValueError(
                 f"--drones is {self.drones} and --team {self.team}; name teams, each once"
             )
@@ -262,55 +187,34 @@ class RlConfig(AirOptions, RunOptions):
                 f"--most is {self.most}, but must be at least {max(self.team_sizes)}, the largest "
                 "team that is trained"
             )
-        if self.start is None and self.start_kl:
-            raise ValueError("--start-kl was given, but no --start from which to diverge")
 
     def _check_belongs(self) -> None:
-        for name, value in _changed(self):
-            if not self.uses(name):
-                nested = [(f"{name}.{n}", v) for n, v in _changed(value)]
-                named, given = (nested or [(name, value)])[0]
-                raise ValueError(
-                    f"{_option(named)} was given ({given}), but --algo {self.algo} has no such "
-                    "option"
-                )
-            encoders = _OF_ENCODERS.get(name, (self.encoder,))
-            if self.encoder not in encoders:
-                raise ValueError(
-                    f"{_option(name)} was given, but only --encoder {' or '.join(encoders)} has it"
-                )
+        """Refuse algorithms that do not exist, and options that this one does not have."""
+        if "." not in self.algo:
+            check_name("--algo", self.algo, ALGORITHMS)
+        foreign = ("set", "proximity") if self.imitates else ("start", "dagger")
+        for option in fields(self):
+            if option.name in foreign and getattr(self, option.name) != option.default:
+                name = "--dagger.*" if option.name == "dagger" else _option(option.name)
+                raise ValueError(f"{name} was given, but --algo {self.algo} has no such option")
 
     def _check_sizes(self) -> None:
-        teams, size = len(self.team_sizes), self.rollout_steps
+        teams = len(self.team_sizes)
         if self.environments % teams:
             raise ValueError(
                 f"--environments is {self.environments}, but must be a multiple of the {teams} "
                 "teams that fly side by side"
             )
-        if self.on_policy and size % self.batch_size:
+        if self.imitates and self.dagger.batch_size > self.dagger.buffer_size:
             raise ValueError(
-                f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                f"rollout: drones of all environments x --n-steps, such as {size}"
-            )
-        held, batch = self._off_policy.buffer_size, self._off_policy.batch_size
-        if not self.on_policy and batch > held:
-            raise ValueError(
-                f"--{self.algo}.batch-size is {batch}, but must be at most {held}, the "
-                f"--{self.algo}.buffer-size that it is drawn from"
+                f"--dagger.batch-size is {self.dagger.batch_size}, but must be at most "
+                f"{self.dagger.buffer_size}, the --dagger.buffer-size that it is drawn from"
             )
 
     @property
-    def on_policy(self) -> bool:
-        """Whether each decision is learned from once, after its rollout: with stages and clips."""
-        return self.algo in ("ppo", "mappo")
-
-    @property
-    def _off_policy(self) -> SacConfig | DaggerConfig:
-        return self.sac if self.algo == "sac" else self.dagger
-
-    def uses(self, option: str) -> bool:
-        """Whether the run's algorithm depends on an option."""
-        return option not in _FOREIGN[self.algo]
+    def imitates(self) -> bool:
+        """Whether the algorithm is DAgger."""
+        return self.algo == DAGGER
 
     @property
     def teams(self) -> tuple[dict[str, Any], ...]:
@@ -329,83 +233,15 @@ class RlConfig(AirOptions, RunOptions):
         return self.drones if isinstance(self.drones, tuple) else (self.drones,)
 
     @property
-    def rollout_steps(self) -> int:
-        """Decisions of single drones in a rollout."""
-        decisions = self.n_steps if self.on_policy else self._off_policy.train_freq
-        return self.environments // len(self.team_sizes) * sum(self.team_sizes) * decisions
+    def decisions(self) -> int:
+        """Decisions of single drones at one decision of all environments."""
+        return self.environments // len(self.team_sizes) * sum(self.team_sizes)
 
     @property
     def rollouts(self) -> int:
-        """Rollouts of the whole run."""
-        return math.ceil(self.steps / self.rollout_steps)
-
-    @property
-    def first_stage(self) -> int:
-        """Rollouts of the first stage."""
-        share = self.second_stage if self.on_policy else 0.0
-        return max(1, self.rollouts - round(share * self.rollouts))
-
-    def segments(self) -> list[range]:
-        """The rollouts between checkpoints; none belongs to both stages."""
-        found = []
-        for first, last in ((0, self.first_stage), (self.first_stage, self.rollouts)):
-            for begin in range(first, last, self.checkpoint_rollouts):
-                found.append(range(begin, min(begin + self.checkpoint_rollouts, last)))
-        return found
-
-    def segment_seed(self, segment: range) -> int:
-        """Seed of a segment's episodes and draws: the run's, and the segment's place."""
-        words = np.random.SeedSequence([self.seed, segment.start]).generate_state(1)
-        return int(words[0]) >> 1
-
-    def learning_rate_after(self, rollouts: int) -> float:
-        """Adam's rate: it falls linearly over each stage, or over the whole run of SAC.
-
-        Of DAgger it falls as a cosine.
-        """
-        if not self.on_policy:
-            start, last = self._off_policy.learning_rate, self._off_policy.last_rate
-            done = rollouts / self.rollouts
-            if self.algo == "dagger":
-                done = 0.5 - 0.5 * math.cos(math.pi * done)
-        elif rollouts < self.first_stage:
-            start, done, last = self.learning_rate, rollouts / self.first_stage, self.last_rate
-        else:
-            done = (rollouts - self.first_stage) / max(self.rollouts - self.first_stage, 1)
-            start, last = self.second_rate, self.last_rate
-        return start * max(1.0 - done, last)
-
-    def proximity_weight_after(self, rollouts: int) -> float:
-        """Weight of the term `proximity`, a cost: it changes in the middle of the first stage."""
-        first, last = self.proximity
-        share = np.clip(2.0 * rollouts / self.first_stage - 0.5, 0.0, 1.0)
-        return -self.reward_scale * float(first + share * (last - first))
+        """Rollouts of a run of DAgger."""
+        return math.ceil(self.steps / (self.decisions * self.dagger.train_freq))
 
 
 def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
-
-
-def _changed(settings: object) -> list[tuple[str, Any]]:
-    """Fields of settings that are not their defaults; none of what is no dataclass."""
-    if not is_dataclass(settings):
-        return []
-    given = ((field, getattr(settings, field.name)) for field in fields(settings))
-    return [(field.name, value) for field, value in given if value != field.default]
-
-
-_ON_POLICY = (
-    *("n_steps", "batch_size", "n_epochs", "learning_rate", "last_rate", "gae_lambda"),
-    *("clip_range", "ent_coef", "log_std_init", "second_stage", "second_rate"),
-    "second_deviation",
-)
-_REWARDS = ("gamma", "proximity", "crash", "time_cost", "reward_scale")
-_FOREIGN = {
-    "ppo": ("sac", "dagger"),
-    "mappo": ("sac", "dagger"),
-    "sac": (*_ON_POLICY, "start", "start_kl", "activation", "dagger"),
-    "dagger": (*_ON_POLICY, "start_kl", *_REWARDS, "sac"),
-}
-"""Options that an algorithm has not."""
-_OF_ENCODERS = {"pooling": ("deep-set",), "set_hidden": ("deep-set", "attention")}
-"""Encoders that have an option."""

@@ -1,0 +1,187 @@
+"""What runs of all algorithms share: environments, evaluation, and the files of a folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+from swarm_envs.agents.features import FEATURE_SETS, FULL, TYPES, FeatureSizes
+from swarm_envs.agents.networks import Network
+from swarm_envs.agents.policy import FILE, Policy, PolicyNote, senses, write_policy
+from swarm_envs.envs.options import Blueprint, batch_of
+from swarm_envs.training.provenance import check_same, json_ready
+from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy, recipe_of, with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
+
+REPORT = "report.json"  # the file of a finished run
+_NO_RESULT = ("out", "json", "progress", "threads")  # options that do not change the policy
+
+
+class Setting(NamedTuple):
+    """What a run trains in, and what its policy observes."""
+
+    config: RlConfig  # with the task's defaults
+    task: str  # versioned name
+    blueprints: list[Blueprint]  # of each team
+    features: str  # name of the features
+    sizes: FeatureSizes  # their sizes
+    types: tuple[str, ...]  # types of vehicles, if they are features
+
+    def note(self) -> PolicyNote:
+        """Return what the policy is trained for."""
+        config = self.config
+        return PolicyNote(
+            self.task,
+            max(config.team_sizes) if config.most is None else config.most,
+            config.action,
+            config.decision_rate,
+            config.num_neighbors,
+            features=self.features,
+            types=self.types,
+            fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
+            activation="relu" if config.imitates else "tanh",
+            num_obstacles=config.num_obstacles or 0,
+            observe_load=bool(config.observe_load),
+            observe_force=config.observe_force,
+            controller=config.controller or "",
+        )
+
+
+def make_setting(config: RlConfig, task: str) -> Setting:
+    """Return the setting of a run.
+
+    Raises:
+        ValueError: an option has an impossible value.
+    """
+    config = with_recipe(config, task)
+    blueprints = [training_blueprint(config, task, team) for team in config.teams]
+    present = {vehicle.token for found in blueprints for vehicle in found.task.team}
+    flown, recipe = tuple(token for token in TYPES if token in present), recipe_of(task)
+    form = (config.num_neighbors, *senses_of(config))
+    features = recipe.features_of_types if len(flown) > 1 else recipe.features
+    features = config.features or (FULL if any(form[1:]) else features)
+    sizes = FEATURE_SETS[features].sizes(*form)
+    return Setting(config, task, blueprints, features, sizes, flown if sizes.typed else ())
+
+
+def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> Blueprint:
+    """Return what a team, one of `config.teams`, trains in: the task's curriculum.
+
+    Raises:
+        ValueError: an option has an impossible value.
+    """
+    recipe = recipe_of(task)
+    found = batch_of(
+        task,
+        **recipe.layouts[str(config.layout)],
+        **team,
+        reward_weights=recipe.reward_weights,
+        interactions=config.interactions,
+        action=config.action,
+        decision_rate=config.decision_rate,
+        force_rate=config.force_rate,
+        num_neighbors=config.num_neighbors,
+        horizon_s=config.horizon_s,
+        threads=config.threads,
+        **senses(*senses_of(config), config.controller),
+        **config.air(),
+    )
+    flown = recipe.curriculum(found.task, config)
+    clock = config.horizon_s or flown.episode_s
+    weights = dict(flown.reward_weights)
+    for name in recipe.reward_weights.keys() & {"at_goal", "tracking"}:
+        weights[name] = weights[name] / clock  # the task counts these by the second
+    return found._replace(task=replace(flown, reward_weights=weights))
+
+
+def senses_of(config: RlConfig) -> tuple[int, bool, bool]:
+    """Return what a policy observes besides neighbors: M, and whether loads and forces."""
+    return config.num_obstacles or 0, bool(config.observe_load), config.observe_force
+
+
+class Evaluation:
+    """Evaluates the policies of a run, and keeps the best one in its folder.
+
+    Args:
+        setting: of the run.
+        results: of earlier evaluations of the run, when it is resumed.
+    """
+
+    def __init__(self, setting: Setting, results: list[dict[str, float]] | None = None) -> None:
+        self.setting, self.results = setting, results or []
+
+    def add(self, network: Network, steps: int) -> dict[str, float]:
+        """Evaluate a network after so many steps; return the averages of its measures."""
+        config, task = self.setting.config, self.setting.task
+        recipe = recipe_of(task)
+        policy = Policy(self.setting.note(), network, {})
+        rates = evaluate_policy(
+            policy,
+            task,
+            recipe.evaluation_layouts(str(config.layout)),
+            choosing_seeds(config.evaluation_episodes),
+            {"interactions": config.interactions, "force_rate": config.force_rate, **config.air()},
+            config.teams,
+        )
+        before = [recipe.quality(result) for result in self.results]
+        self.results.append({"step": float(steps), **rates})
+        if not before or recipe.quality(rates) >= max(before):
+            about = {"config": result_options(config, task), "steps": steps, "chosen_by": rates}
+            write_policy(config.out / FILE, replace(policy, provenance=about))
+        return rates
+
+    @property
+    def best(self) -> dict[str, float]:
+        """Result of the policy that was kept."""
+        quality = recipe_of(self.setting.task).quality
+        return max(reversed(self.results), key=quality)
+
+
+def result_options(config: RlConfig, task: str) -> dict[str, Any]:
+    """Return what the policy depends on, ready for JSON."""
+    config = with_recipe(config, task)
+    foreign = ("set", "proximity") if config.imitates else ("start", "dagger")
+    names = [f.name for f in fields(config) if f.name not in (*_NO_RESULT, *foreign)]
+    options = {name: getattr(config, name) for name in names}
+    ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
+    return ready
+
+
+def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
+    """Return the report of the same run, if it has ended; None if there is none.
+
+    Raises:
+        ValueError: the folder holds the report of another run, or what is no report.
+    """
+    path = config.out / REPORT
+    if not path.is_file():
+        return None
+    try:
+        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        made = dict(report["config"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{str(path)!r} is no report of a training run ({error}); choose another folder"
+        ) from error
+    check_same(path, made, result_options(config, task))
+    return report
+
+
+def train_policy(config: RlConfig, task: str) -> dict[str, Any]:
+    """Train to the end and return the report, which is also written.
+
+    Raises:
+        BlockingIOError: another process writes into the folder.
+        ImportError: Stable-Baselines3 is not installed.
+        OSError: the folder cannot be written.
+        ValueError: the folder holds another run, or a damaged one.
+    """
+    if config.imitates:
+        from swarm_envs.training.rl.dagger import train_dagger
+
+        return train_dagger(config, task)
+    from swarm_envs.training.rl.sb3 import train_sb3
+
+    return train_sb3(config, task)

@@ -1,0 +1,275 @@
+"""Training by an algorithm of Stable-Baselines3, as it is: all drones share one policy.
+
+`SharedPolicyVecEnv` makes every drone of every environment a sub-environment. One callback follows
+two schedules that PPO needs to learn to pass close to others; another evaluates the policy and
+keeps the best. The logger, checkpoints and resuming are Stable-Baselines3's.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from torch import nn
+from tqdm import tqdm
+
+from swarm_envs import __version__
+from swarm_envs.agents.networks import Network
+from swarm_envs.files import claimed, write_json
+from swarm_envs.training.provenance import check_same
+from swarm_envs.training.rl.encoders import SetExtractor, linear_layers
+from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
+from swarm_envs.training.shared_policy import SharedPolicyVecEnv
+
+SECOND_STAGE = 0.75
+"""Fraction of the steps from which on PPO explores more again."""
+LEAST_DEVIATION = 0.3  # of actions, when the second stage of PPO begins
+CLOSER = 0.37  # fraction of the steps from which on proximity costs less
+RUN, CHECKPOINTS = "run.json", "checkpoints"  # a begun run: its options, its models
+
+OFF_POLICY: dict[str, Any] = {
+    "learning_rate": 1e-3,
+    "buffer_size": 300_000,
+    "learning_starts": 8192,
+    "batch_size": 1024,
+    "gamma": 0.9,
+    "tau": 0.02,
+    "train_freq": 8,
+    "gradient_steps": 64,
+}
+"""Defaults of `sac` and `td3`. With a discount factor of 0.98 SAC learns far less."""
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "ppo": {
+        "n_steps": 32,
+        "batch_size": 2048,
+        "n_epochs": 5,
+        "gamma": 0.98,
+        "ent_coef": 0.003,
+    },
+    "sac": {**OFF_POLICY, "ent_coef": "auto_0.02"},
+    "td3": OFF_POLICY,
+}
+"""Arguments of each algorithm by its name; others have Stable-Baselines3's own defaults."""
+CLASSES = {name: f"stable_baselines3.{name.upper()}" for name in DEFAULTS}
+
+
+def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
+    """Train to the end and return the report, which is also written: see `runs.train_policy`."""
+    torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+    setting = make_setting(config, task)
+    algorithm, arguments = algorithm_of(config.algo), arguments_of(setting)
+    with claimed(config.out):
+        begun = time.process_time(), time.monotonic()
+        env = SharedPolicyVecEnv(
+            setting.blueprints,
+            config.environments // len(setting.blueprints),
+            config.seed,
+            features=setting.features,
+        )
+        model, evaluation = _begin(algorithm, arguments, env, setting)
+        outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
+        model.set_logger(configure(str(config.out), outputs))
+        with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
+            callbacks: list[BaseCallback] = [Watch(bar), EvaluationCallback(evaluation)]
+            folder, every = config.out / CHECKPOINTS, -(-config.steps // config.evaluations)
+            callbacks.append(CheckpointCallback(max(every // env.num_envs, 1), str(folder)))
+            if isinstance(model, OnPolicyAlgorithm):
+                callbacks.append(Schedules(setting))
+            remaining = config.steps - model.num_timesteps
+            try:
+                model.learn(max(remaining, 0), callbacks, reset_num_timesteps=False)
+            finally:
+                model.logger.close()
+                env.close()
+        evaluation.add(network_of(model), model.num_timesteps)
+        report = {
+            "config": result_options(config, task),
+            "steps": model.num_timesteps,
+            "chosen": evaluation.best,
+            "last": evaluation.results[-1],
+            "cpu_s": round(time.process_time() - begun[0], 1),
+            "wall_s": round(time.monotonic() - begun[1], 1),
+            "version": __version__,
+        }
+        write_json(config.out / REPORT, report)
+    return report
+
+
+def algorithm_of(name: str) -> type[BaseAlgorithm]:
+    """Return the class of an algorithm: `ppo`, `sac`, `td3` or an import path.
+
+    Raises:
+        ValueError: there is no such class, or it is no algorithm of Stable-Baselines3.
+    """
+    module, _, part = CLASSES.get(name, name).rpartition(".")
+    valid = f"{', '.join(CLASSES)}, dagger, or an import path such as sb3_contrib.TQC"
+    try:
+        found = getattr(importlib.import_module(module), part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"--algo is {name!r}, but must be one of {valid} ({error})") from error
+    if not (isinstance(found, type) and issubclass(found, BaseAlgorithm)):
+        raise ValueError(f"--algo is {name!r}, which is no algorithm; it must be one of {valid}")
+    return found
+
+
+def arguments_of(setting: Setting) -> dict[str, Any]:
+    """Return the arguments of the algorithm's class: our defaults, then those of `--set`.
+
+    Raises:
+        ValueError: an entry of `--set` is not NAME=VALUE.
+    """
+    config = setting.config
+    policy: dict[str, Any] = {"net_arch": [*config.hidden], "activation_fn": nn.Tanh}
+    arguments = dict(DEFAULTS.get(config.algo, {}))
+    if config.algo == "ppo":
+        arguments["learning_rate"] = falling_rate
+        policy |= {"log_std_init": -0.5, "optimizer_kwargs": {"eps": 1e-5}}
+    if config.encoder == "deep-set":
+        policy["features_extractor_class"] = SetExtractor
+        policy["features_extractor_kwargs"] = {
+            "sizes": setting.sizes,
+            "widths": config.set_hidden,
+            "activation": "tanh",
+        }
+        policy["share_features_extractor"] = False
+    for entry in config.set:
+        name, equals, value = entry.partition("=")
+        if not (name.isidentifier() and equals):
+            raise ValueError(f"--set has {entry!r}, but must have NAME=VALUE, as in n_steps=64")
+        try:
+            arguments[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            arguments[name] = value  # a word, such as auto
+    return {"policy_kwargs": policy, "seed": config.seed, "device": "cpu", **arguments}
+
+
+def falling_rate(remaining: float) -> float:
+    """Return PPO's learning rate: it falls from 1e-3, and in the second stage from 7e-4."""
+    done = 1.0 - remaining
+    if done < SECOND_STAGE:
+        return 1e-3 * max(1.0 - done / SECOND_STAGE, 0.02)
+    return 7e-4 * max(remaining / (1.0 - SECOND_STAGE), 0.02)
+
+
+def _begin(
+    algorithm: type[BaseAlgorithm], arguments: dict[str, Any], env: Any, setting: Setting
+) -> tuple[BaseAlgorithm, Evaluation]:
+    """Return a new model, or that of the last checkpoint, and the evaluations before it.
+
+    Raises:
+        ValueError: the folder holds a run with other options, or the class refuses an argument.
+    """
+    config, path = setting.config, setting.config.out / RUN
+    options = result_options(config, setting.task)
+    models = sorted((config.out / CHECKPOINTS).glob("*.zip"), key=_steps_of)
+    if path.is_file() and models:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        check_same(path, content["config"], options)
+        model = algorithm.load(models[-1], env=env, device="cpu")  # a pickle of this run's own
+        tqdm.write(f"resuming at {model.num_timesteps:,} steps from {models[-1]}")
+        kept = [e for e in content["evaluations"] if e["step"] <= model.num_timesteps]
+        return model, Evaluation(setting, kept)
+    write_json(path, {"config": options, "evaluations": []})
+    try:
+        return algorithm("MlpPolicy", env, **arguments), Evaluation(setting)
+    except TypeError as error:
+        raise ValueError(f"--algo {config.algo} refuses its arguments: {error}") from error
+
+
+def _steps_of(path: Path) -> int:
+    """Return the steps in the name of a checkpoint, `rl_model_<steps>_steps.zip`."""
+    return int(path.stem.split("_")[-2])
+
+
+class Watch(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
+    """Moves a progress bar, and logs how training episodes end."""
+
+    def __init__(self, bar: Any) -> None:
+        super().__init__()
+        self._bar = bar
+
+    def _on_step(self) -> bool:
+        ends = [i["episode_metrics"] for i in self.locals["infos"] if "episode_metrics" in i]
+        for metrics in ends:
+            self.logger.record_mean("rollout/success", float(metrics["success"]))
+            self.logger.record_mean("rollout/collision", float(metrics["collided_drones"] > 0))
+        self._bar.n = min(self.num_timesteps, self._bar.total)
+        self._bar.update(0)
+        return True
+
+
+class Schedules(BaseCallback):  # type: ignore[misc]
+    """The cost of proximity, which falls, and the second stage of PPO, which explores again."""
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__()
+        self._steps, self._proximity = setting.config.steps, setting.config.proximity
+        self._explored = False
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        done, policy = self.num_timesteps / self._steps, self.model.policy
+        for core in self.training_env.cores:
+            core.set_reward_weights({"proximity": -self._proximity[done > CLOSER]})
+        if done >= SECOND_STAGE and not self._explored and hasattr(policy, "log_std"):
+            policy.log_std.data.clamp_(min=float(np.log(LEAST_DEVIATION)))
+            self._explored = True
+
+
+class EvaluationCallback(BaseCallback):  # type: ignore[misc]
+    """Evaluates the policy at equal distances, and logs the averages."""
+
+    def __init__(self, evaluation: Evaluation) -> None:
+        super().__init__()
+        self._evaluation = evaluation
+
+    def _on_step(self) -> bool:
+        config, results = self._evaluation.setting.config, self._evaluation.results
+        due = (len(results) + 1) * config.steps / config.evaluations
+        if due <= self.num_timesteps < config.steps:
+            rates = self._evaluation.add(network_of(self.model), self.num_timesteps)
+            for name, value in rates.items():
+                self.logger.record(f"evaluation/{name}", value)
+            options = result_options(config, self._evaluation.setting.task)
+            write_json(config.out / RUN, {"config": options, "evaluations": results})
+        return True
+
+
+def network_of(model: BaseAlgorithm) -> Network:
+    """Return the mean action of a model of Stable-Baselines3 as a network in numpy.
+
+    Raises:
+        ValueError: the model's actor has another form than PPO's, SAC's or TD3's.
+    """
+    policy: Any = model.policy
+    if hasattr(policy, "action_net"):
+        extractor = policy.pi_features_extractor
+        layers = linear_layers(policy.mlp_extractor.policy_net, policy.action_net)
+    elif hasattr(policy, "actor"):
+        extractor, actor = policy.actor.features_extractor, policy.actor
+        parts = [actor.latent_pi] if hasattr(actor, "latent_pi") else []
+        width = model.action_space.shape[0]
+        # The last tanh is a hidden activation, when the identity follows as another layer.
+        identity = (np.eye(width, dtype=np.float32), np.zeros(width, np.float32))
+        layers = (*linear_layers(*parts, actor.mu), identity)
+    else:
+        raise ValueError(
+            f"{type(model).__name__} has no actor that can be written as a policy file; fly it in "
+            "Python by swarm_envs.agents.from_model"
+        )
+    phi = linear_layers(extractor.encoder.phi) if isinstance(extractor, SetExtractor) else None
+    return Network(layers, phi, "tanh")
