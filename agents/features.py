@@ -414,11 +414,6 @@ class FeatureSizes(NamedTuple):
         """Numbers altogether."""
         return self.own + self.neighbor * self.num_neighbors
 
-    def own_column(self, token: str) -> int:
-        """Which of its own numbers is 1 where a drone is of a type, else 0."""
-        assert self.own_type is not None
-        return self.own_type + TYPES.index(token)
-
     def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""
         shape = (*values.shape[:-1], self.num_neighbors, self.neighbor)

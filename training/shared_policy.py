@@ -125,14 +125,6 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """Observations of a core's rows (..., width): in its form, or as features."""
         return self._shape(rows)
 
-    @property
-    def waiting(self) -> Any:
-        """What a drone observes that has ended and waits for its team: zeros, or their features.
-
-        No drone that flies observes this: the attitude of a row is a rotation.
-        """
-        return _row(self.observe(np.zeros((1, self.core.rows.shape[-1]), np.float32)), 0)
-
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed the next reset: environment e by `seed` + e; every drone of it alike.
 
