@@ -15,6 +15,8 @@ from swarm_envs.training.provenance import check_same, json_ready
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy, recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 
+__all__ = ["finished_report", "train_policy"]
+
 REPORT = "report.json"  # the file of a finished run
 _NO_RESULT = ("out", "json", "progress", "threads")  # options that do not change the policy
 
