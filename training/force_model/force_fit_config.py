@@ -17,7 +17,7 @@ from swarm_envs.arguments import (
 )
 from swarm_envs.training.flight_logs.log_options import LogOptions
 
-__all__ = ["FitConfig", "TrainConfig"]
+__all__ = ["REPORTS", "FitConfig", "TrainConfig"]
 
 
 @typed_options
