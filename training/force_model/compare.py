@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from scipy.stats import bootstrap
+from scipy import stats
 from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
@@ -130,7 +130,7 @@ def paired_difference(
     """
     index = np.unique(flight, return_inverse=True)[1].reshape(-1)
     total, count = np.bincount(index, one - other), np.bincount(index)
-    found = bootstrap(
+    found = stats.bootstrap(
         (total, count),
         lambda totals, counts, axis: totals.sum(axis) / counts.sum(axis),
         paired=True,

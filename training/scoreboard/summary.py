@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import bootstrap
+from scipy import stats
 from tqdm import tqdm
 
 from swarm_envs.agents.evaluation import CONFIDENCE, RESAMPLES
@@ -65,7 +65,7 @@ def aggregate(scores: Sequence[FloatArray]) -> dict[str, Any]:
         return np.stack([mean, *_shares_above(values, weights)])
 
     value, *fraction = statistics(*parts).tolist()
-    result = bootstrap(
+    result = stats.bootstrap(
         parts,
         statistics,
         n_resamples=RESAMPLES,
