@@ -154,14 +154,14 @@ class Dagger:
     def train(self) -> None:
         """Train to the end, with checkpoints and evaluations on the way."""
         config, total = self.config, self.config.rollouts
-        due = {math.ceil((k + 1) * total / config.evaluations) for k in range(config.evaluations)}
+        due = [math.ceil((k + 1) * total / config.evaluations) for k in range(config.evaluations)]
         bar = tqdm(total=total, initial=self.rollout, unit="rollout", disable=not config.progress)
         with scalar_writer(config.out / "tensorboard") as log, bar:
             while self.rollout < total:
-                begun = time.process_time(), time.monotonic()
-                end = min(self.rollout + config.checkpoint_rollouts, total)
+                begun, first = (time.process_time(), time.monotonic()), self.rollout
+                end = min(first + config.checkpoint_rollouts, total)
                 entry = self.fly(end, bar)
-                if due & {*range(end - config.checkpoint_rollouts + 1, end + 1)} or end == total:
+                if any(first < rollout <= end for rollout in due):
                     entry |= self.evaluation.add(self.actor.network(), self.steps)
                 self.curve.append(entry)
                 self.cpu_s += time.process_time() - begun[0]

@@ -216,18 +216,21 @@ class Schedules(BaseCallback):  # type: ignore[misc]
     def __init__(self, setting: Setting) -> None:
         super().__init__()
         self._steps, self._proximity = setting.config.steps, setting.config.proximity
-        self._explored = False
+        self._done = 0.0  # fraction of the steps at the last rollout
 
     def _on_step(self) -> bool:
         return True
+
+    def _on_training_start(self) -> None:
+        self._done = self.num_timesteps / self._steps  # above 0 if the run is resumed
 
     def _on_rollout_start(self) -> None:
         done, policy = self.num_timesteps / self._steps, self.model.policy
         for core in self.training_env.cores:
             core.set_reward_weights({"proximity": -self._proximity[done > CLOSER]})
-        if done >= SECOND_STAGE and not self._explored and hasattr(policy, "log_std"):
+        if self._done < SECOND_STAGE <= done and hasattr(policy, "log_std"):
             policy.log_std.data.clamp_(min=float(np.log(LEAST_DEVIATION)))
-            self._explored = True
+        self._done = done
 
 
 class EvaluationCallback(BaseCallback):  # type: ignore[misc]
