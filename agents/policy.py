@@ -59,13 +59,6 @@ MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
 LARGEST = 1e4  # No weight of a policy that was trained comes near it; one beyond it was damaged
 
 
-_CONTROLLERS = {
-    "air-blind-adaptive": "air-blind+adaptive",
-    "tracking-compensated-adaptive": "tracking+compensated+adaptive",
-}
-"""Names of controllers in the files of shipped policies, where the agent has another name."""
-
-
 @dataclass(frozen=True)
 class PolicyNote:
     """What a policy was trained for, and so where alone it may fly."""
@@ -121,13 +114,12 @@ class PolicyNote:
     @property
     def requires(self) -> dict[str, Any]:
         """Options of the environment without which it cannot act."""
-        controller = _CONTROLLERS.get(self.controller, self.controller)
         return {
             "action": self.action,
             "decision_rate": self.decision_rate,
             "observation": "flat",
             "num_neighbors": self.num_neighbors,
-            **senses(self.num_obstacles, self.observe_load, self.observe_force, controller),
+            **senses(self.num_obstacles, self.observe_load, self.observe_force, self.controller),
         }
 
     @property
