@@ -21,7 +21,7 @@ from swarm_envs.commands.checks import (
     output_files,
 )
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.setting import CrewOptions, NumDrones
+from swarm_envs.envs.setting import AirOptions, NumDrones, NumObserved
 from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.tasks.obstacles import parse_obstacles
@@ -62,8 +62,14 @@ class EpisodeFields:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions(CrewOptions, EpisodeFields):
-    """What is flown, and in which air."""
+class EpisodeOptions(AirOptions, EpisodeFields):
+    """Options of the episodes of `fly` and `evaluate`."""
+
+    team: str | None = None
+    """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `S*`
+    small with strong motors. The 2 of `L2S` only separates them: S passes below L"""
+    neighbors: NumObserved | None = None
+    """K, the number of observed neighbors"""
 
     def __post_init__(self) -> None:
         """Refuse two numbers of drones, a layout of another task, and texts that say nothing."""
@@ -80,15 +86,15 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
             )
 
     def setting(self) -> dict[str, Any]:
-        """The options of the environment that were given."""
+        """Return the options of the environment that were given, ready for JSON."""
         drones = self.drones
         if drones is None and task_family(self.task) in ("swap", "ring", "formation"):
             drones = 4
         team = {"num_drones": drones} if self.team is None else {}
         names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
         given = {**team, **{name: getattr(self, name, None) for name in names}}
-        given = {name: value for name, value in given.items() if value is not None}
-        return {**given, **self.crew()}
+        given |= {"team": self.team, "num_neighbors": self.neighbors}
+        return {name: value for name, value in given.items() if value is not None} | self.air()
 
 
 @command_options

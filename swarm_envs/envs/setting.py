@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from swarm_envs.arguments import Range
 
-__all__ = ["AirOptions", "CrewOptions", "NumDrones"]
+__all__ = ["AirOptions", "NumDrones"]
 
 NumDrones = Annotated[int, Range(1, 100_000)]
 """How many drones fly: a batch of environments shares the memory."""
@@ -34,19 +34,3 @@ class AirOptions:
         """Those options of the environment that were given, ready for JSON."""
         names = [field.name for field in fields(AirOptions)]
         return {name: value for name in names if (value := getattr(self, name)) is not None}
-
-
-@dataclass(frozen=True, kw_only=True)
-class CrewOptions(AirOptions):
-    """The same, and those of the team."""
-
-    team: str | None = None
-    """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `S*`
-    small with strong motors. The 2 of `L2S` only separates them: S passes below L"""
-    neighbors: NumObserved | None = None
-    """K, the number of observed neighbors"""
-
-    def crew(self) -> dict[str, Any]:
-        """Those options of the environment that were given, ready for JSON."""
-        given = {"team": self.team, "num_neighbors": self.neighbors}
-        return self.air() | {name: value for name, value in given.items() if value is not None}
