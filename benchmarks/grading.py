@@ -1,4 +1,4 @@
-"""What grading costs beyond `swarm-envs evaluate`: `python -m benchmarks.grading`.
+"""The cost of grading beyond `swarm-envs evaluate`: `python -m benchmarks.grading`.
 
 The swap assignment's starter flies 256 episodes of 8 drones as `evaluate` and as `grade` fly it,
 in turns, each in a process of its own; CPU time of all its processes. Then the grader's and the

@@ -1,4 +1,4 @@
-"""What an import loads and refuses, and which names examples import.
+"""Tests of what an import loads and refuses, and of the names that examples import.
 
 Which module may import which is checked by import-linter (`make lint`).
 """

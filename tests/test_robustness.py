@@ -52,7 +52,7 @@ UNCOMPARED = re.compile(r"^manifest\.json$|\.lock$|partial|\.(png|html|md)$")
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
-    """What commands read: an assignment's files, and rows of a force."""
+    """Return the inputs of commands: an assignment's files, and rows of a force."""
     from swarm_envs.training.interaction_rows import save_rows
 
     folder = tmp_path_factory.mktemp("inputs")

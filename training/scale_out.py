@@ -98,9 +98,9 @@ class Flight:
     timed: int = 0
     """So many of the first seeds are flown one at a time, so that decisions are timed."""
     batched: bool = False
-    """Whether the agent flies many episodes at once."""
+    """True if the agent flies many episodes at once."""
     refusals: bool = False
-    """Whether an episode that the agent refuses counts as one; see `fly_seed`."""
+    """True if an episode that the agent refuses counts as one; see `fly_seed`."""
     version: str = __version__
 
     def chunks(self) -> Iterator[tuple[int, Flight]]:

@@ -45,7 +45,6 @@ __all__ = [
     "default_engine",
     "describe_model",
     "describe_spread",
-    "fly",
     "format_columns",
     "quartiles",
     "run_flights",
@@ -220,10 +219,6 @@ def run_flights(
         metrics=tuple(metrics),
         **arrays,
     )
-
-
-fly = run_flights
-"""The name of `run_flights` in version 0.1."""
 
 
 def _follow_references(

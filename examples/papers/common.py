@@ -1,13 +1,31 @@
-"""Output of all papers' scripts: JSON and CSV files, and a table beside the paper's values."""
+"""Shared parts of the papers' scripts: command line, JSON and CSV files, and tables."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import tyro
+
+
+def run_command(
+    paper: str,
+    commands: Mapping[str, Callable[..., None]],
+    description: str | None,
+    arguments: Sequence[str] | None,
+) -> None:
+    """Read a command line, `python -m examples.papers.PAPER COMMAND ...`, and run its command."""
+    tyro.extras.subcommand_cli_from_dict(
+        dict(commands),
+        prog=f"python -m examples.papers.{paper}",
+        description=description,
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes,),
+    )
 
 
 def write_json(path: Path, content: object) -> None:
@@ -40,7 +58,7 @@ class Row(NamedTuple):
 
     @property
     def difference(self) -> str:
-        """Whether the result agrees with the paper; NaN never does."""
+        """The verdict: the result agrees with the paper, or differs; NaN never agrees."""
         if self.accepted is None:
             return "nothing to compare"
         if self.accepted[0] <= self.result <= self.accepted[1]:

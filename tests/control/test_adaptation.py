@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import FlightTest, run_flights, swap_test
 from swarm_envs.control.config import (
     ControllerConfig,
     Indi,
@@ -67,7 +67,8 @@ def test_the_butterworth_filter_is_down_3_db_at_its_cut_off():
 
 def worst_cm(test: FlightTest, feedforward, adaptation) -> float:
     """Median of the lowest drone's worst height error."""
-    found = fly(test, ControllerConfig(feedforward=feedforward, adaptation=adaptation), range(4))
+    controller = ControllerConfig(feedforward=feedforward, adaptation=adaptation)
+    found = run_flights(test, controller, range(4))
     assert not found.crashed.any()
     return 100.0 * float(np.median(found.worst_height_error[:, -1]))
 

@@ -33,7 +33,7 @@ def build(folder: Path, *sources: str) -> None:
 
 
 def run_program(folder: Path, source: str, rows: np.ndarray) -> np.ndarray:
-    """What a program that includes a header writes for rows, as float32."""
+    """Return what a program that includes a header writes for rows, as float32."""
     (folder / "program.c").write_text(source)
     build(folder, "program.c")
     done = subprocess.run([folder / "program"], input=rows.tobytes(), capture_output=True)

@@ -19,7 +19,7 @@ import tyro
 
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.agent import BELIEFS
-from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, run_flights, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
@@ -211,7 +211,7 @@ def fly_swaps(
     """
     test = swap_test(trial.team, trial.layout, environment)
     test = dataclasses.replace(test, world=trial.world)
-    return fly(test, controller, range(first_seed, first_seed + trial.episodes))
+    return run_flights(test, controller, range(first_seed, first_seed + trial.episodes))
 
 
 def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits: InputRange) -> str:

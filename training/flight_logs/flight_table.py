@@ -29,9 +29,9 @@ class Column(NamedTuple):
     """A column of a flight log."""
 
     unit: str
-    """Of its numbers; `text` for names."""
+    """Unit of its numbers; `text` for names."""
     meaning: str
-    """What it holds."""
+    """Quantity that it holds."""
     low: float = -np.inf
     """Lowest value that is accepted."""
     high: float = np.inf
@@ -73,7 +73,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 TEXT = ("drone", "type")  # Columns that hold names
 OPTIONAL = GROUPS["acceleration"]
 SUFFIXES = (".csv", ".parquet")
-"""How names of logs end, in small letters or capitals."""
+"""Suffixes of logs, in small letters or capitals."""
 MOST_ROWS = 20_000_000  # of a file; ten drones at 1 kHz for half an hour
 
 Columns = Mapping[str, npt.NDArray[Any]]  # Columns by name, each (lines,)

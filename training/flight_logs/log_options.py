@@ -28,7 +28,7 @@ __all__ = ["LogOptions", "held_out_blocks"]
 @typed_options
 @dataclass(frozen=True)
 class LogOptions:
-    """How flight logs become rows, and which rows are held out where files come without marks."""
+    """Options for making rows of flight logs, and for holding rows out."""
 
     rate_hz: Annotated[float, POSITIVE] = 100.0
     """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 Spectral = Literal["clip", "exact", "none"]
-"""What is done about spectral norms: at most, exactly, or nothing."""
+"""Constraints on spectral norms: a bound, an exact value, or none."""
 
 
 @torch.no_grad()

@@ -213,7 +213,7 @@ class RlConfig(AirOptions, RunOptions):
 
     @property
     def imitates(self) -> bool:
-        """Whether the algorithm is DAgger."""
+        """True if the algorithm is DAgger."""
         return self.algo == DAGGER
 
     @property

@@ -1,4 +1,4 @@
-"""What runs of all algorithms share: environments, evaluation, and the files of a folder."""
+"""The parts that runs of all algorithms share: environments, evaluation, files of a folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NO_RESULT = ("out", "json", "progress", "threads")  # options that do not chang
 
 
 class Setting(NamedTuple):
-    """What a run trains in, and what its policy observes."""
+    """The environments that a run trains in, and the observations of its policy."""
 
     config: RlConfig  # with the task's defaults
     task: str  # versioned name

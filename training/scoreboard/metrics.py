@@ -75,7 +75,7 @@ class Metric:
     column: str = ""
     """Of the table of episodes, if it has another name."""
     of_successes: bool = False
-    """Whether only successful episodes count."""
+    """True if only successful episodes count."""
 
 
 METRICS = (

@@ -53,7 +53,7 @@ class Cell:
 
 @dataclass
 class Results:
-    """What a benchmark measured.
+    """The results of a benchmark.
 
     Args:
         about: how it was made: `command`, `seed`, `versions`, `machine`; `tasks` by id and `agents`

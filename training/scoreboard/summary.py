@@ -1,4 +1,4 @@
-"""What a benchmark's results add up to, as JSON, tables of text and Markdown.
+"""Summaries of a benchmark's results, as JSON, tables of text and Markdown.
 
 Scores over the tasks of a family are aggregated as Agarwal et al. propose (Deep reinforcement
 learning at the edge of the statistical precipice, NeurIPS 2021, and its library rliable): the
@@ -26,7 +26,7 @@ __all__ = ["NOTE", "aggregate", "align_columns", "markdown", "standings", "summa
 THRESHOLDS = np.linspace(0.0, 1.0, 51)  # Scores at which profiles are given
 _AT_ONCE = 4_000_000  # Numbers that a bootstrap holds at once
 NOTE = "* sees the true state; (k of n): of the tasks it supports, all where nothing stands"
-"""What the marks in the tables mean."""
+"""Explanation of the marks in the tables."""
 _NOT_FLOWN = {"unsupported": "-", "failed": "failed"}
 
 

@@ -59,9 +59,9 @@ class ScoredTask:
     help: str
     """Description."""
     score: Score
-    """What an episode is scored by."""
+    """The measure that scores an episode."""
     clock_s: float
-    """How long an episode lasts at most, s."""
+    """Longest duration of an episode, s."""
     full_score: tuple[str, float] | None = None
     """Where the score is `own`: the metric that is the task's own score, and what counts as 1."""
     certificate: str

@@ -9,10 +9,9 @@ a picture.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-import tyro
-
+from examples.papers.common import run_command
 from examples.papers.dmpc_swarm.figures import figure_3a, figure_3b, figure_3c, figure_4, losses
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -24,15 +23,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Read the command line and reproduce the figure that it names."""
-    tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="python -m examples.papers.dmpc_swarm",
-        description=__doc__,
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command line."""
+    run_command("dmpc_swarm", COMMANDS, __doc__, arguments)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled
 LOSSES = (0.0, 1e-4, 0.01, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Shares of messages lost in the sweep."""
 RECOVERIES: dict[str, Any] = {"ours": True, "paper's": "paper", "none": False}
-"""How units recover lost messages: values of `recovery` of `MlrDmpcSwarm`."""
+"""The ways in which units recover lost messages: values of `recovery` of `MlrDmpcSwarm`."""
 JAM_S = 2.0  # time in which compute units receive nothing in Fig. 4
 PUBLIC_S = {
     "1 CU": 69.8,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import tyro
-
+from examples.papers.common import run_command
 from examples.papers.neural_swarm2.ablation import table_3
 from examples.papers.neural_swarm2.adaptation import adaptation
 from examples.papers.neural_swarm2.ball import ball
@@ -42,12 +41,11 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command line."""
-    tyro.extras.subcommand_cli_from_dict(
+    run_command(
+        "neural_swarm2",
         COMMANDS,
-        prog="python -m examples.papers.neural_swarm2",
-        description="Figures and tables of Neural-Swarm2, and studies of its controller.",
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
+        "Figures and tables of Neural-Swarm2, and studies of its controller.",
+        arguments,
     )
 
 

@@ -22,7 +22,7 @@ from examples.papers.neural_swarm2 import theorem
 from examples.papers.neural_swarm2.tables import draw_bars, markdown
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
-from swarm_envs.baselines.neural_swarm.flights import fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import run_flights, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.physics import BatchPhysics
@@ -183,7 +183,7 @@ def measure_belief(seed: int, flights: int) -> dict[str, float]:
     """Return what the bounds say of the force model that ships, and errors of L2S, mid gains."""
     controller = ControllerConfig(feedforward=load_belief())
     test = replace(swap_test("L2S", truth="learned"), decision_rate=PHYSICS_RATE)
-    flown = fly(test, controller, frozen_seeds(seed, flights))
+    flown = run_flights(test, controller, frozen_seeds(seed, flights))
     error = (flown.force - flown.believed)[:, 1:, -1]
     size = float(_norms(error).max())
     rate = float(_norms(np.diff(error, axis=1)).max() / TIME_STEP)

@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from examples.papers.common import write_json
 from examples.papers.neural_swarm2.curriculum_plots import plot_curriculum
+from examples.papers.neural_swarm2.explained import explained_variance
 from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel, load
@@ -32,7 +33,6 @@ from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.collection.table import CollectedFlight, interaction_rows
 from swarm_envs.training.force_model import fit, load_network
 from swarm_envs.training.force_model.evaluate import predict_rows
-from swarm_envs.training.force_model.explained import explained_variance
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, parse_team
@@ -113,7 +113,7 @@ class CurriculumOptions:
 
 @dataclass(frozen=True)
 class Closeness:
-    """How close drones came in the flights of a round, by their logs."""
+    """The least distances of drones in the flights of a round, by their logs."""
 
     gap_error_m: float
     """By how much vertical gaps of passing drones differed from the planned ones: the largest of

@@ -10,6 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.neural_swarm2.explained import generalisation
 from examples.papers.neural_swarm2.heat_maps import (
     MAP_CASES,
     ForceMap,
@@ -20,7 +21,6 @@ from examples.papers.neural_swarm2.heat_maps import (
 from examples.papers.neural_swarm2.larger_swarms import all_swarms, plot_swarms
 from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.interactions import load
-from swarm_envs.training.force_model.explained import generalisation
 
 READINGS = (
     # name, what is read, the paper's value, the same from the weights that the authors published, g

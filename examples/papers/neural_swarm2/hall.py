@@ -1,4 +1,4 @@
-"""What each part of the hall costs: two motions of the paper, one part after the other.
+"""The cost of each part of the hall: two motions of the paper, one part after the other.
 
 A small drone passes below a large one (L2S, Sec. VII-E), and five drones fly the rings of Fig. 9,
 without and with a fitted force model, and with a controller that adapts (docs/adaptation.md): in
@@ -23,7 +23,7 @@ from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     FlightTest,
     default_engine,
-    fly,
+    run_flights,
     swap_test,
 )
 from swarm_envs.control.config import ControllerConfig, Indi
@@ -49,7 +49,7 @@ COLORS = ("#D55E00", "#0072B2", "#E69F00", "#56B4E9")
 
 
 class Controller(NamedTuple):
-    """What a controller has besides the tracking law."""
+    """The parts of a controller besides the tracking law."""
 
     believes: bool  # the force model that ships for the environment's forces
     adapts: bool  # incremental nonlinear dynamic inversion (INDI)
@@ -149,7 +149,7 @@ def measure(case: HallCase, seeds: Sequence[int], engine: str) -> dict[str, Any]
     if case.motion == RING:
         test = FlightTest(RingTask(ring_team(5)), case.truth, engine)
     world = hall_worlds()[case.world]
-    flights = fly(replace(test, world=world), case.controller.config(case.truth), seeds)
+    flights = run_flights(replace(test, world=world), case.controller.config(case.truth), seeds)
     each = flights.worst_height_error
     worst = np.round(100.0 * (each.max(axis=1) if case.motion == RING else each[:, -1]), 4)
     low, high = bootstrap_interval(worst, np.median)

@@ -62,7 +62,7 @@ def fly_imperfectly(
     seeds: Sequence[int],
     imperfection: Imperfection = NOTHING,
 ) -> Worst:
-    """Fly one episode for each seed; seeds draw swaps as `flights.fly` does, and the noise."""
+    """Fly one episode for each seed; seeds draw swaps as `run_flights` does, and the noise."""
     core = test.core(len(seeds), action="rotors", decision_rate=PHYSICS_RATE)
     try:
         core.reset(list(seeds))

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from examples.papers.common import write_json
 from examples.papers.neural_swarm2.tables import draw_bars, markdown
 from swarm_envs.agents.evaluation import frozen_seeds
-from swarm_envs.baselines.neural_swarm.flights import default_engine, fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import default_engine, run_flights, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.interactions import load
 from swarm_envs.state import FloatArray
@@ -59,7 +59,7 @@ def lag(
     for gains, force, compensation in tqdm(VARIANTS, "lag"):
         belief = load(TRUTH) if force == "exact" else None
         controller = ControllerConfig(GAINS[gains], belief, compensation == "compensated")
-        flights = fly(swap_test(TEAM, truth=TRUTH, engine=engine), controller, seeds)
+        flights = run_flights(swap_test(TEAM, truth=TRUTH, engine=engine), controller, seeds)
         traces.append((flights.position - flights.reference)[0, :, -1, 2])
         worst = np.round(100.0 * flights.worst_height_error[:, -1], 4)
         rows.append(

@@ -21,8 +21,8 @@ from swarm_envs.baselines.neural_swarm.flights import (
     PAPER_SWAP,
     Flights,
     FlightTest,
-    fly,
     quartiles,
+    run_flights,
     swap_test,
 )
 from swarm_envs.control.config import ControllerConfig
@@ -103,8 +103,8 @@ def ring_case(figure: int, conditions: Conditions, engine: str) -> FlightCase:
 
 def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -> PairedFlights:
     """Fly a case without and with a force model fed forward: same seeds, gains and references."""
-    without = fly(case.test, ControllerConfig(), seeds)
-    compensated = fly(case.test, ControllerConfig(feedforward=belief), seeds)
+    without = run_flights(case.test, ControllerConfig(), seeds)
+    compensated = run_flights(case.test, ControllerConfig(feedforward=belief), seeds)
     sides = (without, compensated)
     separation = [[m["minimum_separation_m"] for m in side.metrics] for side in sides]
     flown: PairedFlights = {

@@ -8,10 +8,9 @@ Each command prints its numbers beside the paper's and writes them as JSON, with
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-import tyro
-
+from examples.papers.common import run_command
 from examples.papers.rth3d.figures import figure_5, figure_6, figure_7, figure_8, figure_9
 from examples.papers.rth3d.letters import figure_11
 
@@ -25,15 +24,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Read the command line and reproduce the figure that it names."""
-    tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="python -m examples.papers.rth3d",
-        description=__doc__,
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command line."""
+    run_command("rth3d", COMMANDS, __doc__, arguments)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import pytest
 from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent, flights, load_belief
-from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import FlightTest, run_flights, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask, ring_team
@@ -26,7 +26,7 @@ SEEDS = (3, 1, 2)
 def test_it_flies_what_the_agent_flies_in_the_environment(compensated):
     agent = TrackingAgent.compensated() if compensated else TrackingAgent()
     controller = agent.requires["controller"]
-    found = fly(swap_test("SL2S", SHORT), controller, SEEDS)
+    found = run_flights(swap_test("SL2S", SHORT), controller, SEEDS)
     env = swap_v1.parallel_env(
         team="SL2S", layout="stacked", stacked=SHORT, physics="batch", horizon_s=3.5,
         end_on_success=False, **agent.requires,
@@ -43,10 +43,10 @@ def test_it_flies_what_the_agent_flies_in_the_environment(compensated):
 
 
 def test_how_many_fly_at_once_changes_nothing(monkeypatch):
-    together = fly(swap_test("L2S", SHORT), ControllerConfig(), SEEDS)
+    together = run_flights(swap_test("L2S", SHORT), ControllerConfig(), SEEDS)
     monkeypatch.setattr(flights, "AT_ONCE", 2)
     ticks: list[int] = []
-    apart = fly(swap_test("L2S", SHORT), ControllerConfig(), SEEDS, ticks.append)
+    apart = run_flights(swap_test("L2S", SHORT), ControllerConfig(), SEEDS, ticks.append)
     for name in ("position", "force", "worst_height_error", "samples", "crashed"):
         assert (getattr(together, name) == getattr(apart, name)).all(), name
     assert sum(ticks) == 3 * swap_test("L2S", SHORT).decisions == 3 * 3.5 * 48
@@ -54,10 +54,10 @@ def test_how_many_fly_at_once_changes_nothing(monkeypatch):
 
 def test_what_is_believed_is_recorded_beside_what_blows():
     wake = load("wake")
-    oracle = fly(swap_test("L2S", SHORT, "wake"), ControllerConfig(feedforward=wake), SEEDS)
+    oracle = run_flights(swap_test("L2S", SHORT, "wake"), ControllerConfig(feedforward=wake), SEEDS)
     assert np.abs(oracle.force[..., 2]).max() > 0.03
     assert (oracle.believed == oracle.force).all()
-    baseline = fly(swap_test("L2S", SHORT, "wake"), ControllerConfig(), SEEDS)
+    baseline = run_flights(swap_test("L2S", SHORT, "wake"), ControllerConfig(), SEEDS)
     assert (baseline.believed == 0.0).all()
     assert oracle.worst_height_error.max() < 0.2 * baseline.worst_height_error.max()
 
@@ -65,7 +65,7 @@ def test_what_is_believed_is_recorded_beside_what_blows():
 def test_a_flight_that_crashes_keeps_its_last_state():
     weak = dataclasses.replace(SMALL, max_thrust=0.94 * SMALL.mass * 9.80665)
     test = dataclasses.replace(swap_test((SMALL, weak), SHORT), horizon_s=20.0)
-    found = fly(test, ControllerConfig(), [0])
+    found = run_flights(test, ControllerConfig(), [0])
     assert found.crashed.all()
     end = int(found.samples[0])
     assert end < len(found.time) == 20 * 48 + 1
@@ -75,7 +75,7 @@ def test_a_flight_that_crashes_keeps_its_last_state():
 
 def test_rings_count_errors_after_their_start():
     task = RingTask(ring_team(5), scored_s=1.0)
-    found = fly(FlightTest(task), ControllerConfig(), [0])
+    found = run_flights(FlightTest(task), ControllerConfig(), [0])
     height = np.abs(found.position - found.reference)[0, :, :, 2]
     late = found.time >= task.success.settle_s
     np.testing.assert_allclose(found.worst_height_error[0], height[late].max(axis=0), atol=1e-12)
@@ -83,7 +83,7 @@ def test_rings_count_errors_after_their_start():
 
 def test_nothing_to_fly_is_refused():
     with pytest.raises(ValueError, match="no seed was given"):
-        fly(swap_test("L2S"), ControllerConfig(), [])
+        run_flights(swap_test("L2S"), ControllerConfig(), [])
 
 
 def test_a_belief_is_chosen_by_its_environment():

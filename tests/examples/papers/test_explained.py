@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.force_model.explained import (
+from examples.papers.neural_swarm2.explained import (
     explained_variance,
     generalisation,
     random_states,
 )
+from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.vehicles import parse_team
 
 

@@ -71,7 +71,7 @@ from examples.papers.neural_swarm2.planning_figures import SCENARIOS, scenario_r
 from examples.papers.neural_swarm2.superposition import force_on_first_g, superposed_force_g
 from examples.papers.neural_swarm2.vehicles import fit_polynomial, mass_and_thrust, motor_rate
 from swarm_envs.baselines.neural_swarm import load_belief
-from swarm_envs.baselines.neural_swarm.flights import fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import run_flights, swap_test
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, ControllerConfig, PositionGains
 from swarm_envs.interactions import InteractionModel, load
@@ -83,8 +83,8 @@ from swarm_envs.training.collection.table import CollectedFlight
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers
 from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, parse_team
+from tests.examples.papers.test_explained import planted
 from tests.helpers.tiny_fits import rows_of
-from tests.training.test_explained import planted
 
 # ---- Every subcommand, as small as it can be
 
@@ -606,7 +606,7 @@ def test_without_imperfection_it_is_the_environments_loop(feedforward):
         ControllerConfig(feedforward=model),
         dataclasses.replace(TEST, decision_rate=240),
     )
-    flown = fly(test, controller, SEEDS)
+    flown = run_flights(test, controller, SEEDS)
     found = fly_imperfectly(test, controller, SEEDS)
     assert found.height_error == pytest.approx(flown.worst_height_error, abs=1e-9)
     assert np.array_equal(found.crashed, flown.crashed)

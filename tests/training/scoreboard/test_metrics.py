@@ -1,4 +1,4 @@
-"""What is measured of an episode, and what the episodes of an agent on a task add up to."""
+"""Measures of an episode, and aggregates of the episodes of an agent on a task."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ DIGESTS = {
     "transfer-ring-5-wake-v2": "14db2a7c487bfd88",
     "air-mixed-6-v3": "1512d8e965de3b3e",
 }
-"""What each id has stood for since it was first used. A line here is never changed: what is flown
+"""The definition of each id since it was first used. A line here is never changed: what is flown
 otherwise gets a row with the next version in place of the old one."""
 NEVER_AGAIN = {"robust-circle-8-hall-v2", "air-stack-8-v2", "air-sprint-6-v2"}
 """Ids that stood for something once, and must not stand for anything else."""
