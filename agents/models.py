@@ -65,11 +65,12 @@ def from_model(model: Any, env: SwarmParallelEnv) -> ModelAgent:
         model: a model of Stable-Baselines3 that was trained on `SharedPolicyVecEnv`, with its
             features or with rows; or a torch module or a function that maps observation rows (n,
             row width), float32, to actions (n, width). Actions outside [-1, 1] are clipped where
-            the action mode is bounded. A recurrent model is not supported.
+            the action mode is bounded. Of a model that was trained behind `VecNormalize`, give one
+            that still has that environment: its statistics are used.
         env: an environment with the options that the model was trained with.
 
     Raises:
-        TypeError: the model is none of these.
+        TypeError: the model is none of these, or is recurrent.
         ValueError: a model of Stable-Baselines3 observes another number of values than this
             environment's rows or features have.
     """
@@ -86,8 +87,14 @@ def from_model(model: Any, env: SwarmParallelEnv) -> ModelAgent:
 
 def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Any]:
     if hasattr(model, "predict") and hasattr(model, "observation_space"):
-        observe = _observed_by(model, env)
-        return lambda rows: model.predict(observe(rows), deterministic=True)[0]
+        if hasattr(model.policy, "lstm_actor"):
+            raise TypeError("model is recurrent, but an agent of a model has no memory")
+        observe, normalizer = _observed_by(model, env), model.get_vec_normalize_env()
+        if normalizer is None:
+            return lambda rows: model.predict(observe(rows), deterministic=True)[0]
+        return lambda rows: model.predict(
+            normalizer.normalize_obs(observe(rows)), deterministic=True
+        )[0]
     if hasattr(model, "parameters") and callable(model):
         return lambda rows: _through_torch(model, rows)
     if callable(model):

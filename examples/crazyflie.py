@@ -158,7 +158,7 @@ def least_clearance(flight: Recording, fitted: list[Pieces]) -> float:
 def main(options: Options) -> float:
     """Convert the flight, print the report and return the least distance between bodies, m."""
     if options.rate <= 0.0 or options.tolerance_m <= 0.0:
-        raise SystemExit(
+        raise ValueError(
             f"--rate is {options.rate} and --tolerance-m is {options.tolerance_m}, but both must "
             "be positive"
         )
@@ -170,7 +170,7 @@ def main(options: Options) -> float:
         try:
             pieces, error = fit(flown, options.tolerance_m)
         except ValueError as failure:
-            raise SystemExit(f"{name}: {failure}") from failure
+            raise ValueError(f"{name}: {failure}") from failure
         rows = np.column_stack([pieces.duration, pieces.coefficients.reshape(-1, 32)])
         write_rows(options.out / f"{name}.csv", HEADER, rows)
         write_setpoints(options.out / f"{name}_setpoints.csv", flown, options.rate)
@@ -191,4 +191,7 @@ def main(options: Options) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(int(main(tyro.cli(Options, description=__doc__)) <= 0.0))
+    try:
+        sys.exit(int(main(tyro.cli(Options, description=__doc__)) <= 0.0))
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")

@@ -16,6 +16,7 @@ points of a formation should be at least 0.5 m apart.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,6 +111,23 @@ class ShowTask(Task):
         return Placement(goals[0], np.array(goals[1:]), 0.0)
 
 
+def read_points(path: Path) -> list[np.ndarray]:
+    """Read formations from a file.
+
+    Raises:
+        ValueError: the file holds no finite array (F, N, 3).
+    """
+    points = np.load(path, allow_pickle=False)
+    if points.ndim != 3 or points.shape[2] != 3 or not points.size or points.dtype.kind not in "fi":
+        raise ValueError(
+            f"{path} holds an array of {points.dtype} with shape {points.shape}, but must hold "
+            "numbers with shape (F, N, 3): F formations of N drones"
+        )
+    if not np.isfinite(points).all():
+        raise ValueError(f"{path} holds a number that is not finite; give positions in meters")
+    return [*points.astype(float)]
+
+
 def letters(text: str, drones: int) -> list[np.ndarray]:
     """Return each character of a text as points (N, 3), m, upright and 0.5 m apart or more."""
     return [shape_points(f"letter:{character}", drones, 0.5) for character in text.upper()]
@@ -150,12 +168,11 @@ def report(flight: Recording, agent: GridAgent, task: ShowTask) -> int:
             f"drones are within {100 * error:.1f} cm of their places when it stands"
         )
     touching = (flight.contact_drone >= 0) | flight.contact_floor | flight.contact_wall
-    first, second = np.triu_indices(len(task.team), 1)
-    apart = np.linalg.norm(flight.position[:, first] - flight.position[:, second], axis=-1).min()
-    print(
-        f"{len(task.team)} drones, {flight.time[-1]:.1f} s: {touching.sum()} contacts; "
-        f"bodies at least {100 * (apart - task.team[0].diameter):.1f} cm apart"
-    )
+    line = f"{len(task.team)} drones, {flight.time[-1]:.1f} s: {touching.sum()} contacts"
+    apart = flight.about.metrics["minimum_separation_m"]  # None for a single drone
+    if apart is not None:
+        line += f"; bodies at least {100 * (apart - task.team[0].diameter):.1f} cm apart"
+    print(line)
     return int(touching.sum())
 
 
@@ -182,9 +199,9 @@ def main(options: Options) -> int:
     if options.points is None:
         formations = letters(options.text, options.drones)
     else:
-        formations = [*np.load(options.points, allow_pickle=False).astype(float)]
+        formations = read_points(options.points)
     if not formations:
-        raise SystemExit("--text is '', but must have at least one letter, such as SWARM")
+        raise ValueError("--text is '', but must have at least one letter, such as SWARM")
     team = parse_team("S" * len(formations[0]))
     task = ShowTask(team, formations=stage(formations), stage_s=options.stage_s)
     flight, agent = fly(task, options)
@@ -194,4 +211,7 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    try:
+        main(tyro.cli(Options, description=__doc__))
+    except (OSError, ValueError) as error:
+        sys.exit(f"error: {error}")

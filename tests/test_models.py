@@ -13,8 +13,10 @@ from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode, from_model, load
 from swarm_envs.agents.evaluation import evaluate_agent
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.training import SharedPolicyVecEnv
 
 torch = pytest.importorskip("torch", reason="the extra `train`")
+pytest.importorskip("stable_baselines3", reason="the extra `train`")
 OPTIONS: dict[str, Any] = {
     "num_drones": 2,
     "physics": "batch",
@@ -35,8 +37,6 @@ def test_a_model_of_stable_baselines3_flies_as_it_predicts(
     env: SwarmParallelEnv, features: str | None
 ) -> None:
     from stable_baselines3 import PPO
-
-    from swarm_envs.training import SharedPolicyVecEnv
 
     options = {k: v for k, v in OPTIONS.items() if k != "physics"}
     vec = SharedPolicyVecEnv("swap_v1", 2, seed=0, features=features, **options)
@@ -75,16 +75,30 @@ def test_what_is_no_model_is_refused(env: SwarmParallelEnv) -> None:
 
 
 def test_a_model_of_other_rows_is_refused(env: SwarmParallelEnv) -> None:
-    from gymnasium import spaces
+    from stable_baselines3 import PPO
 
-    class Model:
-        observation_space = spaces.Box(-1.0, 1.0, (7,))
+    options = {k: v for k, v in OPTIONS.items() if k != "physics"}
+    vec = SharedPolicyVecEnv("swap_v1", 1, seed=0, num_neighbors=2, **options)
+    model = PPO("MlpPolicy", vec, n_steps=8, batch_size=16, device="cpu")
+    with pytest.raises(ValueError, match=r"the model observes \(\d+,\), but rows"):
+        from_model(model, env)
+    vec.close()
 
-        def predict(self, rows: Any, deterministic: bool) -> Any:
-            return rows, None
 
-    with pytest.raises(ValueError, match=r"the model observes \(7,\), but rows"):
-        from_model(Model(), env)
+def test_observations_are_normalized_as_in_training(env: SwarmParallelEnv) -> None:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    options = {k: v for k, v in OPTIONS.items() if k != "physics"}
+    vec = VecNormalize(SharedPolicyVecEnv("swap_v1", 2, seed=0, **options))
+    model = PPO("MlpPolicy", vec, n_steps=8, batch_size=16, n_epochs=1, seed=0, device="cpu")
+    model.learn(64)
+    rows, _ = env.reset(seed=3)
+    stacked = np.stack([*rows.values()])
+    given = from_model(model, env).act_batch(stacked)
+    wanted, _ = model.predict(vec.normalize_obs(stacked), deterministic=True)
+    np.testing.assert_allclose(given, np.clip(wanted, -1.0, 1.0), atol=1e-6)
+    vec.close()
 
 
 def test_a_function_of_a_file_is_an_agent(env: SwarmParallelEnv, tmp_path: Path) -> None:

@@ -73,5 +73,5 @@ def test_setpoints_are_the_flight_at_a_rate(flight: tuple[Path, Recording], tmp_
 def test_a_tolerance_that_31_pieces_miss_is_refused(
     flight: tuple[Path, Recording], tmp_path: Path
 ) -> None:
-    with pytest.raises(SystemExit, match="31 pieces come within"):
+    with pytest.raises(ValueError, match="31 pieces come within"):
         main(Options(flight[0], out=tmp_path, tolerance_m=1e-7))

@@ -28,6 +28,20 @@ def test_a_letter_is_written_and_its_files_too(
     assert (tmp_path / "flight.html").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize(
+    ("points", "why"),
+    [
+        (np.zeros((2, 3)), r"shape \(2, 3\), but must hold"),
+        (np.full((1, 2, 3), np.nan), "not finite"),
+        (np.array([[["a", "b", "c"]]]), "array of <U1"),
+    ],
+)
+def test_points_that_are_none_are_refused(points: np.ndarray, why: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "points.npy", points)
+    with pytest.raises(ValueError, match=why):
+        main(Options(points=tmp_path / "points.npy", out=tmp_path))
+
+
 def test_points_of_a_file_are_formed(tmp_path: Path) -> None:
     points = np.zeros((2, 3, 3))
     points[0, :, 0], points[1, :, 1] = [-0.6, 0.0, 0.6], [-0.7, 0.0, 0.7]

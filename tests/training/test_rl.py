@@ -190,6 +190,8 @@ def test_what_cannot_be_trained_is_refused(options, why, tmp_path, refused):
         ("--algo json.dumps", "--algo is 'json.dumps', which is no algorithm"),
         ("--set n_steps", "--set has 'n_steps', but must have NAME=VALUE"),
         ("--set n_stops=8", "--algo ppo refuses its arguments: "),
+        ("--algo stable_baselines3.DQN", "DQN refuses its arguments: The algorithm only supports"),
+        ("--algo sac --set policy_kwargs={'net_arch':[8]}", "not followed by tanh"),
     ],
 )
 def test_an_algorithm_that_does_not_exist_is_refused(options, why, tmp_path, capsys):

@@ -79,6 +79,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             features=setting.features,
         )
         model, evaluation = _begin(algorithm, arguments, env, setting)
+        network_of(model)  # refuses before the training what cannot be written after it
         outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
         model.set_logger(configure(str(config.out), outputs))
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
@@ -184,7 +185,7 @@ def _begin(
     write_json(path, {"config": options, "evaluations": []})
     try:
         return algorithm("MlpPolicy", env, **arguments), Evaluation(setting)
-    except TypeError as error:
+    except (TypeError, AssertionError) as error:
         raise ValueError(f"--algo {config.algo} refuses its arguments: {error}") from error
 
 
@@ -256,9 +257,16 @@ def network_of(model: BaseAlgorithm) -> Network:
     """Return the mean action of a model of Stable-Baselines3 as a network in numpy.
 
     Raises:
-        ValueError: the model's actor has another form than PPO's, SAC's or TD3's.
+        ValueError: the model's actor has another form than PPO's, SAC's or TD3's, or its hidden
+            layers are not followed by tanh.
     """
     policy: Any = model.policy
+    if getattr(policy, "activation_fn", None) is not nn.Tanh:
+        raise ValueError(
+            "hidden layers of the policy are not followed by tanh, so that it cannot be written as "
+            "a policy file; leave policy_kwargs out of --set, or fly the model in Python by "
+            "swarm_envs.agents.from_model"
+        )
     if hasattr(policy, "action_net"):
         extractor = policy.pi_features_extractor
         layers = linear_layers(policy.mlp_extractor.policy_net, policy.action_net)
