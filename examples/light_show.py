@@ -29,10 +29,11 @@ from swarm_envs.baselines.rth3d.grid_agent import GridAgent
 from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.formation import nearest_places
 from swarm_envs.tasks.motion import REST, Motion
-from swarm_envs.tasks.shapes import shape_points
+from swarm_envs.tasks.shapes import CHARACTERS, shape_points
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import parse_team
 from swarm_envs.viewing.record import Recording
@@ -129,7 +130,15 @@ def read_points(path: Path) -> list[np.ndarray]:
 
 
 def letters(text: str, drones: int) -> list[np.ndarray]:
-    """Return each character of a text as points (N, 3), m, upright and 0.5 m apart or more."""
+    """Return each character of a text as points (N, 3), m, upright and 0.5 m apart or more.
+
+    Raises:
+        ValueError: the text is empty, or has a character without a shape.
+    """
+    if not text:
+        raise ValueError("--text is '', but must have at least one letter, such as SWARM")
+    for character in text.upper():
+        check_name("character of --text", character, CHARACTERS)
     return [shape_points(f"letter:{character}", drones, 0.5) for character in text.upper()]
 
 
@@ -200,8 +209,6 @@ def main(options: Options) -> int:
         formations = letters(options.text, options.drones)
     else:
         formations = read_points(options.points)
-    if not formations:
-        raise ValueError("--text is '', but must have at least one letter, such as SWARM")
     team = parse_team("S" * len(formations[0]))
     task = ShowTask(team, formations=stage(formations), stage_s=options.stage_s)
     flight, agent = fly(task, options)

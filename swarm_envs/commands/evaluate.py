@@ -55,8 +55,8 @@ class EvaluateOptions(EpisodeOptions):
     """
 
     agent: list[str] = field(default_factory=list)
-    """agents: names as of `fly`, folders of trained policies, or path/to/file.py:Class; the suffix
-    +filter adds a safety filter (default: the best for the task in the benchmark)"""
+    """agents, as of `fly`: names, folders of trained policies, path/to/file.py:Class or :function;
+    the suffix +filter adds a safety filter (default: the best for the task in the benchmark)"""
     episodes: Count = 256
     """number of episodes per agent"""
     seed: Seed = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,12 @@ def test_points_that_are_none_are_refused(points: np.ndarray, why: str, tmp_path
     np.save(tmp_path / "points.npy", points)
     with pytest.raises(ValueError, match=why):
         main(Options(points=tmp_path / "points.npy", out=tmp_path))
+
+
+@pytest.mark.parametrize(("text", "why"), [("", "--text is ''"), ("A?", "'?'; valid")])
+def test_texts_that_cannot_be_written_are_refused(text: str, why: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=re.escape(why)):
+        main(Options(text=text, out=tmp_path))
 
 
 def test_points_of_a_file_are_formed(tmp_path: Path) -> None:
