@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.features import FEATURE_SETS
+from swarm_envs.agents.features import feature_sizes, features_of
 from swarm_envs.agents.protocol import RowAgent
 from swarm_envs.envs.observation import Float32Array, observation_width
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -21,6 +21,7 @@ _OPTIONS = (
     "num_neighbors",
     "num_obstacles",
     "observe_load",
+    "observe_setpoint",
 )
 """Options of an environment that decide what a model observes and what its actions mean."""
 
@@ -110,18 +111,12 @@ def _observed_by(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], 
     form, wanted = env.core.form[1:], tuple(model.observation_space.shape or ())
     if wanted == (observation_width(*form),):
         return lambda rows: rows
-    for found in FEATURE_SETS.values():
-        try:
-            width = found.sizes(*form).width
-        except ValueError:  # a set that knows no obstacles or loads
-            continue
-        if wanted == (width,):
-            make = found.make
-            return lambda rows: make(rows, *form)
+    if wanted == (feature_sizes(*form).width,):
+        return lambda rows: features_of(rows, *form)
     raise ValueError(
         f"the model observes {wanted}, but rows of this environment have "
-        f"{observation_width(*form)} numbers; make the environment with the options of its "
-        "training, such as num_neighbors"
+        f"{observation_width(*form)} numbers and {feature_sizes(*form).width} features; make the "
+        "environment with the options of its training, such as num_neighbors"
     )
 
 

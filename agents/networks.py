@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from swarm_envs.agents.features import FeatureSizes
+from swarm_envs.agents.features import MASK, FeatureSizes
 from swarm_envs.envs.observation import Float32Array
 
 __all__ = ["Layers", "Network"]
@@ -46,7 +46,7 @@ class Network:
 
     def _encoded(self, values: Float32Array, sizes: FeatureSizes, phi: Layers) -> Float32Array:
         own, around = sizes.split(values)
-        present = around[..., sizes.mask, None]
+        present = around[..., MASK, None]
         (weight, bias), *deeper = phi
         shared = own @ weight[:, : sizes.own].T + bias  # the same beside every neighbor
         members = self._active(around @ weight[:, sizes.own :].T + shared[..., None, :])

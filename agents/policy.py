@@ -21,7 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from swarm_envs import TASKS, task_family
-from swarm_envs.agents.features import FEATURE_SETS, GOAL, FeatureSizes
+from swarm_envs.agents.features import FeatureSizes, feature_sizes, features_of
 from swarm_envs.agents.networks import (
     ACTIVATIONS,
     Network,
@@ -54,7 +54,7 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
-FORMAT = "swarm-envs-policy-8"  # What a file of a policy says it is
+FORMAT = "swarm-envs-policy-9"  # What a file of a policy says it is
 MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
 LARGEST = 1e4  # No weight of a policy that was trained comes near it; one beyond it was damaged
 
@@ -73,10 +73,8 @@ class PolicyNote:
     """how often it decides, 1/s"""
     num_neighbors: int
     """K, how many neighbours it observes"""
-    features: str = GOAL
-    """what is made of an observation row before the network sees it"""
     types: tuple[str, ...] = ()
-    """types of vehicles it was trained with and alone flies; none if it makes no difference"""
+    """types of vehicles it was trained with and alone flies; all if none is named"""
     fewest: int = 1
     """smallest team it may fly in: places of neighbours that were never empty in its training can
     mislead it when they are"""
@@ -90,6 +88,8 @@ class PolicyNote:
     """whether it observes thrust margins, masses and charges"""
     observe_force: bool = False
     """whether it observes the force that the shipped belief predicts"""
+    observe_setpoint: bool = False
+    """whether it observes velocity and acceleration of its set-point"""
     controller: str = ""
     """the shipped agent whose tracking controller it needs, such as `air-aware`; the default
     controller if empty"""
@@ -104,12 +104,13 @@ class PolicyNote:
     @property
     def sizes(self) -> FeatureSizes:
         """How many numbers its features are."""
-        return FEATURE_SETS[self.features].sizes(*self.form)
+        return feature_sizes(*self.form)
 
     @property
-    def form(self) -> tuple[int, int, bool, bool]:
-        """What its observation rows hold: K, M, and whether loads and forces."""
-        return self.num_neighbors, self.num_obstacles, self.observe_load, self.observe_force
+    def form(self) -> tuple[int, int, bool, bool, bool]:
+        """The K and M of its observation rows, and whether they hold loads, forces, set-points."""
+        extra = (self.observe_load, self.observe_force, self.observe_setpoint)
+        return self.num_neighbors, self.num_obstacles, *extra
 
     @property
     def requires(self) -> dict[str, Any]:
@@ -119,7 +120,7 @@ class PolicyNote:
             "decision_rate": self.decision_rate,
             "observation": "flat",
             "num_neighbors": self.num_neighbors,
-            **senses(self.num_obstacles, self.observe_load, self.observe_force, self.controller),
+            **senses(*self.form[1:], self.controller),
         }
 
     @property
@@ -159,15 +160,9 @@ class PolicyNote:
         for name in (self.task, *self.also):
             check_name("task", name, TASKS)
         check_name("action", self.action, ACTIONS)
-        check_name("features", self.features, FEATURE_SETS)
         check_name("activation", self.activation, ACTIVATIONS)
         for token in self.types:
             check_name("types", token, VEHICLES)
-        if self.types and not self.sizes.typed:
-            raise ValueError(
-                f"types are {self.types} and features {self.features!r}, but types are named only "
-                "in typed features"
-            )
         check_integer("fewest", self.fewest, 1)
         check_integer("drones", self.drones, self.fewest, MOST_DRONES)
         EnvConfig(**self.requires)
@@ -195,7 +190,7 @@ class Policy:
         Raises:
             ValueError: the rows have another width.
         """
-        values = FEATURE_SETS[self.note.features].make(rows, *self.note.form)
+        values = features_of(rows, *self.note.form)
         actions: Float32Array = np.clip(self.network(values, self.note.sizes), -1.0, 1.0)
         return actions
 
@@ -267,9 +262,15 @@ def read_policy(path: Path) -> Policy:
     return Policy(about, network, provenance)
 
 
-def senses(obstacles: int, load: bool, force: bool, controller: str | None) -> dict[str, Any]:
+def senses(
+    obstacles: int, load: bool, force: bool, setpoint: bool, controller: str | None
+) -> dict[str, Any]:
     """Options of an environment for what a policy observes besides neighbors, and its actions."""
-    found: dict[str, Any] = {"num_obstacles": obstacles, "observe_load": load}
+    found: dict[str, Any] = {
+        "num_obstacles": obstacles,
+        "observe_load": load,
+        "observe_setpoint": setpoint,
+    }
     if force:
         found["observe_force"] = shipped_belief()
     if controller:

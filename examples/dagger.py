@@ -20,15 +20,14 @@ from torch import Tensor, nn
 
 from swarm_envs import swap_v1
 from swarm_envs.agents import load
-from swarm_envs.agents.features import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import MASK, feature_sizes, features_of
 
 DECISIONS, BATCHES, BATCH, MEMORY, RATE = 10, 12, 1024, 200_000, 2e-3
-FEATURES = FEATURE_SETS[GOAL]
-OWN, NEIGHBOR = FEATURES.sizes(0).own, FEATURES.sizes(0).neighbor
+OWN, NEIGHBOR = feature_sizes(0).own, feature_sizes(0).neighbor
 
 
 class DeepSet(nn.Module):
-    """From the goal features of a drone to its action."""
+    """A map from the features of a drone to its action."""
 
     def __init__(self, actions: int) -> None:
         super().__init__()
@@ -44,7 +43,7 @@ class DeepSet(nn.Module):
         own = features[:, :OWN]
         around = features[:, OWN:].reshape(len(own), -1, NEIGHBOR)
         beside = own[:, None].expand(-1, around.shape[1], -1)
-        codes = self.phi(torch.cat([beside, around], dim=-1)) * around[..., -1:]  # the mask
+        codes = self.phi(torch.cat([beside, around], dim=-1)) * around[..., MASK, None]
         return self.rho(torch.cat([own, codes.amax(dim=1), codes.sum(dim=1)], dim=-1))
 
 
@@ -70,7 +69,7 @@ class Teams:
 
     def features(self) -> Tensor:
         """(E * N, width) of what every drone observes."""
-        return torch.from_numpy(FEATURES.make(self.rows, self.neighbors)).flatten(0, 1)
+        return torch.from_numpy(features_of(self.rows, self.neighbors)).flatten(0, 1)
 
     def step(self, own: np.ndarray, guided: float) -> tuple[np.ndarray, np.ndarray]:
         """Fly; return the teacher's actions (E * N, width) and which of them mean anything.

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 import swarm_envs  # noqa: F401  # registers the environments
-from swarm_envs.agents.features import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import features_of
 
 NEIGHBORS, ROLLOUT, PASSES, BATCH = 3, 32, 5, 2048
 GAMMA, LAMBDA, CLIP, RATE = 0.98, 0.95, 0.2, 1e-3
@@ -71,7 +71,7 @@ class Teams:
 
     def _features(self, rows: np.ndarray) -> Tensor:
         flat = rows.reshape(rows.shape[0] * self.drones, -1)
-        return torch.from_numpy(FEATURE_SETS[GOAL].make(flat, NEIGHBORS))
+        return torch.from_numpy(features_of(flat, NEIGHBORS))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rewards, and whether the episode was ended, or cut by the clock, of every drone."""

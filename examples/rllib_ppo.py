@@ -25,7 +25,7 @@ from pettingzoo.utils import BaseParallelWrapper
 from tqdm import tqdm
 
 from swarm_envs import __version__, swap_v1
-from swarm_envs.agents.features import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import feature_sizes, features_of
 from swarm_envs.agents.networks import Layers, Network
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, write_policy
 from swarm_envs.arguments import Count, Range, Seed, typed
@@ -96,7 +96,7 @@ class FeatureEnv(BaseParallelWrapper):  # PettingZoo has no types
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Of the features, alike for all drones."""
-        width = FEATURE_SETS[GOAL].sizes(self._num_neighbors).width
+        width = feature_sizes(self._num_neighbors).width
         return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
     def reset(
@@ -112,7 +112,7 @@ class FeatureEnv(BaseParallelWrapper):  # PettingZoo has no types
         return self._features(rows), *rest
 
     def _features(self, rows: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
-        found = FEATURE_SETS[GOAL].make(np.stack(list(rows.values())), self._num_neighbors)
+        found = features_of(np.stack(list(rows.values())), self._num_neighbors)
         return dict(zip(rows, found, strict=True))
 
 

@@ -213,6 +213,7 @@ _KEPT = (
     Field("force_scale", (), "", None, "Factor of the interaction force."),
     Field("duration", (), "s", None, "Time of the reference from one stage to the next; 0: rest."),
     Field("gust_key", (), "", None, "Stream of random numbers of the gusts.", np.uint64),
+    Field("noise_scale", (), "", None, "Factor of the noise of the observations."),
     Field("noise_key", (), "", None, "Stream of random numbers of the observations.", np.uint64),
     Field("hall_key", (), "", None, "Stream of random numbers of the hall.", np.uint64),
     Field("goal_key", (), "", None, "Stream of random numbers of goals to come.", np.uint64),

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from swarm_envs.agents.features import FEATURE_SETS
+from swarm_envs.agents.features import feature_sizes, features_of
 from swarm_envs.envs.config import check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import split_teams
 from swarm_envs.envs.observation import Float32Array, observation_space, shaper
 from swarm_envs.envs.options import Blueprint, batch_of
-from swarm_envs.errors import check_integer, check_name
+from swarm_envs.errors import check_integer
 from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["SharedPolicyVecEnv"]
@@ -55,8 +55,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             those of the next.
         num_envs: E, of each team; or one number for each blueprint.
         seed: of environment 0, counted up for the others.
-        features: what a policy of `swarm_envs.agents` computes from an observation row, one of its
-            `FEATURE_SETS`, is observed instead of the row; None for the row itself.
+        features: observe what `swarm_envs.agents.features` makes of an observation row, as
+            policies of `swarm-envs train` do, instead of the row.
         **options: as the task's `parallel_env()` takes them; the batched engine flies unless
             `physics` says otherwise. None with a blueprint, which has them already.
 
@@ -72,7 +72,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         num_envs: int | Sequence[int] = 1,
         seed: int | None = None,
         *,
-        features: str | None = None,
+        features: bool = False,
         **options: Any,
     ) -> None:
         blueprints = _blueprints(task, options)
@@ -82,8 +82,6 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 f"num_envs is {num_envs!r}, but must be a number, or one for each of "
                 f"{len(blueprints)} teams"
             )
-        if features is not None:
-            check_name("features", features, FEATURE_SETS)
         self.cores = tuple(
             SwarmCore(found.task, found.config, check_num_envs(count))
             for found, count in zip(blueprints, counts, strict=True)
@@ -275,15 +273,14 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def _make_shape(self) -> None:
         form = self.core.form
         self._shape = shaper(*form)
-        if self.features is not None:
-            make = FEATURE_SETS[self.features].make
-            self._shape = lambda rows: make(rows, *form[1:])
+        if self.features:
+            self._shape = lambda rows: features_of(rows, *form[1:])
 
     def _observed_space(self) -> spaces.Space[Any]:
-        if self.features is None:
+        if not self.features:
             return observation_space(*self.core.form)
-        sizes = FEATURE_SETS[self.features].sizes(*self.core.form[1:])
-        return spaces.Box(-np.inf, np.inf, (sizes.width,), np.float32)
+        width = feature_sizes(*self.core.form[1:]).width
+        return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
     def _check_open(self, what: str) -> None:
         if self._closed:

@@ -24,7 +24,6 @@ from swarm_envs.envs.randomization import draw_vehicles, scale_hall
 from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
-from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -117,7 +116,7 @@ class SwarmCore:
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._state = (*self.world, self.settings)
         self._force_model: InteractionModel | None = None
-        self._predicted: FloatArray | None = None
+        self._predicted: FloatArray = np.zeros((0, self.num_drones, 3))
         if config.observe_force is not None:
             self._force_model = load(config.observe_force).with_precision(config.precision)
             self._force_types = np.tile(self._force_model.type_indices(task.team), (num_envs, 1))
@@ -130,10 +129,9 @@ class SwarmCore:
         width = observation_width(*self.form[1:])
         self.rows: Float32Array = np.zeros((*drones.shape, width), np.float32)
         seen = (self._seen, as_columns(self._seen), drones, environments, self.settings)
-        order = self.physics.order if self.num_drones > FEW else None
-        obstacles = self.physics.obstacles if self.num_obstacles else None
-        load = bool(self.config.observe_load)
-        given = (self.rows, self.num_obstacles, load, self._predicted, *seen, order, obstacles)
+        load, setpoint = bool(self.config.observe_load), bool(self.config.observe_setpoint)
+        form = (self.num_obstacles, load, self._predicted, setpoint)
+        given = (self.rows, *form, *seen, self.physics.order, self.physics.obstacles)
         threads = range(self.physics.workers.threads)
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
 
@@ -181,9 +179,10 @@ class SwarmCore:
             )
 
     @property
-    def form(self) -> tuple[str, int, int, bool, bool]:
-        """What the shape of observations follows from: form, K, M, and whether load and force."""
-        config, extra = self.config, (bool(self.config.observe_load), self._predicted is not None)
+    def form(self) -> tuple[str, int, int, bool, bool, bool]:
+        """The form of observations, K, M, and whether loads, forces and set-points are observed."""
+        config, force = self.config, self._force_model is not None
+        extra = (bool(config.observe_load), force, bool(config.observe_setpoint))
         return config.observation, config.num_neighbors, self.num_obstacles, *extra
 
     @property
@@ -303,18 +302,24 @@ class SwarmCore:
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        return self.true_rows(0, 0, False, False)
+        return self.true_rows(0)
 
     def true_rows(
-        self, num_neighbors: int, num_obstacles: int, load: bool, force: bool
+        self,
+        num_neighbors: int,
+        num_obstacles: int = 0,
+        load: bool = False,
+        force: bool = False,
+        setpoint: bool = False,
     ) -> Float32Array:
         """Rows (E, N, width) of any form that the true state would give, without noise."""
-        width = observation_width(num_neighbors, num_obstacles, load, force)
+        width = observation_width(num_neighbors, num_obstacles, load, force, setpoint)
         rows = np.zeros((*self.world.drones.shape, width), np.float32)
         drones, environments, _ = self.world
-        given = self._everywhere, rows, num_obstacles, load, self._predicted if force else None
+        predicted = self._predicted if force else self._predicted[:0]
+        given = self._everywhere, rows, num_obstacles, load, predicted, setpoint
         state = drones, self.world.columns, drones, environments, self.settings
-        order, obstacles = self._observed[0][-4], self.physics.obstacles if num_obstacles else None
+        order, obstacles = self.physics.order, self.physics.obstacles
         scratch = np.zeros(num_neighbors, np.int64), np.zeros(num_neighbors)
         write_observations(0, self.num_envs, *given, *state, order, obstacles, *scratch)
         return rows
@@ -326,7 +331,7 @@ class SwarmCore:
         if self._noisy:
             drones, environments, _ = self.world
             sense(first, last, drones, environments, self.settings, where, self._seen)
-        if self._force_model is not None and self._predicted is not None:
+        if self._force_model is not None:
             here, seen = slice(first, last), self._seen[first:last]
             motion = (seen["position"].copy(), seen["velocity"].copy())
             types, out = self._force_types[here], self._predicted[here]

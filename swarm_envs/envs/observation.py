@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from swarm_envs.compiled import kernel, part
-from swarm_envs.neighbors import nearest, nearest_sorted, sort_along_x
+from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
 from swarm_envs.noise import normal
 from swarm_envs.physics.contact import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
@@ -78,6 +78,10 @@ _LOAD: _Entries = (
     ("battery", 1, "of full", 1.0),
 )
 _FORCE: _Entries = (("force", 3, "of the weight", 1.0),)
+_SETPOINT: _Entries = (
+    ("setpoint_velocity", 3, "m/s", SPEED_LIMIT),
+    ("setpoint_acceleration", 3, "m/s^2", ACCELERATION_LIMIT),
+)
 _OBSTACLE: _Entries = (("offset", 3, "m", 1.0), ("mask", 1, "", 1.0))
 _TASK: _Entries = (
     ("goal", 3, "m", 1.0),
@@ -90,7 +94,11 @@ _TASK: _Entries = (
 
 @cache
 def observation_layout(
-    num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+    num_neighbors: int,
+    num_obstacles: int = 0,
+    load: bool = False,
+    force: bool = False,
+    setpoint: bool = False,
 ) -> tuple[ObservationField, ...]:
     """The fields of an observation row in order.
 
@@ -106,9 +114,11 @@ def observation_layout(
     With `load`, a drone and its neighbours have three fields more: `thrust_margin`, the largest
     thrust at this charge over the weight, less 1; `mass_ratio` to 34 g; `battery`, the charge. The
     mass is what the controller knows. With `force`, `self.force` is what a model predicts of the
-    force of the air on the drone, over its weight, world frame.
+    force of the air on the drone, over its weight, world frame. With `setpoint`, the controller's
+    set-point has its velocity and acceleration, which are known exactly where the drone's own are
+    measured with noise (zero for `ctbr` and `rotors`).
     """
-    extra = (_LOAD if load else ()) + (_FORCE if force else ())
+    extra = (_LOAD if load else ()) + (_FORCE if force else ()) + (_SETPOINT if setpoint else ())
     neighbor = (*_NEIGHBOR[:-1], *(_LOAD if load else ()), _NEIGHBOR[-1])
     groups: list[tuple[str, _Entries]] = [("self", _SELF + extra)]
     groups += [(f"neighbor_{k}", neighbor) for k in range(num_neighbors)]
@@ -124,11 +134,9 @@ def observation_layout(
     return tuple(fields)
 
 
-def observation_width(
-    num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
-) -> int:
-    """Length of an observation row."""
-    return observation_layout(num_neighbors, num_obstacles, load, force)[-1].where.stop
+def observation_width(num_neighbors: int, *more: Any) -> int:
+    """Return the length of an observation row; the arguments are those of its layout."""
+    return observation_layout(num_neighbors, *more)[-1].where.stop
 
 
 FORMS = ("flat", "dict")  # Names of the forms
@@ -140,31 +148,31 @@ _SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacl
 
 
 def observation_space(
-    form: str, num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+    form: str, num_neighbors: int, num_obstacles: int = 0, *more: bool
 ) -> spaces.Space[Any]:
-    """The space of one drone's observation: a Box, or a Dict of Boxes.
+    """Return the space of one drone's observation: a Box, or a Dict of Boxes.
 
     The dictionary has `self` (width), `neighbors` (K, width), nearest first, `mask` (K,), 1 where
     there is a neighbour, and `task` (width); with obstacles observed also `obstacles` (M, 3) and
     `obstacle_mask` (M,). See `observation_layout` for the fields.
     """
-    row = np.zeros(observation_width(num_neighbors, num_obstacles, load, force), np.float32)
+    row = np.zeros(observation_width(num_neighbors, num_obstacles, *more), np.float32)
     if form == "flat":
         return _box(row)
-    parts = shaper(form, num_neighbors, num_obstacles, load, force)(row)
+    parts = shaper(form, num_neighbors, num_obstacles, *more)(row)
     return spaces.Dict({name: _box(part, "mask" in name) for name, part in parts.items()})
 
 
 def shaper(
-    form: str, num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+    form: str, num_neighbors: int, num_obstacles: int = 0, *more: bool
 ) -> Callable[[Float32Array], Observation]:
-    """A function that gives rows (..., width) the form; its parts are views of the rows."""
+    """Return a function that gives rows (..., width) the form; its parts are views of the rows."""
     if form == "flat":
         return lambda rows: rows
-    layout = observation_layout(num_neighbors, num_obstacles, load, force)
+    layout = observation_layout(num_neighbors, num_obstacles, *more)
     own, task = _span("self.", layout), _span("task.", layout)
     counts = {"neighbors": num_neighbors, "obstacles": num_obstacles}
-    one = observation_layout(1, 1, load, force)
+    one = observation_layout(1, 1, *more)
     places = {
         name: (_span(_SETS[name][0], layout), _span(_SETS[name][0], one))
         for name, count in counts.items()
@@ -222,17 +230,18 @@ def sense(
     for e in range(first, last):
         if not mask[e]:
             continue
-        key = environments[e].noise_key
+        key, scale = environments[e].noise_key, environments[e].noise_scale
+        at_position, at_velocity = scale * noise[0], scale * noise[1]
+        half, at_rate = 0.5 * scale * noise[2], scale * noise[3]
         for i in range(size):
             at = (environments[e].decisions * size + i) * _PER_DRONE
             d, o = drones[e, i], out[e, i]
-            half = 0.5 * noise[2]
             for k in range(3):
                 p, v = normal(key, np.uint64(at + k)), normal(key, np.uint64(at + 3 + k))
                 w = normal(key, np.uint64(at + 9 + k))
-                o.position[k] = d.position[k] + noise[0] * p
-                o.velocity[k] = d.velocity[k] + noise[1] * v
-                o.angular_velocity[k] = d.angular_velocity[k] + noise[3] * w
+                o.position[k] = d.position[k] + at_position * p
+                o.velocity[k] = d.velocity[k] + at_velocity * v
+                o.angular_velocity[k] = d.angular_velocity[k] + at_rate * w
             tx = half * normal(key, np.uint64(at + 6))
             ty = half * normal(key, np.uint64(at + 7))
             tz = half * normal(key, np.uint64(at + 8))
@@ -283,6 +292,26 @@ def write_load(seen: Record, drone: Record, row: Float32Array, at: int) -> int:
     row[at + 1] = drone.nominal_mass / _SMALL_MASS
     row[at + 2] = seen.battery
     return at + 3
+
+
+@part
+def write_setpoint(drone: Record, direct: bool, row: Float32Array, at: int) -> int:
+    """Write the set-point's derivatives from `at` on, unless there is none; return the end."""
+    for k in range(3):
+        row[at + k] = 0.0 if direct else drone.setpoint_velocity[k] / SPEED_LIMIT
+        acceleration = 0.0 if direct else drone.setpoint_acceleration[k]
+        row[at + 3 + k] = acceleration / ACCELERATION_LIMIT
+    return at + 6
+
+
+@part
+def write_task(seen: Record, drone: Record, row: Float32Array, at: int) -> None:
+    """Write a drone's goal and reference as seen from where it is measured, from `at` on."""
+    for k in range(3):
+        row[at + k] = drone.goal[k] - seen.position[k]
+        row[at + 3 + k] = drone.reference_position[k] - seen.position[k]
+        row[at + 6 + k] = drone.reference_velocity[k] / SPEED_LIMIT
+        row[at + 9 + k] = drone.reference_acceleration[k] / ACCELERATION_LIMIT
 
 
 @part
@@ -344,14 +373,15 @@ def write_observations(
     out: Float32Array,
     num_obstacles: int,
     load: bool,
-    force: FloatArray | None,
+    force: FloatArray,
+    setpoint: bool,
     seen: Records,
     columns: FloatArray,
     drones: Records,
     environments: Records,
     settings: Records,
-    order: IntArray | None,
-    obstacles: FloatArray | None,
+    order: IntArray,
+    obstacles: FloatArray,
     others: IntArray,
     square: FloatArray,
 ) -> None:
@@ -364,28 +394,30 @@ def write_observations(
         out: (E, N, width) rows.
         num_obstacles: M.
         load: whether thrust margins, masses and charges are observed.
-        force: (E, N, 3) predicted forces, N; None if they are not observed.
+        force: (E, N, 3) predicted forces, N; (0, N, 3) if they are not observed.
+        setpoint: whether the set-point's velocity and acceleration are observed.
         seen: (E, N) records of the drones as they are measured.
         columns: (E, N, columns) the same memory as plain numbers; the first three are positions.
         drones: (E, N) true records.
         environments: (E,) records.
         settings: (1,) record.
-        order: (E, N) any permutation of the drones, sorted in place; None if they are few.
-        obstacles: (M', 7) rows of `swarm_envs.physics.contact`; None if none are observed.
+        order: (E, N) any permutation of the drones; sorted in place if they are many.
+        obstacles: (M', 7) rows of `swarm_envs.physics.contact`.
         others: (K,) scratch: for so many neighbours.
         square: (K,) scratch.
     """
     direct, width = settings[0].level != SETPOINTS, 16 if load else 13
+    many = out.shape[1] > FEW
     for e in range(first, last):
         if not mask[e]:
             continue
         position = columns[e]
         time_left = max(1.0 - environments[e].time / settings[0].horizon_s, 0.0)
-        if order is not None:
+        if many:
             sort_along_x(position, order[e])
         for place in range(out.shape[1]):
             i = place
-            if order is not None:
+            if many:
                 i = order[e, place]
             row, own, d = out[e, i], seen[e, i], drones[e, i]
             for c in range(out.shape[2]):  # fields of neighbours and obstacles may stay zero
@@ -395,26 +427,24 @@ def write_observations(
             start = write_self(own, d, direct, row)
             if load:
                 start = write_load(own, d, row, start)
-            if force is not None:
+            if len(force) > 0:
                 for k in range(3):
                     row[start + k] = force[e, i, k] / (d.nominal_mass * GRAVITY)
                 start += 3
-            if order is None:
-                found = nearest(i, position, drones[e], others, square)
-            else:
+            if setpoint:
+                start = write_setpoint(d, direct, row, start)
+            if many:
                 team = drones[e]
                 found = nearest_sorted(i, place, position, team, order[e], others, square)
+            else:
+                found = nearest(i, position, drones[e], others, square)
             for k in range(found):
                 j = others[k]
                 write_neighbor(own, seen[e, j], drones[e, j], load, row, start + width * k)
             start += width * others.shape[0]
-            if obstacles is not None:
+            if num_obstacles > 0:
                 p = own.position
                 place_of = row[start : start + 4 * num_obstacles]
                 start += write_obstacles(p[0], p[1], p[2], obstacles, num_obstacles, place_of)
-            for k in range(3):
-                row[start + k] = d.goal[k] - own.position[k]
-                row[start + 3 + k] = d.reference_position[k] - own.position[k]
-                row[start + 6 + k] = d.reference_velocity[k] / SPEED_LIMIT
-                row[start + 9 + k] = d.reference_acceleration[k] / ACCELERATION_LIMIT
+            write_task(own, d, row, start)
             row[start + 12] = time_left

@@ -72,6 +72,8 @@ class Randomization:
     """noise of observed attitudes, rad"""
     body_rate_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     """noise of observed body rates, rad/s"""
+    noise_scale: Annotated[tuple[float, float], Interval(Range(0.0))] = SAME
+    """factor of all noise, one for a whole environment"""
 
     @classmethod
     def of(cls, given: Randomization | str | None) -> Randomization | None:
@@ -144,6 +146,8 @@ def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world
     drones["charge"][e] = rng.uniform(*ranges.battery, drones.shape[1])
     gust_key, noise_key = rng.integers(2**63, size=2)
     environments["gust_key"][e], environments["noise_key"][e] = gust_key, noise_key
+    if ranges.noise_scale != SAME:
+        environments["noise_scale"][e] = rng.uniform(*ranges.noise_scale)
 
 
 def scale_hall(

@@ -135,7 +135,8 @@ class Physics:
         drones = len(self.team)
         self.world: World = new_world(num_envs, drones, num_stages)
         self._columns = self.world.columns
-        self.world.environments["force_scale"] = 1.0
+        for name in ("force_scale", "noise_scale"):
+            self.world.environments[name] = 1.0
         self.settings: Records = np.zeros(1, SETTINGS_TYPE)
         strength, correlation_s = gusts or (0.0, 1.0)
         self._set(

@@ -11,7 +11,7 @@ import pytest
 
 from swarm_envs import swap_v1
 from swarm_envs.agents import load
-from swarm_envs.agents.features import goal_features
+from swarm_envs.agents.features import features_of
 from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.cli import main
@@ -80,7 +80,7 @@ def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
     agent = PolicyAgent(Policy(config.note(), Network(rllib_ppo.actor(module, 3)), {}))
     env = swap_v1.parallel_env(num_drones=2, physics="batch", **agent.requires)
     rows = np.stack(list(env.reset(seed=3)[0].values()))
-    told = goal_features(rows, 1)
+    told = features_of(rows, 1)
     assert told.shape[1] == config.note().sizes.width
     with torch.no_grad():
         given = module.forward_inference({"obs": torch.as_tensor(told)})["action_dist_inputs"]

@@ -18,7 +18,7 @@ import torch
 from swarm_envs import crowd_v0, swap_v1
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
-from swarm_envs.agents.features import FEATURE_SETS, TYPED
+from swarm_envs.agents.features import MASK, feature_sizes, features_of
 from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import Policy
 from swarm_envs.envs.core import SwarmCore
@@ -151,7 +151,7 @@ def test_labels_are_of_the_true_state(given):
     agent: Any = load("roundabout")
     for _ in range(5):
         core.step(np.zeros((3, 6, 3)))
-    true, env = core.true_rows(7, 0, False, False), SwarmParallelEnv(*blueprint)
+    true, env = core.true_rows(7), SwarmParallelEnv(*blueprint)
     agent.reset(env, 0)
     wanted, _ = Teacher("roundabout", blueprint).labels(core, 1.0)
     np.testing.assert_allclose(wanted, agent.act_batch(true), atol=1e-6)
@@ -228,9 +228,8 @@ def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered(
     for core in made.cores:
         core.reset(list(range(core.num_envs)))
     made.rng, made.ends = np.random.default_rng(0), []
-    make = FEATURE_SETS[made.setting.features].make
     for _ in range(7):
-        seen = [make(core.rows, *core.form[1:]) for core in made.cores]
+        seen = [features_of(core.rows, *core.form[1:]) for core in made.cores]
         made._decide(0.5)
     memory = made.memory
     assert (memory.filled, memory.place) == (700, 7 * 120 % 700)
@@ -265,7 +264,7 @@ def test_the_example_of_ppo_learns():
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.01
 
 
-SIZES = FEATURE_SETS[TYPED].sizes(4)
+SIZES = feature_sizes(4)
 NETWORKS = {"mlp": None, "deep-set": (8, 6)}
 
 
@@ -279,7 +278,7 @@ def values_of(count: int = 40) -> np.ndarray:
     rng = np.random.default_rng(0)
     own, around = SIZES.split(rng.normal(size=(count, SIZES.width)).astype(np.float32))
     present = np.arange(4) < rng.integers(0, 5, (count, 1))
-    around[..., SIZES.mask] = 1.0
+    around[..., MASK] = 1.0
     around *= present[..., None]
     return np.concatenate([own, around.reshape(count, -1)], axis=1)
 

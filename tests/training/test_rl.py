@@ -210,7 +210,7 @@ def test_the_network_that_flies_is_that_of_the_model(kind, encoder):
     algo = kind.__name__.lower()
     config = RlConfig(out=Path("never"), algo=algo, encoder=encoder, environments=4, drones=3)
     made = make_setting(config, "swap_v1")
-    env = SharedPolicyVecEnv(made.blueprints, 4, 0, features=made.features)
+    env = SharedPolicyVecEnv(made.blueprints, 4, 0, features=True)
     arguments = {
         **sb3.arguments_of(made),
         **({"batch_size": 96} if algo == "ppo" else {"buffer_size": 10}),

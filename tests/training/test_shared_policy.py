@@ -11,7 +11,7 @@ import pytest
 
 import swarm_envs.training
 from swarm_envs import TASKS, swap_v1
-from swarm_envs.agents.features import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import feature_sizes, features_of
 from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.options import batch_of
 
@@ -200,21 +200,20 @@ def test_teams_side_by_side_fly_as_they_would_alone():
 def test_features_are_observed_in_place_of_rows():
     """Of the last observation of an episode too."""
     plain = quick(num_neighbors=1, physics="batch")
-    env = quick(num_neighbors=1, physics="batch", features=GOAL)
-    make = FEATURE_SETS[GOAL].make
-    assert np.array_equal(env.reset(), make(plain.reset(), 1))
-    assert env.observation_space.shape == (FEATURE_SETS[GOAL].sizes(1).width,)
+    env = quick(num_neighbors=1, physics="batch", features=True)
+    assert np.array_equal(env.reset(), features_of(plain.reset(), 1))
+    assert env.observation_space.shape == (feature_sizes(1).width,)
     rng, ends = np.random.default_rng(0), 0
     for step in range(40):
         actions = some_actions(rng, step)
         rows, _, _, expected = plain.step(actions)
         seen, _, _, infos = env.step(actions)
-        assert np.array_equal(seen, make(rows, 1))
+        assert np.array_equal(seen, features_of(rows, 1))
         for info, other in zip(infos, expected, strict=True):
             if "terminal_observation" in info:
                 ends += 1
                 assert np.array_equal(
-                    info["terminal_observation"], make(other["terminal_observation"], 1)
+                    info["terminal_observation"], features_of(other["terminal_observation"], 1)
                 )
     assert ends
 
@@ -238,8 +237,6 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
         SharedPolicyVecEnv("swap_v9")
     with pytest.raises(ValueError, match="render_mode is 'rgb_array', but env"):
         quick(render_mode="rgb_array")
-    with pytest.raises(ValueError, match="unknown features 'goals'"):
-        quick(features="goals")
 
 
 def test_without_stable_baselines3_it_says_what_to_install(monkeypatch):

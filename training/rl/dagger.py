@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from swarm_envs import __version__
-from swarm_envs.agents.features import FEATURE_SETS
+from swarm_envs.agents.features import features_of
 from swarm_envs.agents.policy import CHECKPOINT, PolicyAgent
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.core import SwarmCore
@@ -195,7 +195,7 @@ class Dagger:
     def _decide(self, guided: float) -> None:
         """Fly one decision of every drone, and remember what the teacher would have done."""
         for core, teacher in zip(self.cores, self.teachers, strict=True):
-            rows = FEATURE_SETS[self.setting.features].make(core.rows, *core.form[1:])
+            rows = features_of(core.rows, *core.form[1:])
             with torch.no_grad():
                 own = self.actor(torch.from_numpy(rows)).numpy()
             wanted, weight = teacher.labels(core, self.config.dagger.avoiding)

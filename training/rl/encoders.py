@@ -10,7 +10,7 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
-from swarm_envs.agents.features import FeatureSizes
+from swarm_envs.agents.features import MASK, FeatureSizes
 from swarm_envs.agents.networks import Layers, Network
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
@@ -36,7 +36,7 @@ class SetEncoder(nn.Module):
         sizes = self.sizes
         own = values[:, : sizes.own]
         around = values[:, sizes.own :].reshape(-1, sizes.num_neighbors, sizes.neighbor)
-        present = around[..., sizes.mask, None]
+        present = around[..., MASK, None]
         beside = own[:, None].expand(-1, sizes.num_neighbors, -1)
         codes = self.phi(torch.cat([beside, around], dim=-1)) * present
         # Codes are above -1, so that the largest of those that are present is the largest of these

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from swarm_envs import task_family
-from swarm_envs.agents.features import FULL, GOAL, REFERENCE, TYPED
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.agents.protocol import AT_ONCE, fly_batch
 from swarm_envs.agents.registry import controller_of
@@ -252,8 +251,6 @@ class Recipe:
     parts: Callable[[Task, RlConfig], Mapping[str, tuple[float, Task]]] = _whole
     """that task as parts by name, for which `--algo dagger` may have teachers of their own: the
     share of the environments, and what is flown there"""
-    features: str = GOAL  # name of the features that the network takes of an observation row
-    features_of_types: str = TYPED  # the same where teams have vehicles of several types
     measures: Mapping[str, Callable[[Metrics], float]] = field(
         default_factory=lambda: {"success": success, "collision": collision}
     )
@@ -288,7 +285,7 @@ def _of_air(*layouts: str, more: Mapping[str, Any] = MappingProxyType({}), **giv
     return Recipe(
         layouts=names if len(layouts) > 1 else {layouts[0]: {}},
         defaults={**_REACH, "layout": layouts[0], "horizon_s": None, "observe_load": True},
-        **{"features": FULL, "features_of_types": FULL, **given},
+        **given,
     )
 
 
@@ -307,8 +304,6 @@ def _of_scores(
         evaluated={ALL: tuple(layouts)},
         reward_weights={},
         parts=layout_parts,
-        features=FULL,
-        features_of_types=FULL,
         measures={"success": success, "collision": collision, score: _metric(score)},
         cost={score: -1.0 / full},
         **given,
@@ -363,8 +358,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
                 "horizon_s": 5.0,
             },
             reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
-            features=REFERENCE,
-            features_of_types=REFERENCE,
             measures={
                 "success": success,
                 "collision": collision,

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from swarm_envs.agents.features import FEATURE_SETS
-from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, OneOf, Range, Seed, typed
+from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
 from swarm_envs.envs.setting import AirOptions
 from swarm_envs.errors import check_name
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -133,9 +132,9 @@ class RlConfig(AirOptions, RunOptions):
     """observe thrust margins, masses and charges; default: the task's"""
     observe_force: bool = False
     """observe the force that the shipped belief predicts for the drone"""
-    features: Annotated[str, OneOf(tuple(FEATURE_SETS))] | None = None
-    """what the network sees of an observation row; default: the task's, and `full-1` with
-    obstacles, loads or forces"""
+    observe_setpoint: bool = False
+    """observe velocity and acceleration of the set-point, which are exact where the drone's own
+    velocity is noisy"""
     controller: str | None = None
     """the shipped agent whose tracking controller flies the policy's set-points, such as
     `air-aware`; the default controller if not given"""

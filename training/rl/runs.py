@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
-from swarm_envs.agents.features import FEATURE_SETS, FULL, TYPES, FeatureSizes
+from swarm_envs.agents.features import TYPES, FeatureSizes, feature_sizes
 from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, senses, write_policy
 from swarm_envs.envs.options import Blueprint, batch_of
@@ -27,9 +27,8 @@ class Setting(NamedTuple):
     config: RlConfig  # with the task's defaults
     task: str  # versioned name
     blueprints: list[Blueprint]  # of each team
-    features: str  # name of the features
-    sizes: FeatureSizes  # their sizes
-    types: tuple[str, ...]  # types of vehicles, if they are features
+    sizes: FeatureSizes  # sizes of the features
+    types: tuple[str, ...]  # types of vehicles
 
     def note(self) -> PolicyNote:
         """Return what the policy is trained for."""
@@ -40,13 +39,13 @@ class Setting(NamedTuple):
             config.action,
             config.decision_rate,
             config.num_neighbors,
-            features=self.features,
             types=self.types,
             fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
             activation="relu" if config.imitates else "tanh",
             num_obstacles=config.num_obstacles or 0,
             observe_load=bool(config.observe_load),
             observe_force=config.observe_force,
+            observe_setpoint=config.observe_setpoint,
             controller=config.controller or "",
         )
 
@@ -60,12 +59,9 @@ def make_setting(config: RlConfig, task: str) -> Setting:
     config = with_recipe(config, task)
     blueprints = [training_blueprint(config, task, team) for team in config.teams]
     present = {vehicle.token for found in blueprints for vehicle in found.task.team}
-    flown, recipe = tuple(token for token in TYPES if token in present), recipe_of(task)
-    form = (config.num_neighbors, *senses_of(config))
-    features = recipe.features_of_types if len(flown) > 1 else recipe.features
-    features = config.features or (FULL if any(form[1:]) else features)
-    sizes = FEATURE_SETS[features].sizes(*form)
-    return Setting(config, task, blueprints, features, sizes, flown if sizes.typed else ())
+    flown = tuple(token for token in TYPES if token in present)
+    sizes = feature_sizes(config.num_neighbors, *senses_of(config))
+    return Setting(config, task, blueprints, sizes, flown)
 
 
 def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> Blueprint:
@@ -98,9 +94,10 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     return found._replace(task=replace(flown, reward_weights=weights))
 
 
-def senses_of(config: RlConfig) -> tuple[int, bool, bool]:
-    """Return what a policy observes besides neighbors: M, and whether loads and forces."""
-    return config.num_obstacles or 0, bool(config.observe_load), config.observe_force
+def senses_of(config: RlConfig) -> tuple[int, bool, bool, bool]:
+    """Return the M of a policy's rows, and whether they hold loads, forces and set-points."""
+    extra = (bool(config.observe_load), config.observe_force, config.observe_setpoint)
+    return config.num_obstacles or 0, *extra
 
 
 class Evaluation:

@@ -76,7 +76,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             setting.blueprints,
             config.environments // len(setting.blueprints),
             config.seed,
-            features=setting.features,
+            features=True,
         )
         model, evaluation = _begin(algorithm, arguments, env, setting)
         network_of(model)  # refuses before the training what cannot be written after it

@@ -36,7 +36,7 @@ from swarm_envs.errors import check_integer, check_name
 KEPT = 256  # Decisions of a work that are kept, to be compared with those of agents that ship
 OPTIONS = (
     *("action", "decision_rate", "observation"),
-    *("num_neighbors", "num_obstacles", "observe_load"),
+    *("num_neighbors", "num_obstacles", "observe_load", "observe_setpoint"),
 )
 """Options that a work may require. All others say what is flown and when it is a success."""
 MOST_SEEN = 64  # Neighbours, or obstacles, that it may ask to observe
