@@ -1,8 +1,8 @@
 """Small jobs that go through the kernels, and the arrays they end with.
 
-`python -m tests.helpers.scenarios FOLDER` does all and writes the arrays of each to a file. Each is
-a matter of seconds without compilation, so that a process with `NUMBA_DISABLE_JIT=1` can do what a
-compiled one does.
+`python -m tests.helpers.scenarios FOLDER NAME ...` writes the arrays of some to files. Each takes
+seconds without compilation, so that a process with `NUMBA_DISABLE_JIT=1` can do what a compiled one
+does.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 import swarm_envs
 from swarm_envs.agents import load as load_agent
-from swarm_envs.agents.features import goal_features
+from swarm_envs.agents.features import features_of
 from swarm_envs.baselines import mlr_dmpc, rth3d
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
@@ -75,7 +75,7 @@ def filtered() -> Arrays:
     env.close()
     return {
         "actions": np.array(acts),
-        "features": goal_features(rows, neighbors).astype(np.float64),
+        "features": features_of(rows, neighbors).astype(np.float64),
     }
 
 
@@ -124,8 +124,10 @@ SCENARIOS: dict[str, Callable[[], Arrays]] = {
     **{f.__name__: f for f in (crowd, filtered, grid_plans, tree_search, rounds, repulsion)},
 }
 """Every job by its name."""
+LONG = ("grid_plans", "tree_search", "filtered", "crowd", "everything drawn")
+"""Jobs that take more than 10 s, with the compilation of what they call."""
 
 
 if __name__ == "__main__":
-    for name, job in SCENARIOS.items():
-        np.savez(Path(sys.argv[1], f"{name}.npz"), **job())  # type: ignore[arg-type]
+    for name in sys.argv[2:]:
+        np.savez(Path(sys.argv[1], f"{name}.npz"), **SCENARIOS[name]())  # type: ignore[arg-type]
