@@ -24,7 +24,6 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
-from swarm_envs.neighbors import FEW
 from swarm_envs.physics.begin import begin_flight
 from swarm_envs.physics.contact import (
     NO_WALLS,
@@ -175,29 +174,27 @@ class Physics:
         work = new_work(drones)
         largest = max(1, PART // drones)
         self.workers = Workers(self.num_envs, threads, len(work.members), largest)
-        self._open_circuit = self._battery.open_circuit if self.settings["drains"][0] else None
+        self._open_circuit = self._battery.open_circuit
         given = (
             self.world.drones,
             self._columns,
             self.world.environments,
             self.settings,
-            self.obstacles if len(self.obstacles) else None,
+            self.obstacles,
             self._open_circuit,
-            self.order if drones > FEW else None,
-            True if self.settings["gusty"][0] else None,
+            self.order,
             True if self.settings["adaptation"][0] else None,
             None if self.hall is None else True,
-            True if self.settings["bounces"][0] else None,
             True if self._twisting else None,
             self.interactions.packed,
-            self.feedforward.packed if self.settings["compensates"][0] else None,
+            self.feedforward.packed,
         )
         places = len(work.members)
         self._given = [  # to each thread
             (
                 *given,
                 new_work(drones),
-                *(scratch_for(m, places, drones) if m else None for m in given[-2:]),
+                *(scratch_for(m, places, drones) for m in given[-2:]),
             )
             for _ in range(self.workers.threads)
         ]

@@ -18,7 +18,7 @@ def begin_flight(
     drones: Records,
     columns: FloatArray,
     settings: Records,
-    open_circuit: FloatArray | None,
+    open_circuit: FloatArray,
 ) -> None:
     """Let the drones of these environments (M,) begin, as if nothing had been flown.
 
@@ -55,5 +55,5 @@ def begin_flight(
                 d.setpoint_position[k] = d.position[k]
             d.asked[0], d.rotor_limit = total, d.max_rotor_thrust
             d.motor_decay = np.exp(-d.motor_rate * TIME_STEP)
-            if open_circuit is not None and d.battery < 1.0:
+            if settings[0].drains and d.battery < 1.0:
                 d.rotor_limit = limit_rotors(d.battery, total, d, settings[0], open_circuit)

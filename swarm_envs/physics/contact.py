@@ -284,12 +284,12 @@ RESTITUTION = 0.5  # Speed at which bodies part over that at which they met: e
 
 @part
 def bounce(
-    blocks: Records, first: int, drones: int, settings: Records, obstacles: FloatArray | None
+    blocks: Records, first: int, drones: int, settings: Records, obstacles: FloatArray
 ) -> None:
     """Let the drones of an environment bounce off what they overlap now; their contacts are known.
 
     The first is in the slot `first`. The arena's floor is the ground at z = 0; obstacles are rows
-    (M, 7), None for none.
+    (M, 7).
     """
     low, high = settings[0].arena[0], settings[0].arena[1]
     for i in range(drones):
@@ -309,9 +309,8 @@ def bounce(
                 b.position[k, lane] = lowest if p < lowest else highest
                 if side * b.velocity[k, lane] < 0.0:
                     b.velocity[k, lane] *= -RESTITUTION
-        if obstacles is not None:
-            for m in range(obstacles.shape[0]):
-                bounce_off(blocks, first + i, obstacles, m)
+        for m in range(obstacles.shape[0]):
+            bounce_off(blocks, first + i, obstacles, m)
 
 
 @part

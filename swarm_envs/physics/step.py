@@ -237,16 +237,14 @@ def fly(  # noqa: C901  # one step, on one screen
     columns: FloatArray,
     environments: Records,
     settings: Records,
-    obstacles: FloatArray | None,
-    open_circuit: FloatArray | None,
-    order: IntArray | None,
-    gusty: bool | None,
+    obstacles: FloatArray,
+    open_circuit: FloatArray,
+    order: IntArray,
     adaptive: bool | None,
     hall: bool | None,
-    bounces: bool | None,
     twisting: bool | None,
     air: PackedField,
-    feedforward: PackedField | None,
+    feedforward: PackedField,
     work: Work,
     scratch: Scratch,
     feedforward_scratch: Scratch,
@@ -256,9 +254,9 @@ def fly(  # noqa: C901  # one step, on one screen
     Each step has the phases given; without MOVE, TOUCH comes first: Bullet has moved the bodies
     since the last call. A drone that tumbles stops at that step: alone, or with its team where
     `ends_team` is set. `columns` (E, N, columns) is the memory of the records `drones` (E, N) as
-    plain numbers, `order` (E, N) the drones as last sorted along x, None if they are few;
-    `open_circuit` is None for batteries that never empty. Flags are True or None: what is None is
-    left out when this is compiled, which saves about a fifth of the time.
+    plain numbers, `order` (E, N) the drones as last sorted along x, used if they are many,
+    `open_circuit` (K,) as of `empty_batteries`. Flags are True or None: what is None is left out
+    when this is compiled, which saves about a fifth of the time.
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
@@ -286,14 +284,14 @@ def fly(  # noqa: C901  # one step, on one screen
                 if hall is not None:
                     estimate(work.blocks, full, settings)
                 touch(work.blocks, full, settings)
-                if order is None:
+                if size <= FEW:
                     meet(work.blocks, count, size, work.spots)
                 else:
                     for place in range(count):
                         meet_many(work.blocks, place * size, work.position, order[members[place]])
-                if obstacles is not None:
+                if len(obstacles) > 0:
                     touch_obstacles(work.blocks, count * size, obstacles)
-                if bounces is not None:
+                if s.bounces:
                     for place in range(count):
                         bounce(work.blocks, place * size, size, settings, obstacles)
                 stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
@@ -302,7 +300,7 @@ def fly(  # noqa: C901  # one step, on one screen
             if hall is not None and phases & CONTROL and controlled:
                 see(work.blocks, full)
             if phases & CONTROL and s.level == SETPOINTS:
-                if feedforward is not None:
+                if s.compensates:
                     compensated = size > 0
                     for place in range(count):
                         work.due[place] = place
@@ -331,15 +329,15 @@ def fly(  # noqa: C901  # one step, on one screen
                         find_company(due, size, work.due, work.blocks, scratch)
                     if twisting is not None:
                         twist(air, due, size, environments, work, scratch)
-                if gusty is not None and phases & CONTROL:
+                if s.gusty and phases & CONTROL:
                     for place in range(count):
                         environment = environments[members[place]]
                         gust(environment, place * size, size, settings, work.blocks)
                 if hall is not None:
-                    adds = gusty is not None or phases & CONTROL == 0
+                    adds = s.gusty or phases & CONTROL == 0
                     disturb(work.blocks, full, settings, adds)
                 spin_rotors(work.blocks, full)
-                if open_circuit is not None:
+                if s.drains:
                     empty_batteries(count, drones, settings, open_circuit, work)
             if phases & MOVE:
                 integrate(work.blocks, full, twisting)
