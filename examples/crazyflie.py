@@ -1,7 +1,7 @@
 """Crazyflie: a recorded flight as sampled set-points and as polynomial trajectories.
 
-swarm-envs fly --layout stacked --team L2S --agent tracking --seed 1 --out flight
-python examples/crazyflie.py flight/trajectory.parquet --out real
+    swarm-envs fly --layout stacked --team L2S --agent tracking --seed 1 --out flight
+    python examples/crazyflie.py flight/trajectory.parquet --out real
 
 writes for each drone of the flight
 

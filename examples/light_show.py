@@ -1,7 +1,7 @@
 """A light show: drones write letters, or form point clouds of your own, one after another.
 
-python examples/light_show.py --text SWARM --drones 24 --out show
-python examples/light_show.py --points points.npy --out show
+    python examples/light_show.py --text SWARM --drones 24 --out show
+    python examples/light_show.py --points points.npy --out show
 
 RTH3D plans the way to each formation on a grid, and the tracking controller flies it through the
 downwash of the other drones, with an estimate of the force (INDI). The script prints, for each
