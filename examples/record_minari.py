@@ -1,7 +1,7 @@
 """Minari: record flights of an agent as a dataset for offline learning.
 
     pip install 'swarm-envs[minari]'
-    python examples/record_minari.py --agent roundabout --drones 8 --episodes 256 --name swap/eight-v0
+    python examples/record_minari.py --agent roundabout --drones 8 --name swap/eight-v0
 
 prints how many flights succeeded, where the dataset is, and how to load it. An episode is one
 flight of the team through the joint Gymnasium interface; `infos["success"]` is the success of its
