@@ -26,6 +26,21 @@ def test_no_command_and_help_list_every_command(capsys):
     assert all(listed.count(f"\n  {name} ") == 2 for name in COMMANDS)
 
 
+@pytest.mark.parametrize("words", ["--help", "fly --help", "train -h"])
+def test_of_a_help_the_head_alone_may_be_read(words):
+    script = [sys.executable, "-m", "swarm_envs", *words.split()]
+    with subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        running.stdout.close()
+        assert running.stderr.read() == b""
+    assert running.returncode == 0
+
+
+def test_the_help_of_fit_names_its_other_half(capsys):
+    with pytest.raises(SystemExit):
+        main(["fit", "--help"])
+    assert "fit --residual --help" in " ".join(capsys.readouterr().out.split())
+
+
 def test_the_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"swarm-envs {swarm_envs.__version__}\n"
