@@ -131,7 +131,7 @@ def _fit(arguments: Sequence[str]) -> int:
 
 def _collect(options: Any) -> None:
     check_outputs(options.out, options.json)
-    check_inputs(options)
+    check_inputs(options.config)
     with claimed(options.out):
         _load("training.collection.__main__:run_collect")(options)
 

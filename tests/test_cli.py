@@ -160,6 +160,23 @@ def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_near
     assert f"see `{PROGRAM} {line.split()[0]}" in error
 
 
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("collect --interactions learned-v0", "'learned-v0'; did you mean 'learned'?"),
+        ("collect --feedforward learned-v0", "'learned-v0'; did you mean 'learned'?"),
+        ("train --algo dagger --dagger.teacher circle=orka", "'orka'; did you mean 'orca'?"),
+        ("train --controller air-awre", "controller is 'air-awre', but must be"),
+        ("train --controller air-awre", "did you mean 'air-aware'?"),
+        ("fly --agent=", "but must be an agent's, such as 'swap-dagger'"),
+        ("fly --agent=+filter", "name is '+filter', but must begin with an agent's"),
+    ],
+)
+def test_names_of_nothing_are_refused(line, said, tmp_path, refused):
+    assert said in refused(*line.split(), "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_what_an_option_can_take_is_no_mistake():
     words = "--drones None --world hall --task x --randomization mass=1:2 --out a --horizon-s 1e1"
     assert find_mistake(FlyOptions, words.split()) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import as_misuse, check_inputs, check_outputs, need_torch
@@ -24,10 +25,21 @@ def check_training(config: RlConfig) -> str:
     return task
 
 
+def check_teachers(teachers: Sequence[str]) -> None:
+    """Refuse teachers that are no agents; parts of the training may stand before a name."""
+    from swarm_envs.agents import load
+
+    with as_misuse(FileNotFoundError):
+        for teacher in teachers:
+            load(teacher.rpartition("=")[2])
+
+
 def run_train(config: RlConfig) -> None:
     """Train, or say that it was done before; print what came out."""
     task = check_training(config)
     check_inputs(config)
+    if config.imitates:
+        check_teachers(config.dagger.teacher)
     need_torch()
     if importlib.util.find_spec("stable_baselines3") is None:
         raise ImportError(
