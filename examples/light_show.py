@@ -278,6 +278,6 @@ def main(options: Options) -> int:
 if __name__ == "__main__":
     try:
         main(tyro.cli(Options, description=__doc__))
-    except (OSError, ValueError) as error:
+    except (ImportError, OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -106,7 +106,8 @@ def main(options: Options) -> float:
         requires["controller"] = options.agent
     env = gymnasium.make(options.env, num_drones=options.drones, physics="batch", **requires)
     seeds = range(options.seed, options.seed + options.episodes)
-    flights = [fly(env, agent, seed) for seed in tqdm(seeds, unit="flight")]
+    with tqdm(seeds, unit="flight") as bar:
+        flights = [fly(env, agent, seed) for seed in bar]
     about = {"algorithm_name": options.agent, "requirements": ["swarm-envs"]}
     dataset = minari.create_dataset_from_buffers(options.name, flights, env=env, **about)
     env.close()
