@@ -30,6 +30,8 @@ def test_no_command_and_help_list_every_command(capsys):
 def test_of_a_help_the_head_alone_may_be_read(words):
     script = [sys.executable, "-m", "swarm_envs", *words.split()]
     with subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
         running.stdout.close()
         assert running.stderr.read() == b""
     assert running.returncode == 0
