@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import as_misuse, check_inputs, check_outputs, need_torch
 from swarm_envs.commands.fly import find_task
+from swarm_envs.errors import unknown_name
 
 if TYPE_CHECKING:
     from swarm_envs.training.rl.rl_config import RlConfig
@@ -34,6 +36,19 @@ def check_teachers(teachers: Sequence[str]) -> None:
             load(teacher.rpartition("=")[2])
 
 
+def check_algorithm(config: RlConfig, task: str) -> None:
+    """Refuse an algorithm that does not exist, and arguments that it does not take."""
+    from swarm_envs.training.rl.runs import make_setting
+    from swarm_envs.training.rl.sb3 import algorithm_of, arguments_of
+
+    with as_misuse():
+        taken = inspect.signature(algorithm_of(config.algo)).parameters
+        for name in arguments_of(make_setting(config, task)):
+            if name not in taken and "kwargs" not in taken:
+                said = unknown_name("argument", name, taken)
+                raise ValueError(f"--algo {config.algo} refuses its arguments: {said}")
+
+
 def run_train(config: RlConfig) -> None:
     """Train, or say that it was done before; print what came out."""
     task = check_training(config)
@@ -45,6 +60,8 @@ def run_train(config: RlConfig) -> None:
         raise ImportError(
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
         )
+    if not config.imitates:
+        check_algorithm(config, task)
     from swarm_envs.files import write_json
     from swarm_envs.training.rl.runs import finished_report, train_policy
 
