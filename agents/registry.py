@@ -95,6 +95,8 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
         from swarm_envs.agents.safety import SafetyFilter
 
         inner = name.removesuffix(FILTER)
+        if not inner:
+            raise ValueError(f"name is {name!r}, but must begin with an agent's: 'orca{FILTER}'")
         if inner.endswith(FILTER):
             raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
         agent = load_agent(inner)
@@ -133,13 +135,22 @@ def controller_of(name: str) -> ControllerConfig:
     Raises:
         ValueError: no shipped agent has this name, or it requires no controller.
     """
-    found = load_agent(name).requires.get("controller") if name in SHIPPED else None
-    if not isinstance(found, ControllerConfig):
+    found = _own_controller(name) if name in SHIPPED else None
+    if found is None:
+        known = difflib.get_close_matches(name.lower(), SHIPPED, n=3)
+        near = next(filter(_own_controller, known), None)
+        hint = f"; did you mean {near!r}?" if near else ""
         raise ValueError(
             f"controller is {name!r}, but must be a shipped agent with a controller of its own, "
-            "such as 'air-aware' or 'tracking+compensated'"
+            f"such as 'air-aware' or 'tracking+compensated'{hint}"
         )
     return found
+
+
+def _own_controller(name: str) -> ControllerConfig | None:
+    """The controller that a shipped agent requires, if it requires one."""
+    found = load_agent(name).requires.get("controller")
+    return found if isinstance(found, ControllerConfig) else None
 
 
 def shipped_belief() -> InteractionModel:
@@ -152,7 +163,8 @@ def shipped_belief() -> InteractionModel:
 def _unknown_agent(name: str) -> str:
     """Message for a name that no agent has: the nearest, and where all are listed."""
     if name.endswith(".py"):
-        return f"agent {name!r} names no class; write {name + ':Class'!r}"
+        wanted = f"write {name + ':Class'!r} or {name + ':function'!r}"
+        return f"agent {name!r} names no class or function; {wanted}"
     if "," in name:
         return f"unknown agent {name!r}; separate names by spaces"
     base, suffixed, _ = name.partition("+")
@@ -163,7 +175,8 @@ def _unknown_agent(name: str) -> str:
     hint = f"did you mean {near[0]!r}? " if near else ""
     return (
         f"unknown agent {name!r}; {hint}`swarm-envs fly --help` lists the included agents; others "
-        "are 'path/to/file.py:Class' and folders of training runs; +filter may follow each"
+        "are 'path/to/file.py:Class', 'path/to/file.py:function' and folders of training runs; "
+        "+filter may follow each"
     )
 
 
@@ -220,11 +233,22 @@ def _find(name: str, module: ModuleType, path: str) -> Any:
     made: Any = module
     for part in path.split("."):
         if not hasattr(made, part):
-            classes = [k for k, v in vars(module).items() if inspect.isclass(v)]
-            own = [k for k in classes if vars(module)[k].__module__ == module.__name__]
-            raise ValueError(unknown_name("class", part, own, f"in agent {name!r}"))
+            raise ValueError(
+                unknown_name("class or function", part, _defined(module), f"in agent {name!r}")
+            )
         made = getattr(made, part)
     return made
+
+
+def _defined(module: ModuleType) -> list[str]:
+    """The classes and functions that a file defines and does not hide."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if (inspect.isclass(value) or inspect.isfunction(value))
+        and value.__module__ == module.__name__
+        and not name.startswith("_")
+    ]
 
 
 def _make(name: str, module: ModuleType, path: str) -> Agent:

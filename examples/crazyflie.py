@@ -1,7 +1,7 @@
 """Crazyflie: a recorded flight as sampled set-points and as polynomial trajectories.
 
-swarm-envs fly --layout stacked --team L2S --agent tracking --seed 1 --out flight
-python examples/crazyflie.py flight/trajectory.parquet --out real
+    swarm-envs fly --layout stacked --team L2S --agent tracking --seed 1 --out flight
+    python examples/crazyflie.py flight/trajectory.parquet --out real
 
 writes for each drone of the flight
 
@@ -14,7 +14,7 @@ writes for each drone of the flight
 
 and prints for each drone the number of pieces, the largest distance between pieces and flight,
 the largest speed and acceleration; then the least distance between the bodies of two drones on
-these pieces. It exits with status 1 if bodies touch.
+these pieces. It exits with status 1 if bodies touch, and with 2 after bad input.
 
 Pieces are a least-squares spline whose third derivative is continuous, so that the desired body
 rates do not jump. The firmware stores 31 pieces of 132 bytes; a flight that needs more is refused
@@ -26,8 +26,10 @@ drone at its start before the swarm takes off: nothing here checks the hardware.
 from __future__ import annotations
 
 import csv
+import math
 import sys
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -37,6 +39,7 @@ import tyro
 from scipy.interpolate import BSpline, CubicHermiteSpline, make_lsq_spline
 from tqdm import tqdm
 
+from swarm_envs.arguments import POSITIVE_M, Range, typed
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.trajectory import read_trajectory
 
@@ -47,6 +50,7 @@ STATE = (*(f"{q}{axis}" for q in ("", "v", "a") for axis in "xyz"), "yaw")
 DENSE = 240.0  # samples per second at which pieces are compared with the flight
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True)
 class Options:
     """Options of the conversion."""
@@ -55,9 +59,9 @@ class Options:
     """a trajectory that `swarm-envs fly --out` or `write_trajectory` wrote, .parquet or .npz"""
     out: Path = Path("real")
     """output folder"""
-    rate: float = 100.0
+    rate: Annotated[float, Range(1.0, 10_000.0)] = 100.0
     """set-points per second"""
-    tolerance_m: float = 0.01
+    tolerance_m: Annotated[float, POSITIVE_M] = 0.01
     """largest distance between pieces and flight, m"""
 
 
@@ -103,8 +107,8 @@ def fit(path: CubicHermiteSpline, tolerance_m: float) -> tuple[Pieces, float]:
         if error <= tolerance_m:
             return pieces, error
     raise ValueError(
-        f"{MOST_PIECES} pieces come within {error:.3f} m of the flight, but the tolerance is "
-        f"{tolerance_m} m; allow a larger tolerance, or record a shorter flight"
+        f"{MOST_PIECES} pieces come within {math.ceil(1e6 * error) / 1e6:.6f} m of the flight, "
+        f"but the tolerance is {tolerance_m} m; use a larger one or a shorter flight"
     )
 
 
@@ -155,35 +159,50 @@ def least_clearance(flight: Recording, fitted: list[Pieces]) -> float:
     return float(min(gaps, default=np.inf))
 
 
+def fit_all(
+    flight: Recording, tolerance_m: float
+) -> list[tuple[CubicHermiteSpline, Pieces, float]]:
+    """Return for each drone its flight, the pieces of it, and their largest error, m.
+
+    Raises:
+        ValueError: pieces of a drone miss the tolerance.
+    """
+    found = []
+    for drone in tqdm(range(len(flight.team)), unit="drone", delay=1.0):
+        flown = curve(flight, drone)
+        try:
+            found.append((flown, *fit(flown, tolerance_m)))
+        except ValueError as failure:
+            raise ValueError(f"drone_{drone}: {failure}") from failure
+    return found
+
+
+def report(name: str, pieces: Pieces, error: float) -> None:
+    """Print the number of pieces of a drone, their error, m, and how fast they are."""
+    time = np.linspace(0.0, float(pieces.duration.sum()), 500)
+    speed, acceleration = (
+        np.linalg.norm(pieces.evaluate(time, order)[:, :3], axis=1).max() for order in (1, 2)
+    )
+    print(
+        f"{name}: {len(pieces.duration)} pieces, at most {100 * error:.2f} "
+        f"cm from the flight, {speed:.2f} m/s, {acceleration:.2f} m/s^2"
+    )
+
+
 def main(options: Options) -> float:
     """Convert the flight, print the report and return the least distance between bodies, m."""
-    if options.rate <= 0.0 or options.tolerance_m <= 0.0:
-        raise ValueError(
-            f"--rate is {options.rate} and --tolerance-m is {options.tolerance_m}, but both must "
-            "be positive"
-        )
+    if options.out.exists() and not options.out.is_dir():
+        raise ValueError(f"--out is {str(options.out)!r}, but that is a file; name a folder")
     flight = read_trajectory(options.flight)
+    fitted = fit_all(flight, options.tolerance_m)
     options.out.mkdir(parents=True, exist_ok=True)
-    fitted = []
-    for drone, vehicle in enumerate(tqdm(flight.team, unit="drone", delay=1.0)):
-        flown, name = curve(flight, drone), f"drone_{drone}"
-        try:
-            pieces, error = fit(flown, options.tolerance_m)
-        except ValueError as failure:
-            raise ValueError(f"{name}: {failure}") from failure
+    for drone, (flown, pieces, error) in enumerate(fitted):
+        name = f"drone_{drone}"
         rows = np.column_stack([pieces.duration, pieces.coefficients.reshape(-1, 32)])
         write_rows(options.out / f"{name}.csv", HEADER, rows)
         write_setpoints(options.out / f"{name}_setpoints.csv", flown, options.rate)
-        time = np.linspace(0.0, float(pieces.duration.sum()), 500)
-        speed, acceleration = (
-            np.linalg.norm(pieces.evaluate(time, order)[:, :3], axis=1).max() for order in (1, 2)
-        )
-        print(
-            f"{name} ({vehicle.token}): {len(pieces.duration)} pieces, at most {100 * error:.2f} "
-            f"cm from the flight, {speed:.2f} m/s, {acceleration:.2f} m/s^2"
-        )
-        fitted.append(pieces)
-    clearance = least_clearance(flight, fitted)
+        report(f"{name} ({flight.team[drone].token})", pieces, error)
+    clearance = least_clearance(flight, [pieces for _, pieces, _ in fitted])
     if np.isfinite(clearance):
         print(f"bodies stay at least {100 * clearance:.1f} cm apart")
     print(f"wrote {2 * len(fitted)} files into {options.out}")
@@ -193,5 +212,6 @@ def main(options: Options) -> float:
 if __name__ == "__main__":
     try:
         sys.exit(int(main(tyro.cli(Options, description=__doc__)) <= 0.0))
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    except (ImportError, OSError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

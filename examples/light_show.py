@@ -1,7 +1,7 @@
 """A light show: drones write letters, or form point clouds of your own, one after another.
 
-python examples/light_show.py --text SWARM --drones 24 --out show
-python examples/light_show.py --points points.npy --out show
+    python examples/light_show.py --text SWARM --drones 24 --out show
+    python examples/light_show.py --points points.npy --out show
 
 RTH3D plans the way to each formation on a grid, and the tracking controller flies it through the
 downwash of the other drones, with an estimate of the force (INDI). The script prints, for each
@@ -10,25 +10,31 @@ number of contacts and the least distance between two bodies. It writes `flight.
 `flight.html` (a replay to turn and play in a browser) and `flight.mp4` (a film; a GIF without
 ffmpeg) into the folder.
 
-A file of points holds an array (F, N, 3): F formations of N drones, in meters, z pointing up. Two
-points of a formation should be at least 0.5 m apart.
+A file of points is written by `numpy.save` and holds an array (F, N, 3): F formations of N drones,
+in meters, z pointing up, each point within 25 m of the origin in x, y and z. Two points of a
+formation should be at least 0.5 m apart.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
 from swarm_envs.agents import record_episode
+from swarm_envs.arguments import POSITIVE_S, Range, Seed, typed
 from swarm_envs.baselines.rth3d.grid_agent import GridAgent
 from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
 from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.formation import nearest_places
@@ -42,23 +48,26 @@ from swarm_envs.viewing.trajectory import write_trajectory
 from swarm_envs.viewing.video import FPS, count_frames, film, write_video_or_gif
 
 LOWEST_M, MARGIN_M = 0.8, 1.5  # height of the lowest place; free space around all places
+WAY = 0.7  # share of a stage in which the drones reach their places
+FARTHEST_M = 25.0  # largest coordinate of a point, which bounds the grid of the planner
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True)
 class Options:
     """Options of the show."""
 
-    text: str = "SWARM"
-    """letters and digits, each a formation"""
+    text: str | None = None
+    """letters and digits, each a formation; spaces are skipped; default: SWARM"""
     points: Path | None = None
     """formations in a file (.npy) instead of a text"""
-    drones: int = 24
-    """number of drones that write the text"""
-    stage_s: float = 14.0
+    drones: Annotated[int, Range(1, 256)] | None = None
+    """number of drones that write the text; default: 24"""
+    stage_s: Annotated[float, POSITIVE_S] = 14.0
     """time for each formation, s; the way to it takes at most 70 % of that"""
     world: str = "hall"
     """`hall`, with random forces and a state estimate, or `ideal`"""
-    seed: int = 0
+    seed: Seed = 0
     """random seed of the planner and of the hall"""
     video: bool = True
     """render the film, which takes most of the time"""
@@ -112,13 +121,39 @@ class ShowTask(Task):
         return Placement(goals[0], np.array(goals[1:]), 0.0)
 
 
+class ShowAgent(GridAgent):
+    """The planner and its tracking controller; a stage that is too short is refused."""
+
+    def plan(self, task: Task, view: View, seed: int) -> Any:
+        """Return the way to a formation.
+
+        Raises:
+            ValueError: it takes longer than its share of the stage.
+        """
+        found = super().plan(task, view, seed)
+        needed, given = found.duration_s / WAY, task.motion.stage_s or 0.0
+        if needed > given + 1e-6:
+            raise ValueError(
+                f"--stage-s is {given:g}, but the way to a formation takes "
+                f"{found.duration_s:.1f} s, which must be at most {100 * WAY:.0f} % of it; give "
+                f"at least {math.ceil(needed)}"
+            )
+        return found
+
+
 def read_points(path: Path) -> list[np.ndarray]:
     """Read formations from a file.
 
     Raises:
-        ValueError: the file holds no finite array (F, N, 3).
+        ValueError: the file holds no array (F, N, 3) of coordinates within the limit.
     """
-    points = np.load(path, allow_pickle=False)
+    try:
+        with path.open("rb") as file:
+            points = np.lib.format.read_array(file, allow_pickle=False)
+    except ValueError as error:
+        raise ValueError(
+            f"{path} is no file of numbers that numpy.save wrote; save an array (F, N, 3) by it"
+        ) from error
     if points.ndim != 3 or points.shape[2] != 3 or not points.size or points.dtype.kind not in "fi":
         raise ValueError(
             f"{path} holds an array of {points.dtype} with shape {points.shape}, but must hold "
@@ -126,6 +161,11 @@ def read_points(path: Path) -> list[np.ndarray]:
         )
     if not np.isfinite(points).all():
         raise ValueError(f"{path} holds a number that is not finite; give positions in meters")
+    if (farthest := float(np.abs(points).max())) > FARTHEST_M:
+        raise ValueError(
+            f"{path} holds a coordinate {farthest:g} m from the origin, but each must be within "
+            f"{FARTHEST_M:g} m; scale or move the points"
+        )
     return [*points.astype(float)]
 
 
@@ -133,13 +173,32 @@ def letters(text: str, drones: int) -> list[np.ndarray]:
     """Return each character of a text as points (N, 3), m, upright and 0.5 m apart or more.
 
     Raises:
-        ValueError: the text is empty, or has a character without a shape.
+        ValueError: the text has no character, or one without a shape.
     """
-    if not text:
-        raise ValueError("--text is '', but must have at least one letter, such as SWARM")
-    for character in text.upper():
+    characters = "".join(text.split()).upper()
+    if not characters:
+        raise ValueError(f"--text is {text!r}, but must have at least one letter, such as SWARM")
+    for character in characters:
         check_name("character of --text", character, CHARACTERS)
-    return [shape_points(f"letter:{character}", drones, 0.5) for character in text.upper()]
+    return [shape_points(f"letter:{character}", drones, 0.5) for character in characters]
+
+
+def read_formations(options: Options) -> list[np.ndarray]:
+    """Return the formations (N, 3) of the text or of the file, m.
+
+    Raises:
+        ValueError: both are given, or they are none.
+    """
+    if options.points is None:
+        text = "SWARM" if options.text is None else options.text
+        return letters(text, 24 if options.drones is None else options.drones)
+    for name in ("text", "drones"):
+        if (given := getattr(options, name)) is not None:
+            raise ValueError(
+                f"--{name} is {given!r}, but --points names the formations and with them their "
+                "number of drones; give one of them"
+            )
+    return read_points(options.points)
 
 
 def stage(formations: list[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -151,7 +210,7 @@ def stage(formations: list[np.ndarray]) -> tuple[np.ndarray, ...]:
 
 def fly(task: ShowTask, options: Options) -> tuple[Recording, GridAgent]:
     """Plan and fly the show; the agent keeps the plans."""
-    agent = GridAgent(controller=ControllerConfig(adaptation=Indi()))
+    agent = ShowAgent(controller=ControllerConfig(adaptation=Indi()), share=WAY)
     config = EnvConfig(
         physics="batch",
         world=options.world,
@@ -187,7 +246,6 @@ def report(flight: Recording, agent: GridAgent, task: ShowTask) -> int:
 
 def write(flight: Recording, folder: Path, video: bool) -> None:
     """Write the flight, its replay and its film, and print where they are."""
-    folder.mkdir(parents=True, exist_ok=True)
     write_trajectory(folder / "flight.npz", flight)
     write_replay(folder / "flight.html", flight)
     written = [folder / "flight.npz", folder / "flight.html"]
@@ -205,10 +263,10 @@ def write(flight: Recording, folder: Path, video: bool) -> None:
 
 def main(options: Options) -> int:
     """Plan, fly, report and write the show; return the number of contacts."""
-    if options.points is None:
-        formations = letters(options.text, options.drones)
-    else:
-        formations = read_points(options.points)
+    formations = read_formations(options)
+    if options.out.exists() and not options.out.is_dir():
+        raise ValueError(f"--out is {str(options.out)!r}, but that is a file; name a folder")
+    options.out.mkdir(parents=True, exist_ok=True)
     team = parse_team("S" * len(formations[0]))
     task = ShowTask(team, formations=stage(formations), stage_s=options.stage_s)
     flight, agent = fly(task, options)
@@ -220,5 +278,6 @@ def main(options: Options) -> int:
 if __name__ == "__main__":
     try:
         main(tyro.cli(Options, description=__doc__))
-    except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    except (ImportError, OSError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,7 +1,7 @@
 """Minari: record flights of an agent as a dataset for offline learning.
 
-pip install 'swarm-envs[minari]'
-python examples/record_minari.py --agent roundabout --drones 8 --episodes 256 --name swap/eight-v0
+    pip install 'swarm-envs[minari]'
+    python examples/record_minari.py --agent roundabout --drones 8 --name swap/eight-v0
 
 prints how many flights succeeded, where the dataset is, and how to load it. An episode is one
 flight of the team through the joint Gymnasium interface; `infos["success"]` is the success of its
@@ -12,7 +12,10 @@ which the seed and the actions of an episode give the same observations.
 
 from __future__ import annotations
 
+import re
+import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -24,8 +27,13 @@ from tqdm import tqdm
 
 import swarm_envs  # noqa: F401  (registers the environments)
 from swarm_envs.agents import load
+from swarm_envs.arguments import Count, Seed, typed
+from swarm_envs.errors import check_name
+
+NAME = re.compile(r"([\w-]{2,}(/[\w-]+)*/)?[\w-]+-v\d+")  # what Minari takes as a dataset's id
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True)
 class Options:
     """Options of the recording."""
@@ -34,14 +42,14 @@ class Options:
     """Gymnasium id of an environment that flies a whole team"""
     agent: str = "roundabout"
     """name of an agent, or the folder of a trained policy"""
-    drones: int = 4
+    drones: Count = 4
     """number of drones"""
-    episodes: int = 64
+    episodes: Count = 64
     """number of flights"""
-    seed: int = 0
+    seed: Seed = 0
     """random seed of the first flight; each further flight has the next one"""
     name: str = "swap/roundabout-v0"
-    """id of the dataset, as Minari writes it"""
+    """id of the dataset, as Minari writes it: `namespace/dataset-v0` or `dataset-v0`"""
 
 
 def fly(env: Any, agent: Any, seed: int) -> EpisodeBuffer:
@@ -71,17 +79,35 @@ def fly(env: Any, agent: Any, seed: int) -> EpisodeBuffer:
     )
 
 
+def check(options: Options) -> None:
+    """Refuse a name or an environment before the first flight.
+
+    Raises:
+        ValueError: the name is none that Minari takes, or is taken; or no team flies in the
+            environment.
+    """
+    if not NAME.fullmatch(options.name):
+        raise ValueError(
+            f"--name is {options.name!r}, but must be letters, digits, '-' and '_' and end in a "
+            "version, after a namespace of two characters or more if any, such as 'swap/mine-v0'"
+        )
+    if options.name in minari.list_local_datasets():
+        raise ValueError(f"there is a dataset {options.name!r} already; choose another --name")
+    own = [name for name in gymnasium.registry if name.startswith("swarm_envs/")]
+    check_name("--env", options.env, [name for name in own if "Solo-" not in name])
+
+
 def main(options: Options) -> float:
     """Record the dataset and return the fraction of flights that succeeded."""
-    if options.name in minari.list_local_datasets():
-        raise SystemExit(f"there is a dataset {options.name!r} already; choose another --name")
+    check(options)
     agent: Any = load(options.agent)
     requires = dict(agent.requires)
     if "controller" in requires:  # Minari saves options as JSON, which can hold a name
         requires["controller"] = options.agent
     env = gymnasium.make(options.env, num_drones=options.drones, physics="batch", **requires)
     seeds = range(options.seed, options.seed + options.episodes)
-    flights = [fly(env, agent, seed) for seed in tqdm(seeds, unit="flight")]
+    with tqdm(seeds, unit="flight") as bar:
+        flights = [fly(env, agent, seed) for seed in bar]
     about = {"algorithm_name": options.agent, "requirements": ["swarm-envs"]}
     dataset = minari.create_dataset_from_buffers(options.name, flights, env=env, **about)
     env.close()
@@ -92,4 +118,8 @@ def main(options: Options) -> float:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    try:
+        main(tyro.cli(Options, description=__doc__))
+    except (ImportError, OSError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -29,6 +29,8 @@ from swarm_envs.files import claimed, write_json
 PROGRAM = "swarm-envs"  # The command's name
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
+HELP = frozenset({"-h", "--help"})
+"""What asks for help."""
 
 Options = TypeVar("Options")
 
@@ -129,7 +131,7 @@ def _fit(arguments: Sequence[str]) -> int:
 
 def _collect(options: Any) -> None:
     check_outputs(options.out, options.json)
-    check_inputs(options)
+    check_inputs(options.config)
     with claimed(options.out):
         _load("training.collection.__main__:run_collect")(options)
 
@@ -157,12 +159,12 @@ COMMANDS: Mapping[str, Command] = {
         _command("collect", "training.collection.__main__:CollectOptions", _collect),
     ),
     "train": Command(
-        "train a policy with PPO, MAPPO, SAC or DAgger",
+        "train a policy with PPO, SAC, TD3 or DAgger",
         _command(
             "train", "training.rl.rl_config:RlConfig", "commands.train:run_train", prefixes=True
         ),
     ),
-    "fit": Command("fit a force model to flight logs", _fit),
+    "fit": Command("fit a force model to flight logs; with --residual, what it leaves over", _fit),
 }
 """Every command by its name. To add one, write a function like `_run_demo` and name it here."""
 
@@ -184,7 +186,20 @@ EXAMPLES: Mapping[str, str] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if not given or given[0] in ("-h", "--help"):
+    if given and HELP.isdisjoint(given):
+        return _run(given)
+    with suppress(BrokenPipeError):  # of a help, one may read the head alone
+        try:
+            return _run(given)
+        finally:
+            sys.stdout.flush()
+    forget_output()
+    return DONE
+
+
+def _run(given: Sequence[str]) -> int:
+    """Run a command line and return its exit code; a help that is not read to its end raises."""
+    if not given or given[0] in HELP:
         print(_overview())
         return DONE if given else MISUSED
     if given[0] == "--version":
@@ -204,6 +219,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Misuse as error:
         return _complain(where, str(error), MISUSED)
     except (OSError, ImportError, ValueError, MemoryError) as error:
+        if isinstance(error, BrokenPipeError) and not HELP.isdisjoint(rest):
+            raise
         forget_output()  # and no traceback, which would not say more
         said = " ".join(str(error).splitlines()) or "there is not enough memory"
         return _complain(where, said, FAILED)

@@ -141,6 +141,7 @@ class Secretive(Fine):
     privileged = "no"
 class Demanding(Fine):
     requires = ["action"]
+def level(rows): ...
 number = 3
 """
 
@@ -148,7 +149,8 @@ number = 3
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Fin", "unknown class 'Fin'.*did you mean 'Fine'"),
+        ("Fin", "unknown class or function 'Fin'.*did you mean 'Fine'"),
+        ("levl", "unknown class or function 'levl'.*did you mean 'level'.*'Demanding', 'Fine'"),
         ("Needy", "cannot be made without arguments.*size"),
         ("Mute", r"lacks the method `act\(observations, view\)`"),
         ("Secretive", "lacks `privileged`, which must be True or False"),
@@ -173,7 +175,8 @@ def test_files_that_give_no_agent(tmp_path) -> None:
         load(f"{tmp_path / 'none.py'}:Agent")
     with pytest.raises(ValueError, match="must be a Python file"):
         load(f"{tmp_path / 'a.txt'}:Agent")
-    with pytest.raises(ValueError, match=re.escape("write 'mine.py:Class'")):
+    said = "write 'mine.py:Class' or 'mine.py:function'"
+    with pytest.raises(ValueError, match=re.escape(said)):
         load("mine.py")
 
 

@@ -26,6 +26,23 @@ def test_no_command_and_help_list_every_command(capsys):
     assert all(listed.count(f"\n  {name} ") == 2 for name in COMMANDS)
 
 
+@pytest.mark.parametrize("words", ["--help", "fly --help", "train -h"])
+def test_of_a_help_the_head_alone_may_be_read(words):
+    script = [sys.executable, "-m", "swarm_envs", *words.split()]
+    with subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        assert running.stderr.read() == b""
+    assert running.returncode == 0
+
+
+def test_the_help_of_fit_names_its_other_half(capsys):
+    with pytest.raises(SystemExit):
+        main(["fit", "--help"])
+    assert "fit --residual --help" in " ".join(capsys.readouterr().out.split())
+
+
 def test_the_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"swarm-envs {swarm_envs.__version__}\n"
@@ -143,6 +160,27 @@ def test_a_word_that_a_command_does_not_take_is_named_with_the_rule_and_the_near
     assert "Annotated" not in error and "Options" not in error
     assert len(error.splitlines()) == 1
     assert f"see `{PROGRAM} {line.split()[0]}" in error
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("collect --interactions learned-v0", "'learned-v0'; did you mean 'learned'?"),
+        ("collect --feedforward learned-v0", "'learned-v0'; did you mean 'learned'?"),
+        ("train --algo dagger --dagger.teacher circle=orka", "'orka'; did you mean 'orca'?"),
+        ("train --set foo", "--set has 'foo', but must have NAME=VALUE"),
+        ("train --set n_stops=8", "--algo ppo refuses its arguments: unknown argument 'n_stops'"),
+        ("train --algo os.path", "--algo is 'os.path', which is no algorithm"),
+        ("train --algo sb4.Nope", "--algo is 'sb4.Nope', but must be one of"),
+        ("train --controller air-awre", "controller is 'air-awre', but must be"),
+        ("train --controller air-awre", "did you mean 'air-aware'?"),
+        ("fly --agent=", "but must be an agent's, such as 'swap-dagger'"),
+        ("fly --agent=+filter", "name is '+filter', but must begin with an agent's"),
+    ],
+)
+def test_names_of_nothing_are_refused(line, said, tmp_path, refused):
+    assert said in refused(*line.split(), "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_an_option_can_take_is_no_mistake():

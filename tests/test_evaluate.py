@@ -135,7 +135,7 @@ def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys)
     [
         ("tracing", "unknown agent 'tracing'; did you mean 'tracking'?"),
         ("tracking,hover", "separate names by spaces"),
-        ("{mine}:Missing", "unknown class 'Missing'"),
+        ("{mine}:Missing", "unknown class or function 'Missing'"),
         ("{mine}:Picky", "requires num_drones=5, not 2"),
         ("none.py:Agent", "there is no file 'none.py'"),
         ("ring-dagger", "this policy flies ring, but the environment's task is swap; set the task"),

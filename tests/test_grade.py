@@ -85,7 +85,7 @@ def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys
     assert [line["points"] for line in found.values()] == ["0.0"] * 4  # who hovers never arrives
     assert (found["Fine"]["success_rate"], found["Fine"]["error"]) == ("0.0", "")
     assert "must be finite" in found["Nan"]["error"]
-    assert "unknown class 'Missing'" in found["Missing"]["error"]
+    assert "unknown class or function 'Missing'" in found["Missing"]["error"]
     assert "exit code 3" in found["Dies"]["error"] and "%|" not in found["Dies"]["error"]
     assert capsys.readouterr().out.count("FAILED") == 3
 
@@ -160,7 +160,7 @@ def test_a_pattern_names_the_whole_class(tmp_path, capsys):
     pattern = f"{tmp_path}/*/swap.py:Agent"
     assert main(["grade", "--assignment", "swap", "--agent", pattern]) == 1
     said = capsys.readouterr().out
-    assert said.count("unknown class 'Agent'") == 2
+    assert said.count("unknown class or function 'Agent'") == 2
     assert "ann/swap.py:Agent" in said and "bob/swap.py:Agent" in said
     assert main(["grade", "--assignment", "swap", "--agent", f"{tmp_path}/x*/swap.py:Agent"]) == 2
     assert "no file's name matches" in capsys.readouterr().err

@@ -135,7 +135,6 @@ class UnitMessage(NamedTuple):
     """Drones and their priorities, highest first, as many as fit."""
 
 
-STATE_BYTES = 32  # A drone's slot
 SLOT_BYTES = 242  # A compute unit's slot
 REQUEST_BYTES = 132  # A message without a trajectory
 _TRAJECTORY_BYTES = 204  # for which the reference's slots are made

@@ -49,10 +49,8 @@ class MlrDmpcResult:
     """Least slack of any row at the plan that was flown; by Theorem 1 not negative."""
     violations: tuple[Violation, ...]
     """References too close at collision samples, by more than 1e-6 m."""
-    pair_distances_m: FloatArray
-    """(N, N) exact minimum of each pair's scaled distance, also between samples, m."""
     least_distance_m: float
-    """Least of them, m."""
+    """Exact minimum of the scaled distance of any pair, also between samples, m."""
     least_sampled_distance_m: float
     """Least scaled distance at the collision samples, m."""
     unreachable: tuple[Unreachable, ...]
@@ -212,7 +210,6 @@ class _FlightRecorder:
             len(failed),
             min((p.shifted_slack for p in plans), default=np.inf) if not voided else np.nan,
             tuple(self._violations),
-            pairs,
             float(pairs.min()),
             self._least,
             swarm.unreachable,

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import tyro
+
+from swarm_envs.errors import check_integer, check_name
+
+LEAST = {"seed": 0, "seeds": 1, "episodes": 1, "flights": 1, "trials": 1, "runs": 1, "steps": 1}
+"""Least values of numbers, by the option that every command calls them."""
 
 
 def run_command(
@@ -18,14 +26,53 @@ def run_command(
     description: str | None,
     arguments: Sequence[str] | None,
 ) -> None:
-    """Read a command line, `python -m examples.papers.PAPER COMMAND ...`, and run its command."""
-    tyro.extras.subcommand_cli_from_dict(
-        dict(commands),
-        prog=f"python -m examples.papers.{paper}",
-        description=description,
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+    """Read a command line, `python -m examples.papers.PAPER COMMAND ...`, and run its command.
+
+    Raises:
+        SystemExit: with status 2, after one line that says what cannot be done.
+    """
+    program = f"python -m examples.papers.{paper}"
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            {name: checked(command) for name, command in commands.items()},
+            prog=program,
+            description=description,
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
+    except (ImportError, OSError, ValueError) as error:
+        print(f"{program}: error: {' '.join(str(error).splitlines())}", file=sys.stderr)
+        sys.exit(2)
+
+
+def checked(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that refuses what it cannot write or count before it begins its work."""
+
+    @functools.wraps(command)
+    def run(*options: Any, **given: Any) -> None:
+        named = dict(given)
+        for each in (*options, *given.values()):
+            named |= vars(each) if is_dataclass(each) else {}
+        check_options(named)
+        command(*options, **given)
+
+    return run
+
+
+def check_options(given: Mapping[str, Any]) -> None:
+    """Refuse counts, seeds, engines and folders that no command takes.
+
+    Raises:
+        ValueError: naming the option, its value and the rule.
+    """
+    for name, least in LEAST.items():
+        if name in given:
+            check_integer(f"--{name}", given[name], least)
+    if "engine" in given:
+        check_name("--engine", given["engine"], ("batch", "bullet"))
+    out = given["out"]
+    if any(path.exists() and not path.is_dir() for path in (out, *out.parents)):
+        raise ValueError(f"--out is {str(out)!r}, but that is or lies in a file; name a folder")
 
 
 def write_json(path: Path, content: object) -> None:

@@ -131,7 +131,8 @@ def check_inputs(options: Any) -> None:
     data = getattr(options, "data", None)
     if data is not None and not data.exists():
         raise Misuse(f"--data is {str(data)!r}, but there is no such file or folder")
-    named = (("interactions", load), ("agent", load_agent), ("start", load_agent))
+    forces = (("interactions", load), ("feedforward", load))
+    named = (*forces, ("agent", load_agent), ("start", load_agent))
     for name, read in named:
         value = getattr(options, name, None)
         if isinstance(value, str | Path):

@@ -56,7 +56,7 @@ class EpisodeFields:
     physics: str | None = None
     """`bullet` or `batch`; default: Bullet if it is installed"""
     interactions: str = "learned"
-    """interaction forces: `none`, `wake`, `learned`, or a weights file"""
+    """interaction forces: `none`, `wake`, `learned`, `deep-set`, or a weights file"""
     horizon_s: Annotated[float, POSITIVE_S] | None = None
     """time limit, s; default: the task's"""
 
@@ -146,7 +146,7 @@ def run_fly(options: FlyOptions) -> None:
     _check_writers(files)
     with as_misuse(TypeError, FileNotFoundError):
         task = find_task(options.task)
-        name = options.agent or best_agent(options, task)
+        name = best_agent(options, task) if options.agent is None else options.agent
         try:
             agent, env = prepare(name, options, task)
         except ValueError as error:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import as_misuse, check_inputs, check_outputs, need_torch
 from swarm_envs.commands.fly import find_task
+from swarm_envs.errors import unknown_name
 
 if TYPE_CHECKING:
     from swarm_envs.training.rl.rl_config import RlConfig
@@ -24,15 +27,41 @@ def check_training(config: RlConfig) -> str:
     return task
 
 
+def check_teachers(teachers: Sequence[str]) -> None:
+    """Refuse teachers that are no agents; parts of the training may stand before a name."""
+    from swarm_envs.agents import load
+
+    with as_misuse(FileNotFoundError):
+        for teacher in teachers:
+            load(teacher.rpartition("=")[2])
+
+
+def check_algorithm(config: RlConfig, task: str) -> None:
+    """Refuse an algorithm that does not exist, and arguments that it does not take."""
+    from swarm_envs.training.rl.runs import make_setting
+    from swarm_envs.training.rl.sb3 import algorithm_of, arguments_of
+
+    with as_misuse():
+        taken = inspect.signature(algorithm_of(config.algo)).parameters
+        for name in arguments_of(make_setting(config, task)):
+            if name not in taken and "kwargs" not in taken:
+                said = unknown_name("argument", name, taken)
+                raise ValueError(f"--algo {config.algo} refuses its arguments: {said}")
+
+
 def run_train(config: RlConfig) -> None:
     """Train, or say that it was done before; print what came out."""
     task = check_training(config)
     check_inputs(config)
+    if config.imitates:
+        check_teachers(config.dagger.teacher)
     need_torch()
     if importlib.util.find_spec("stable_baselines3") is None:
         raise ImportError(
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
         )
+    if not config.imitates:
+        check_algorithm(config, task)
     from swarm_envs.files import write_json
     from swarm_envs.training.rl.runs import finished_report, train_policy
 

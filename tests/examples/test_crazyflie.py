@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
-from examples.crazyflie import Options, main
+from examples.crazyflie import Options, curve, fit, main
 from swarm_envs import swap_v1
 from swarm_envs.agents import load, record_episode
 from swarm_envs.viewing.record import Recording
@@ -70,8 +72,28 @@ def test_setpoints_are_the_flight_at_a_rate(flight: tuple[Path, Recording], tmp_
     assert rows[:count, 4:7] == pytest.approx(recording.velocity[:, 1], abs=1e-9)
 
 
-def test_a_tolerance_that_31_pieces_miss_is_refused(
+def test_a_tolerance_that_31_pieces_miss_is_refused_before_anything_is_written(
     flight: tuple[Path, Recording], tmp_path: Path
 ) -> None:
-    with pytest.raises(ValueError, match="31 pieces come within"):
+    with pytest.raises(ValueError, match="31 pieces come within") as missed:
         main(Options(flight[0], out=tmp_path, tolerance_m=1e-7))
+    assert not [*tmp_path.iterdir()]
+    reached = float(str(missed.value).split("within ")[1].split()[0])
+    fit(curve(flight[1], 0), reached)  # with all the digits that the message has
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"rate": math.nan}, "--rate is nan, but must be"),
+        ({"rate": math.inf}, "--rate is inf, but must be"),
+        ({"rate": 1e12}, "--rate is 1000000000000.0, but must be"),
+        ({"tolerance_m": math.nan}, "--tolerance-m is nan, but must be"),
+        ({"out": Path(__file__)}, "but that is a file"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(
+    wrong: dict[str, Any], said: str, flight: tuple[Path, Recording]
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        main(Options(flight[0], **wrong))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,6 +37,7 @@ def test_a_letter_is_written_and_its_files_too(
         (np.zeros((2, 3)), r"shape \(2, 3\), but must hold"),
         (np.full((1, 2, 3), np.nan), "not finite"),
         (np.array([[["a", "b", "c"]]]), "array of <U1"),
+        (np.array([[[0.0, 1e9, 0.0]]]), "coordinate 1e\\+09 m from the origin"),
     ],
 )
 def test_points_that_are_none_are_refused(points: np.ndarray, why: str, tmp_path: Path) -> None:
@@ -43,7 +46,37 @@ def test_points_that_are_none_are_refused(points: np.ndarray, why: str, tmp_path
         main(Options(points=tmp_path / "points.npy", out=tmp_path))
 
 
-@pytest.mark.parametrize(("text", "why"), [("", "--text is ''"), ("A?", "'?'; valid")])
+@pytest.mark.parametrize("content", [b"", b"0 0 1\n0 1 1\n", b"PK\x03\x04"])
+def test_files_that_numpy_save_did_not_write_are_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "points.npy").write_bytes(content)
+    with pytest.raises(ValueError, match=r"points\.npy is no file of numbers"):
+        main(Options(points=tmp_path / "points.npy", out=tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"drones": 0}, "--drones is 0, but must be"),
+        ({"stage_s": math.nan}, "--stage-s is nan, but must be positive"),
+        ({"stage_s": -1.0}, "--stage-s is -1.0, but must be positive"),
+        ({"text": "A", "drones": 3, "stage_s": 0.1}, "--stage-s is 0.1, but the way to"),
+        ({"points": Path("a.npy"), "text": "A"}, "--text is 'A', but --points names"),
+        ({"points": Path("a.npy"), "drones": 3}, "--drones is 3, but --points names"),
+        ({"out": Path(__file__)}, "but that is a file"),
+    ],
+)
+def test_options_that_make_no_show_are_refused(
+    wrong: dict[str, Any], why: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(why)):
+        main(Options(**({"out": tmp_path} | wrong)))
+
+
+def test_spaces_of_a_text_are_skipped() -> None:
+    assert len(letters("A B", 3)) == 2
+
+
+@pytest.mark.parametrize(("text", "why"), [(" ", "--text is ' '"), ("A?", "'?'; valid")])
 def test_texts_that_cannot_be_written_are_refused(text: str, why: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=re.escape(why)):
         main(Options(text=text, out=tmp_path))

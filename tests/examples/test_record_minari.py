@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,33 @@ def test_the_recovered_environment_repeats_every_flight(
         assert np.all(episode.infos["success"] == success)
         check_repeats(env, episode, seed)
     env.close()
-    with pytest.raises(SystemExit, match="choose another --name"):
+    with pytest.raises(ValueError, match="choose another --name"):
         main(options)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"name": "a/b-v0"}, "--name is 'a/b-v0', but must be"),
+        ({"name": "bad name"}, "--name is 'bad name', but must be"),
+        ({"name": "swap/unversioned"}, "--name is 'swap/unversioned', but must be"),
+        ({"episodes": 0}, "--episodes is 0, but must be"),
+        ({"seed": -1}, "--seed is -1, but must be"),
+        ({"env": "CartPole-v1"}, "unknown --env 'CartPole-v1'"),
+        ({"env": "swarm_envs/Swap-v0"}, "did you mean 'swarm_envs/Swap-v1'"),
+        ({"env": "swarm_envs/SwapSolo-v1"}, "unknown --env 'swarm_envs/SwapSolo-v1'"),
+        ({"agent": "nope"}, "unknown agent 'nope'"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_before_anything_is_written(
+    wrong: dict[str, Any], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from examples.record_minari import Options, main
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    with pytest.raises(ValueError, match=re.escape(said)):
+        main(Options(**wrong))
+    assert not [*tmp_path.iterdir()]
 
 
 def flown(name: str, seed: int) -> bool:

@@ -77,7 +77,9 @@ class FitConfig(TrainConfig, FitFiles):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
 
     Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
-    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed.
+    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed. With
+    --residual, which has options of its own (`fit --residual --help`), it fits what a force model
+    leaves over, for the hall.
 
     Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
     vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to

@@ -56,8 +56,6 @@ class ScoredTask:
     """Of the environment, beside what an agent requires."""
     episodes: int
     """Of each agent; slow agents fly the first of them."""
-    help: str
-    """Description."""
     score: Score
     """The measure that scores an episode."""
     clock_s: float
@@ -136,7 +134,7 @@ _KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
 _LONG_S = 12.0  # The clock of swaps of 16 drones and more, in which planners arrive
 
 
-def _classic(name: str, layout: str | None, size: int | str, help_: str) -> ScoredTask:
+def _classic(name: str, layout: str | None, size: int | str) -> ScoredTask:
     """Return a swap, ring or formation of `size` small drones, or of a team."""
     score, clock_s, episodes = _KINDS.get(name) or _KINDS[f"{name} {layout}"]
     options: dict[str, Any] = {"layout": layout} if layout else {}
@@ -148,7 +146,6 @@ def _classic(name: str, layout: str | None, size: int | str, help_: str) -> Scor
         family="classic",
         environment=f"{name}_v1",
         options=options,
-        help=help_,
         score=score,
         clock_s=clock_s,
         certificate=_DETOUR,
@@ -156,44 +153,40 @@ def _classic(name: str, layout: str | None, size: int | str, help_: str) -> Scor
     )
 
 
-_RANDOM = "Starts anywhere at least 0.5 m apart; each drone's goal is another's start."
-_CIRCLE = "Antipodal goals on a level circle: every way crosses the centre."
-_TOUR = "Plane, pyramid, cube, sphere and plane again, each drone to the place nearest to it."
-_SHUFFLE = "From a plane into a cube, places drawn: ways cross, above and below others."
-
 _CLASSIC_ROWS = (
-    _classic("swap", "random", 2, _RANDOM),
-    _classic("swap", "random", 4, _RANDOM),
-    _classic("swap", "random", "SSLL", f"{_RANDOM} Two small drones and two large ones."),
-    _classic("swap", "random", 8, _RANDOM),
-    _classic("swap", "random", 16, _RANDOM),
-    _classic("swap", "circle", 2, "Two drones change places head on."),
-    _classic("swap", "circle", 4, _CIRCLE),
-    _classic("swap", "circle", 8, _CIRCLE),
-    _classic("swap", "circle", 16, _CIRCLE),
-    _classic("swap", "stacked", "L2S", "A small drone passes right below a large one."),
-    _classic("swap", "stacked", 4, "Four planes of one small drone each, aligned half way."),
-    _classic("ring", None, 4, "Two small drones on an upright circle, two on a level one."),
-    _classic(
-        "ring", None, 5, "The paper's: three strong small drones upright, two large ones level."
-    ),
-    _classic("ring", None, 8, "Eight small drones: five upright, three level."),
-    _classic("ring", None, 16, "The paper's sixteen: three rings, three vehicle types."),
-    _classic("formation", "tour", 8, _TOUR),
-    _classic("formation", "tour", 16, _TOUR),
-    _classic("formation", "shuffle", 8, _SHUFFLE),
-    _classic("formation", "shuffle", 16, _SHUFFLE),
+    # Starts anywhere at least 0.5 m apart; each drone's goal is another's start.
+    _classic("swap", "random", 2),
+    _classic("swap", "random", 4),
+    _classic("swap", "random", "SSLL"),
+    _classic("swap", "random", 8),
+    _classic("swap", "random", 16),
+    # Antipodal goals on a level circle: every way crosses the centre.
+    _classic("swap", "circle", 2),
+    _classic("swap", "circle", 4),
+    _classic("swap", "circle", 8),
+    _classic("swap", "circle", 16),
+    # A small drone passes right below a large one; four planes of one drone, aligned half way.
+    _classic("swap", "stacked", "L2S"),
+    _classic("swap", "stacked", 4),
+    # Upright and level circles; the paper's are those of 5 (two types) and 16 (three).
+    _classic("ring", None, 4),
+    _classic("ring", None, 5),
+    _classic("ring", None, 8),
+    _classic("ring", None, 16),
+    # Plane, pyramid, cube, sphere and plane again, each drone to the place nearest to it.
+    _classic("formation", "tour", 8),
+    _classic("formation", "tour", 16),
+    # From a plane into a cube, places drawn: ways cross, above and below others.
+    _classic("formation", "shuffle", 8),
+    _classic("formation", "shuffle", 16),
 )
 
 
-def _new(
-    name: str, help_: str, base: str, certificate: str, episodes: int, **options: Any
-) -> ScoredTask:
+def _new(name: str, base: str, certificate: str, episodes: int, **options: Any) -> ScoredTask:
     """A row that is a classic one with other options.
 
     Args:
         name: the id without its version; its first word is the family.
-        help_: what it is, in a sentence.
         base: id of the other, without its version.
         certificate: as of `ScoredTask`.
         episodes: of each agent.
@@ -207,7 +200,6 @@ def _new(
         id=f"{name}-v2",
         family=name.partition("-")[0],
         options={**kept, **options},
-        help=help_,
         clock_s=options.get("horizon_s", other.clock_s),
         certificate=certificate,
         episodes=episodes,
@@ -216,7 +208,6 @@ def _new(
 
 def _of_own(
     name: str,
-    help_: str,
     environment: str,
     certificate: str,
     episodes: int,
@@ -230,7 +221,6 @@ def _of_own(
         family=name.partition("-")[0],
         environment=environment,
         options={**options, **({"world": "hall"} if name.startswith("air") else {})},
-        help=help_,
         score=score,
         clock_s=options.get("horizon_s", 2.0 if options.get("layout") == "sprint" else clock_s),
         full_score=full_score,
@@ -251,8 +241,6 @@ _SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingPr
 """Score, clock in seconds, and full score."""
 
 _CLASSIC = {task.id: task for task in _CLASSIC_ROWS}
-_HALL = "Force that no model knows, and a state that is estimated."
-_RANGING = "Mass, thrust and motors differ; observed as by radio ranging."
 _NOISE = {
     "mass": (0.95, 1.05),
     "thrust": (0.9, 1.1),
@@ -260,54 +248,50 @@ _NOISE = {
     "position_noise_m": 0.08,
     "velocity_noise": 0.3,
 }
-_GOALS = "A reached goal gives another, 1 to 3 m away."
-_STACK = "Two columns of small drones, half with a payload: who is on top?"
-_MIXED = "Two columns of a large drone and two small ones, one with a payload: who is on top?"
-_SPRINT = "Two columns of large drones and a small one, in at most 2 s, within 3 cm."
-_OTHER_AIR = "Air in which nothing that ships was trained."
 
 _NEW = (
-    _of_own("air-stack-8", _STACK, "columns_v0", _TOP, 128, 3, layout="stack", num_drones=8,
+    # Two columns of small drones, half with a payload, or of a large one and two small ones.
+    _of_own("air-stack-8", "columns_v0", _TOP, 128, 3, layout="stack", num_drones=8,
             gap_m=[0.28, 0.33], payload_kg=[0.013, 0.016]),
-    _of_own("air-mixed-6", _MIXED, "columns_v0", _TOP, 128, 3, layout="stack", team="LSSLSS",
+    _of_own("air-mixed-6", "columns_v0", _TOP, 128, 3, layout="stack", team="LSSLSS",
             gap_m=[0.30, 0.36], payload_kg=[0.013, 0.016]),
-    _of_own("air-sprint-8", _SPRINT, "columns_v0", f"{_AWARE}@2", 128, 3, layout="sprint",
+    # Two columns of large drones and a small one, in at most 2 s, within 3 cm.
+    _of_own("air-sprint-8", "columns_v0", f"{_AWARE}@2", 128, 3, layout="sprint",
             num_drones=8, horizon_s=1.8),
-    _of_own("air-delivery-7", "Couriers dock above the floor, at two of three docks below others.",
-            "delivery_v0", "air-blind+adaptive", 128, num_drones=7),
-    _of_own("air-gates-4", "A slalom in vertical formation, in 12 s.",
-            "gates_v0", _AWARE, 64, num_drones=4, horizon_s=12.0),
-    _of_own("crowd-open-64", _GOALS, "crowd_v0", _ROUND, 16, layout="open", num_drones=64),
-    _of_own("crowd-forest-16", f"{_GOALS} Between trees.",
-            "crowd_v0", _LINE, 64, layout="forest", num_drones=16),
-    _of_own("crowd-forest-64", f"{_GOALS} Between trees.",
-            "crowd_v0", _LINE, 16, layout="forest", num_drones=64),
-    _of_own("crowd-buildings-32", "A reached goal gives another, 0.8-1.6 m away, between towers.",
-            "crowd_v0", _LINE, 32, layout="buildings", num_drones=32, reach_m=[0.8, 1.6]),
-    _of_own("crowd-moving-8", "Goals are a formation that flies an ellipse.",
-            "pursuit_v0", _TRACKING, 64, layout="moving", num_drones=8),
-    _of_own("crowd-swaps-8", "Every 5 s each drone is given another's goal.",
-            "pursuit_v0", _ROUND, 64, layout="swap-goals", num_drones=8),
-    _of_own("crowd-chase-8", "Goals are beside others, wherever these are.",
-            "pursuit_v0", "air-blind", 64, layout="chase", num_drones=8),
-    _new("crowd-random-32", _RANDOM, "swap-random-16", _ROUND, 64, num_drones=32),
-    _new("crowd-random-64", _RANDOM, "swap-random-16", _DETOUR, 32, num_drones=64),
-    _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
-    _new("robust-random-8-hall", _HALL, "swap-random-8", _ROUND, 128, world="hall"),
-    _new("robust-ring-5-hall", _HALL, "ring-5", _ADAPTIVE, 64, world="hall"),
-    _new("robust-ring-16-hall", _HALL, "ring-16", _ADAPTIVE, 64, world="hall"),
-    _new("robust-shuffle-8-hall", _HALL, "formation-shuffle-8", _ROUND, 64, world="hall"),
-    _new("robust-random-8-noise", _RANGING, "swap-random-8", _DETOUR, 128, randomization=_NOISE),
-    _new("robust-circle-8-noise", _RANGING, "swap-circle-8", _DETOUR, 128, randomization=_NOISE),
-    _new("robust-random-LLLLSSSS", "Four large drones and four small ones.",
-         "swap-random-8", _ROUND, 128, team="LLLLSSSS"),
-    _new("robust-random-4-bullet", "On Bullet, where drones push each other.",
-         "swap-random-4", _ROUND, 32, physics="bullet"),
-    _new("transfer-random-8-none", _OTHER_AIR, "swap-random-8", _ROUND, 128, interactions="none"),
-    _new("transfer-random-8-wake", _OTHER_AIR, "swap-random-8", _ROUND, 128, interactions="wake"),
-    _new("transfer-stacked-L2S-wake", _OTHER_AIR, "swap-stacked-L2S", _TRACKING, 128,
-         interactions="wake"),
-    _new("transfer-ring-5-wake", _OTHER_AIR, "ring-5", _TRACKING, 64, interactions="wake"),
+    # Couriers dock above the floor, at two of three docks below others.
+    _of_own("air-delivery-7", "delivery_v0", "air-blind+adaptive", 128, num_drones=7),
+    # A slalom in vertical formation, in 12 s.
+    _of_own("air-gates-4", "gates_v0", _AWARE, 64, num_drones=4, horizon_s=12.0),
+    # A reached goal gives another, 1 to 3 m away; in the forest between trees.
+    _of_own("crowd-open-64", "crowd_v0", _ROUND, 16, layout="open", num_drones=64),
+    _of_own("crowd-forest-16", "crowd_v0", _LINE, 64, layout="forest", num_drones=16),
+    _of_own("crowd-forest-64", "crowd_v0", _LINE, 16, layout="forest", num_drones=64),
+    # A reached goal gives another, 0.8 to 1.6 m away, between towers.
+    _of_own("crowd-buildings-32", "crowd_v0", _LINE, 32, layout="buildings", num_drones=32,
+            reach_m=[0.8, 1.6]),
+    # Goals are a formation that flies an ellipse; another's every 5 s; beside other drones.
+    _of_own("crowd-moving-8", "pursuit_v0", _TRACKING, 64, layout="moving", num_drones=8),
+    _of_own("crowd-swaps-8", "pursuit_v0", _ROUND, 64, layout="swap-goals", num_drones=8),
+    _of_own("crowd-chase-8", "pursuit_v0", "air-blind", 64, layout="chase", num_drones=8),
+    _new("crowd-random-32", "swap-random-16", _ROUND, 64, num_drones=32),
+    _new("crowd-random-64", "swap-random-16", _DETOUR, 32, num_drones=64),
+    _new("crowd-circle-32", "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
+    # Force that no model knows, and a state that is estimated.
+    _new("robust-random-8-hall", "swap-random-8", _ROUND, 128, world="hall"),
+    _new("robust-ring-5-hall", "ring-5", _ADAPTIVE, 64, world="hall"),
+    _new("robust-ring-16-hall", "ring-16", _ADAPTIVE, 64, world="hall"),
+    _new("robust-shuffle-8-hall", "formation-shuffle-8", _ROUND, 64, world="hall"),
+    # Mass, thrust and motors differ; observed as by radio ranging.
+    _new("robust-random-8-noise", "swap-random-8", _DETOUR, 128, randomization=_NOISE),
+    _new("robust-circle-8-noise", "swap-circle-8", _DETOUR, 128, randomization=_NOISE),
+    _new("robust-random-LLLLSSSS", "swap-random-8", _ROUND, 128, team="LLLLSSSS"),
+    # On Bullet, where drones push each other.
+    _new("robust-random-4-bullet", "swap-random-4", _ROUND, 32, physics="bullet"),
+    # Air in which nothing that ships was trained.
+    _new("transfer-random-8-none", "swap-random-8", _ROUND, 128, interactions="none"),
+    _new("transfer-random-8-wake", "swap-random-8", _ROUND, 128, interactions="wake"),
+    _new("transfer-stacked-L2S-wake", "swap-stacked-L2S", _TRACKING, 128, interactions="wake"),
+    _new("transfer-ring-5-wake", "ring-5", _TRACKING, 64, interactions="wake"),
 )  # fmt: skip
 
 TASKS: Mapping[str, ScoredTask] = MappingProxyType(

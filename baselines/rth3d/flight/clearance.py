@@ -1,4 +1,4 @@
-"""How close robots on a grid's splines can come, and the spacing that keeps a distance.
+"""How close robots on a grid's splines can come, and how close those of a flight come.
 
 Two robots on valid paths never stand on one vertex and never exchange two. Within a step their
 distance is a spline of four differences of vertices. There are finitely many such windows near
@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import POSITIVE_M, typed
 from swarm_envs.baselines.rth3d.flight.spline import BASIS, SplineFlight
 from swarm_envs.baselines.rth3d.grid_validation import MOVES
 from swarm_envs.compiled import kernel
@@ -94,20 +92,6 @@ def _least_square(d: FloatArray, stretch: FloatArray, weights: FloatArray) -> fl
             square += (along * stretch[axis]) ** 2
         least = min(least, square)
     return least
-
-
-@typed
-def least_spacing(
-    distance: Annotated[float, POSITIVE_M], scaling: tuple[float, float, float]
-) -> FloatArray:
-    """Spacing (3,), m, at which any valid plan keeps a scaled distance, m.
-
-    Distances are divided by `scaling`, the diagonal of Theta, such as (1, 1, 6).
-
-    Raises:
-        ValueError: the distance is not positive and finite.
-    """
-    return np.array(scaling) * distance / worst_clearance()
 
 
 def smallest_distance(

@@ -1,7 +1,7 @@
 """Reproduce a figure of the RTH3D paper.
 
-python -m examples.papers.rth3d figure-6 --runs 2 --out runs/figure-6
-python -m examples.papers.rth3d figure-11 --out runs/figure-11
+    python -m examples.papers.rth3d figure-6 --runs 2 --out runs/figure-6
+    python -m examples.papers.rth3d figure-11 --out runs/figure-11
 
 Each command prints its numbers beside the paper's and writes them as JSON, with a picture.
 """

@@ -9,11 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.rth3d.flight.clearance import (
-    least_spacing,
-    smallest_distance,
-    worst_clearance,
-)
+from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import (
     BEZIER,
     SmoothingConfig,
@@ -88,13 +84,6 @@ def test_the_worst_clearance_is_attained_and_never_undercut():
     for seed in range(20):
         flight = on_grid(wandering_paths(20, 4, 30, seed), UNIT, 0 * UNIT, 1.0)
         assert smallest_distance(flight, (1, 1, 1), samples=10) >= bound
-
-
-def test_the_spacing_keeps_a_scaled_distance():
-    spacing = least_spacing(0.25, (1.0, 1.0, 6.0))
-    assert spacing[2] == pytest.approx(6.0 * spacing[0])
-    flight = on_grid(wandering_paths(20, 4, 30, 3), spacing, 0 * UNIT, 1.0)
-    assert smallest_distance(flight, (1.0, 1.0, 6.0)) >= 0.25
 
 
 def test_steps_keep_the_bounds():

@@ -220,11 +220,27 @@ CHECKS = {
         ("figure-8 --truth none --engine batch", "no belief ships"),
         ("figure-7 --scenarios S --engine batch", "a swap takes two"),
         ("table-3 --data x.npz --cells H=11", "did you mean 'H=10'"),
+        ("table-3 --data x.npz", "x.npz"),
+        ("lag --episodes 0", "--episodes is 0, but must be"),
+        ("lag --engine foo", "unknown --engine 'foo'"),
+        ("ball --episodes -1", "--episodes is -1, but must be"),
     ],
 )
-def test_options_that_cannot_be_are_refused(words, message, tmp_path):
-    with pytest.raises(ValueError, match=message):
-        main([*shlex.split(words), "--out", str(tmp_path)])
+def test_options_that_cannot_be_are_refused(words, message, tmp_path, capsys):
+    assert message in refusal([*shlex.split(words), "--out", str(tmp_path)], capsys)
+
+
+def test_an_output_that_is_a_file_is_refused(capsys):
+    assert "but that is or lies in a file" in refusal(["lag", "--out", __file__], capsys)
+    assert "but that is or lies in a file" in refusal(["lag", "--out", f"{__file__}/a"], capsys)
+
+
+def refusal(words, capsys):
+    """What a command says that ends with status 2."""
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2
+    return capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -301,14 +317,15 @@ def test_sizes_of_networks_are_those_of_the_paper(name, phi, rho):
 
 
 def test_fits_that_are_there_are_read_and_those_of_other_options_refused(
-    rows, tmp_path, monkeypatch
+    rows, tmp_path, monkeypatch, capsys
 ):
     options = "--seeds 2 --cells H=10 no-spectral-norm --data {rows} --steps {steps}"
     table = run("table-3", tmp_path / "out", options.format(rows=rows, steps=4))
     monkeypatch.setattr("swarm_envs.training.force_model.pipeline.fit", None)
     assert run("table-3", tmp_path / "out", options.format(rows=rows, steps=4)) == table
-    with pytest.raises(ValueError, match="steps is 4 there, 5 here"):
-        run("table-3", tmp_path / "out", options.format(rows=rows, steps=5))
+    words = shlex.split(options.format(rows=rows, steps=5))
+    said = refusal(["table-3", *words, "--out", str(tmp_path / "out")], capsys)
+    assert "steps is 4 there, 5 here" in said
     row = table["rows"][0]
     assert row["ours_g2"] == pytest.approx(np.mean(row["runs_g2"]), abs=1e-4)
     assert row["ours_deviation_g2"] == pytest.approx(np.std(row["runs_g2"], ddof=1), abs=1e-4)

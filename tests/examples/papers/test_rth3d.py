@@ -147,9 +147,18 @@ def test_options_that_cannot_be_are_refused(options, message):
         Options(**options)
 
 
-def test_grids_that_are_all_too_large_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="below every grid of the figure; the smallest has 43200"):
-        main(["figure-8", "--largest", "43199", "--out", str(tmp_path / "out")])
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("figure-8 --largest 43199", "below every grid of the figure; the smallest has 43200"),
+        ("figure-11 --seed -1", "--seed is -1, but must be"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_and_writes_nothing(words, said, tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([*words.split(), "--out", str(tmp_path / "out")])
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
