@@ -24,7 +24,7 @@ __all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
 POLICIES = (
     *("swap-dagger", "gates-dagger", "pursuit-dagger", "crowd-dagger"),
     *("stack-dagger", "mixed-dagger", "sprint-dagger", "delivery-dagger"),
-    "ring-dagger",
+    *("ring-dagger", "swap-ppo"),
 )
 """Shipped agents that are trained policies: files of these names in `weights`."""
 SHIPPED: Mapping[str, str] = MappingProxyType(

@@ -112,9 +112,9 @@ class FlyOptions(EpisodeOptions):
     references: tracking (also with +compensated, +adaptive or both, in this order). Precise flight
     in downwash: air-blind (also with +adaptive), air-aware, air-on-top. Policies: swap-dagger,
     gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger,
-    delivery-dagger, ring-dagger. Also the folder of a trained policy, path/to/file.py:Class, or
-    path/to/file.py:function, which maps observation rows to actions. The suffix +filter, the last
-    one, adds a safety filter"""
+    delivery-dagger, ring-dagger, swap-ppo. Also the folder of a trained policy,
+    path/to/file.py:Class, or path/to/file.py:function, which maps observation rows to actions. The
+    suffix +filter, the last one, adds a safety filter"""
     seed: Seed = 0
     """random seed of the episode and the agent"""
     out: Path | None = None

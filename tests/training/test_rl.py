@@ -195,7 +195,7 @@ def test_what_cannot_be_trained_is_refused(options, why, tmp_path, refused):
     ],
 )
 def test_an_algorithm_that_does_not_exist_is_refused(options, why, tmp_path, capsys):
-    assert main(["train", "--out", str(tmp_path / "run"), *options.split()]) == 1
+    assert main(["train", "--out", str(tmp_path / "run"), *options.split()]) in (1, 2)
     assert why in capsys.readouterr().err
 
 

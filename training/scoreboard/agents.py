@@ -61,6 +61,7 @@ AGENTS: Mapping[str, Entry] = MappingProxyType(
         "sprint-dagger": Entry(),
         "delivery-dagger": Entry(),
         "ring-dagger": Entry(),
+        "swap-ppo": Entry(),
         "neural-swarm-planner": Entry(8, 0.1),
         "mlr-dmpc": Entry(4, 0.009),
         "mlr-dmpc+compensated": Entry(4, 0.009),

@@ -18,6 +18,7 @@ TASKS = {
 }
 TEAMS = {
     **{"stack-dagger": 8, "sprint-dagger": 8, "delivery-dagger": 7, "crowd-dagger": 8},
+    **{"swap-ppo": 4},
 }
 """Numbers of drones, of agents that were made for so many; the others fly two."""
 OTHERS = {"sprint-dagger": {"layout": "sprint"}, "mixed-dagger": {"team": "LSSLSS"}}
