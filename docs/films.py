@@ -52,6 +52,7 @@ FILMS = {
     "roundabout": Take("swap_v1", "roundabout", {"num_drones": 16, "layout": "circle"}),
     "orca": Take("swap_v1", "orca", {"num_drones": 8, "layout": "random"}),
     "swap-dagger": Take("swap_v1", "swap-dagger", {"num_drones": 32, "layout": "circle"}),
+    "swap-ppo": Take("swap_v1", "swap-ppo", {"num_drones": 4, "layout": "circle"}),
     "stack-dagger": Take("columns_v0", "stack-dagger", {"num_drones": 8, "world": "hall"}),
     "mixed-dagger": Take("columns_v0", "mixed-dagger", {"team": "LSSLSS", "world": "hall"}),
     "sprint-dagger": Take(
