@@ -188,7 +188,8 @@ def bounced(positions, velocities, mass=1.0, radius=0.125, rows=None, touching=(
         lanes[:drones] = values
         lanes = lanes.reshape(-1, LANES, *lanes.shape[1:])
         blocks[name] = np.moveaxis(lanes, 1, -1)
-    bounce(blocks, 0, drones, settings.view(np.recarray), rows)
+    obstacles = np.zeros((0, 7)) if rows is None else rows
+    bounce(blocks, 0, drones, settings.view(np.recarray), obstacles)
     found = (blocks[name].transpose(0, 2, 1) for name in ("position", "velocity"))
     return [part.reshape(-1, 3)[:drones] for part in found]
 
