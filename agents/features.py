@@ -207,6 +207,15 @@ def _length(x: float, y: float, z: float) -> float:
 
 
 @part
+def _from_setpoint(
+    way: Float32Array, row: Float32Array, at: ObservationColumns
+) -> tuple[float, float, float]:
+    """Return a vector (3,) from the drone as a vector from its set-point, m."""
+    offset = row[at.setpoint_offset :]
+    return way[0] - offset[0], way[1] - offset[1], way[2] - offset[2]
+
+
+@part
 def _write_direction(x: float, y: float, z: float, reach: float, out: Float32Array) -> float:
     """Write a vector over a length, cut there; return its own length, m."""
     distance = _length(x, y, z)
@@ -219,10 +228,9 @@ def _write_direction(x: float, y: float, z: float, reach: float, out: Float32Arr
 def _write_own(row: Float32Array, at: ObservationColumns, out: Float32Array) -> None:
     """Write the features of the drone itself."""
     offset = row[at.setpoint_offset : at.setpoint_offset + 3]
-    goal, reference = row[at.goal : at.goal + 3], row[at.reference_position :]
-    x, y, z = goal[0] - offset[0], goal[1] - offset[1], goal[2] - offset[2]
+    x, y, z = _from_setpoint(row[at.goal :], row, at)
     out[3] = _write_direction(x, y, z, GOAL_REACH, out[:3])
-    x, y, z = reference[0] - offset[0], reference[1] - offset[1], reference[2] - offset[2]
+    x, y, z = _from_setpoint(row[at.reference_position :], row, at)
     out[_REFERENCE + 3] = _write_direction(x, y, z, REFERENCE_REACH, out[_REFERENCE:])
     for k in range(3):
         out[4 + k] = row[at.velocity + k]
@@ -242,8 +250,7 @@ def _write_obstacle(
     row: Float32Array, at: ObservationColumns, seen: Float32Array, out: Float32Array
 ) -> None:
     """Write the features of an obstacle, of its fields (4,)."""
-    offset = row[at.setpoint_offset : at.setpoint_offset + 3]
-    x, y, z = seen[0] - offset[0], seen[1] - offset[1], seen[2] - offset[2]
+    x, y, z = _from_setpoint(seen, row, at)
     distance = _write_direction(x, y, z, OTHERS_GOAL, out[:3])
     out[3], out[4] = np.exp(-distance / NEAR), 1.0
 
@@ -253,8 +260,7 @@ def _write_neighbor(
     row: Float32Array, at: ObservationColumns, seen: Float32Array, out: Float32Array
 ) -> None:
     """Write the features of a neighbour, of its fields (width,)."""
-    offset = row[at.setpoint_offset : at.setpoint_offset + 3]
-    x, y, z = seen[0] - offset[0], seen[1] - offset[1], seen[2] - offset[2]
+    x, y, z = _from_setpoint(seen, row, at)
     u, v, w = seen[3], seen[4], seen[5]
     if at.setpoint_velocity > 0:
         own, setpoint = row[at.velocity :], row[at.setpoint_velocity :]

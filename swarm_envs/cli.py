@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -30,7 +30,7 @@ PROGRAM = "swarm-envs"  # The command's name
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 HELP = frozenset({"-h", "--help"})
-"""What asks for help."""
+"""Arguments that ask for help."""
 
 Options = TypeVar("Options")
 
@@ -185,22 +185,21 @@ EXAMPLES: Mapping[str, str] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given and HELP.isdisjoint(given):
-        return _run(given)
-    with suppress(BrokenPipeError):  # of a help, one may read the head alone
-        try:
-            return _run(given)
-        finally:
-            sys.stdout.flush()
-    forget_output()
-    return DONE
+    try:
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+    except BrokenPipeError:
+        forget_output()
+        return DONE
 
 
 def _run(given: Sequence[str]) -> int:
-    """Run a command line and return its exit code; a help that is not read to its end raises."""
+    """Run a command line and return its exit code.
+
+    Raises:
+        BrokenPipeError: a help text was not read to its end, as by `| head`, which is no failure.
+    """
     if not given or given[0] in HELP:
-        print(_overview())
+        print(_overview(), flush=True)
         return DONE if given else MISUSED
     if given[0] == "--version":
         print(f"{PROGRAM} {__version__}")

@@ -86,8 +86,8 @@ class EnvConfig:
     """A force model whose prediction for itself each drone observes, such as
     `swarm_envs.baselines.neural_swarm.load_belief()`; None for none."""
     observe_setpoint: bool = False
-    """Whether observations include the velocity and acceleration of the controller's set-point,
-    which are exact where the drone's own velocity is noisy."""
+    """Include the velocity and acceleration of the controller's set-point in observations: they
+    are exact where the drone's own velocity is noisy."""
     horizon_s: Annotated[float, POSITIVE_S] | None = None
     """Time limit: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True

@@ -236,7 +236,7 @@ def test_an_output_that_is_a_file_is_refused(capsys):
 
 
 def refusal(words, capsys):
-    """What a command says that ends with status 2."""
+    """Return the message of a command that ends with status 2."""
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2
