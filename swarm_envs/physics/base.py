@@ -24,6 +24,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
+from swarm_envs.neighbors import FEW
 from swarm_envs.physics.begin import begin_flight
 from swarm_envs.physics.contact import (
     NO_WALLS,
@@ -183,6 +184,7 @@ class Physics:
             self.obstacles,
             self._open_circuit,
             self.order,
+            True if self._varied else None,
             True if self.settings["adaptation"][0] else None,
             None if self.hall is None else True,
             True if self._twisting else None,
@@ -199,6 +201,13 @@ class Physics:
             for _ in range(self.workers.threads)
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
+
+    @property
+    def _varied(self) -> bool:
+        """True if a part of `fly` is needed that most flights do without."""
+        s = self.settings[0]
+        options = s["drains"] or s["gusty"] or s["bounces"] or s["compensates"]
+        return bool(options or len(self.obstacles) or len(self.team) > FEW)
 
     def compile(self) -> None:
         """Compile `fly`, which the first step would do otherwise."""

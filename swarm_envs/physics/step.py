@@ -240,6 +240,7 @@ def fly(  # noqa: C901  # one step, on one screen
     obstacles: FloatArray,
     open_circuit: FloatArray,
     order: IntArray,
+    varied: bool | None,
     adaptive: bool | None,
     hall: bool | None,
     twisting: bool | None,
@@ -256,7 +257,9 @@ def fly(  # noqa: C901  # one step, on one screen
     `ends_team` is set. `columns` (E, N, columns) is the memory of the records `drones` (E, N) as
     plain numbers, `order` (E, N) the drones as last sorted along x, used if they are many,
     `open_circuit` (K,) as of `empty_batteries`. Flags are True or None: what is None is left out
-    when this is compiled, which saves about a fifth of the time.
+    when this is compiled, which saves about a fifth of the time. `varied` stands for obstacles,
+    batteries, gusts, bounces, a force that is fed forward and many drones together: one flag, so
+    that few combinations are compiled.
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
@@ -284,14 +287,14 @@ def fly(  # noqa: C901  # one step, on one screen
                 if hall is not None:
                     estimate(work.blocks, full, settings)
                 touch(work.blocks, full, settings)
-                if size <= FEW:
-                    meet(work.blocks, count, size, work.spots)
-                else:
+                if varied is not None and size > FEW:
                     for place in range(count):
                         meet_many(work.blocks, place * size, work.position, order[members[place]])
-                if len(obstacles) > 0:
+                else:
+                    meet(work.blocks, count, size, work.spots)
+                if varied is not None and len(obstacles) > 0:
                     touch_obstacles(work.blocks, count * size, obstacles)
-                if s.bounces:
+                if varied is not None and s.bounces:
                     for place in range(count):
                         bounce(work.blocks, place * size, size, settings, obstacles)
                 stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
@@ -300,7 +303,7 @@ def fly(  # noqa: C901  # one step, on one screen
             if hall is not None and phases & CONTROL and controlled:
                 see(work.blocks, full)
             if phases & CONTROL and s.level == SETPOINTS:
-                if s.compensates:
+                if varied is not None and s.compensates:
                     compensated = size > 0
                     for place in range(count):
                         work.due[place] = place
@@ -329,7 +332,7 @@ def fly(  # noqa: C901  # one step, on one screen
                         find_company(due, size, work.due, work.blocks, scratch)
                     if twisting is not None:
                         twist(air, due, size, environments, work, scratch)
-                if s.gusty and phases & CONTROL:
+                if varied is not None and s.gusty and phases & CONTROL:
                     for place in range(count):
                         environment = environments[members[place]]
                         gust(environment, place * size, size, settings, work.blocks)
@@ -337,7 +340,7 @@ def fly(  # noqa: C901  # one step, on one screen
                     adds = s.gusty or phases & CONTROL == 0
                     disturb(work.blocks, full, settings, adds)
                 spin_rotors(work.blocks, full)
-                if s.drains:
+                if varied is not None and s.drains:
                     empty_batteries(count, drones, settings, open_circuit, work)
             if phases & MOVE:
                 integrate(work.blocks, full, twisting)
