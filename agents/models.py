@@ -18,9 +18,11 @@ _OPTIONS = (
     "action",
     "decision_rate",
     "controller",
+    "observation",
     "num_neighbors",
     "num_obstacles",
     "observe_load",
+    "observe_force",
     "observe_setpoint",
 )
 """Options of an environment that decide what a model observes and what its actions mean."""
@@ -72,9 +74,14 @@ def from_model(model: Any, env: SwarmParallelEnv) -> ModelAgent:
 
     Raises:
         TypeError: the model is none of these, or is recurrent.
-        ValueError: a model of Stable-Baselines3 observes another number of values than this
-            environment's rows or features have.
+        ValueError: the environment's observations are no flat rows, or a model of
+            Stable-Baselines3 observes other values than its rows or features.
     """
+    if env.core.config.observation != "flat":
+        raise ValueError(
+            f"env has observation={env.core.config.observation!r}, but agents of models see flat "
+            "rows; make it with observation='flat'"
+        )
     act = _function_of(model, env)
     bounded = env.core.mode.bounded
 
@@ -108,7 +115,12 @@ def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], 
 
 def _observed_by(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Float32Array]:
     """Return what turns rows into the observations that a Stable-Baselines3 model expects."""
-    form, wanted = env.core.form[1:], tuple(model.observation_space.shape or ())
+    form, wanted = env.core.form[1:], model.observation_space.shape
+    if wanted is None:
+        raise ValueError(
+            "the model observes dictionaries, but agents of models see flat rows; train it on "
+            "SharedPolicyVecEnv with observation='flat'"
+        )
     if wanted == (observation_width(*form),):
         return lambda rows: rows
     if wanted == (feature_sizes(*form).width,):

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from swarm_envs.agents.features import feature_sizes, features_of
+from swarm_envs.arguments import check_value
 from swarm_envs.envs.config import check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import split_teams
@@ -82,6 +83,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 f"num_envs is {num_envs!r}, but must be a number, or one for each of "
                 f"{len(blueprints)} teams"
             )
+        check_value("features", features, bool)
         self.cores = tuple(
             SwarmCore(found.task, found.config, check_num_envs(count))
             for found, count in zip(blueprints, counts, strict=True)

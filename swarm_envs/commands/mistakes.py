@@ -240,6 +240,8 @@ def _takes(option: Option, value: str) -> bool:
 
 def _read(value: str) -> Iterator[object]:
     """What a text can be read as."""
+    if value in ("True", "False"):
+        yield value == "True"
     for kind in (str, int, float, Path):
         with suppress(ValueError):
             yield kind(value)

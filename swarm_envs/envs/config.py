@@ -26,6 +26,7 @@ from swarm_envs.physics import bullet_available
 from swarm_envs.physics.base import FORCE_BOUNDS_G, MOST_ENVIRONMENTS
 from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
 
@@ -119,6 +120,11 @@ class EnvConfig:
         for token, bound in self.force_bounds_g.items():
             name = f"force_bounds_g[{token!r}]"
             check_value(name, bound, Annotated[float, Range(0.0, above=True, unit="gram-force")])
+        if self.observe_setpoint and ACTIONS[self.action].level != SETPOINTS:
+            raise ValueError(
+                f"observe_setpoint is True, but with action={self.action!r} there is no set-point "
+                "to observe; leave it out, or choose another action"
+            )
         ranges = self.ranges
         if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(

@@ -429,6 +429,7 @@ class SwarmCore:
         self.physics.place_bodies(np.arange(self.num_envs))
 
     def _kind(self) -> dict[str, object]:
+        *_, load, force, setpoint = self.form
         return {
             "task": self.task.name,
             "team": tuple(vehicle.token for vehicle in self.task.team),
@@ -438,6 +439,9 @@ class SwarmCore:
             "world": "ideal" if self.physics.hall is None else "hall",
             "num_neighbors": self.config.num_neighbors,
             "num_obstacles": self.num_obstacles,
+            "observe_load": load,
+            "observe_force": force,
+            "observe_setpoint": setpoint,
             "number of environments": self.num_envs,
             "number of stages": self.world.goals.shape[1],
         }

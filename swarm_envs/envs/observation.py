@@ -116,7 +116,7 @@ def observation_layout(
     mass is what the controller knows. With `force`, `self.force` is what a model predicts of the
     force of the air on the drone, over its weight, world frame. With `setpoint`, the controller's
     set-point has its velocity and acceleration, which are known exactly where the drone's own are
-    measured with noise (zero for `ctbr` and `rotors`).
+    measured with noise; there is none with `ctbr` and `rotors`.
     """
     extra = (_LOAD if load else ()) + (_FORCE if force else ()) + (_SETPOINT if setpoint else ())
     neighbor = (*_NEIGHBOR[:-1], *(_LOAD if load else ()), _NEIGHBOR[-1])
@@ -295,12 +295,11 @@ def write_load(seen: Record, drone: Record, row: Float32Array, at: int) -> int:
 
 
 @part
-def write_setpoint(drone: Record, direct: bool, row: Float32Array, at: int) -> int:
-    """Write the set-point's derivatives from `at` on, unless there is none; return the end."""
+def write_setpoint(drone: Record, row: Float32Array, at: int) -> int:
+    """Write velocity and acceleration of the set-point from `at` on; return where that ends."""
     for k in range(3):
-        row[at + k] = 0.0 if direct else drone.setpoint_velocity[k] / SPEED_LIMIT
-        acceleration = 0.0 if direct else drone.setpoint_acceleration[k]
-        row[at + 3 + k] = acceleration / ACCELERATION_LIMIT
+        row[at + k] = drone.setpoint_velocity[k] / SPEED_LIMIT
+        row[at + 3 + k] = drone.setpoint_acceleration[k] / ACCELERATION_LIMIT
     return at + 6
 
 
@@ -432,7 +431,7 @@ def write_observations(
                     row[start + k] = force[e, i, k] / (d.nominal_mass * GRAVITY)
                 start += 3
             if setpoint:
-                start = write_setpoint(d, direct, row, start)
+                start = write_setpoint(d, row, start)
             if many:
                 team = drones[e]
                 found = nearest_sorted(i, place, position, team, order[e], others, square)

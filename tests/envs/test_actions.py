@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swarm_envs import swap_v1
+from swarm_envs import make, swap_v1
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import ObservationField, observation_layout, shaper
+from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
@@ -233,6 +234,45 @@ def test_load_and_predicted_force():
     shaped = shaper("dict", 3, 0, True, True)(observations["drone_0"])
     assert shaped["neighbors"].shape == (3, 15)
     assert shaped["mask"].tolist() == [1.0, 1.0, 1.0]
+
+
+def test_set_points_are_observed_without_noise():
+    env, observations = shaken(
+        num_drones=3, observe_setpoint=True, randomization="position_noise_m=0.1,velocity_noise=0.5"
+    )
+    drones = env.core.world.drones[0]
+    assert (np.abs(drones["setpoint_velocity"]) > 1e-3).all()
+    for i, agent in enumerate(env.agents):
+        seen = fields(env, observations[agent])
+        near(seen["self.setpoint_velocity"], drones["setpoint_velocity"][i] / 2.0)
+        near(seen["self.setpoint_acceleration"], drones["setpoint_acceleration"][i] / 5.0)
+        off = seen["self.velocity"] - drones["velocity"][i] / 2.0
+        assert (np.abs(off) > 1e-4).all()
+    for action in ("ctbr", "rotors"):
+        with pytest.raises(ValueError, match=f"with action='{action}' there is no set-point"):
+            make("swap_v1", action=action, observe_setpoint=True)
+
+
+def test_the_scale_of_noise_is_drawn_for_each_environment():
+    noise = "position_noise_m=0.1,velocity_noise=0.5"
+    rows = {}
+    for scale in ("0:0", "1:1", "0.5:0.5"):
+        given = f"{noise},noise_scale={scale}"
+        env = make("swap_v1", num_drones=2, physics="batch", randomization=given)
+        rows[scale] = np.stack([*env.reset(seed=3)[0].values()]).astype(float)
+        if scale == "0:0":
+            assert np.array_equal(rows[scale], env.core.true_rows(*env.core.form[1:])[0])
+        env.close()
+    own = np.s_[:, :6]  # position and velocity of the drone itself
+    full, half = (rows[s][own] - rows["0:0"][own] for s in ("1:1", "0.5:0.5"))
+    assert (np.abs(full) > 1e-5).all()
+    np.testing.assert_allclose(half, full / 2, atol=1e-6)
+    found = batch_of("swap_v1", num_drones=2, randomization=f"{noise},noise_scale=0:1")
+    core = SwarmCore(found.task, found.config, 64)
+    core.reset(list(range(64)))
+    drawn = core.world.environments["noise_scale"]
+    assert 0.0 <= drawn.min() < 0.1 < 0.9 < drawn.max() <= 1.0
+    core.close()
 
 
 @pytest.mark.parametrize("layout", ["random", "stacked"])

@@ -292,3 +292,17 @@ def test_a_vehicle_of_one_s_own():
     over = env.core.world.drones["over_bound"][0]
     assert over[0] > 40 and over[1] == 0
     assert env.core.physics.parameters.mass[0].tolist() == [0.05, SMALL.mass]
+
+
+@pytest.mark.parametrize("observed", ["observe_load", "observe_setpoint"])
+def test_a_state_of_other_observations_is_refused_and_nothing_changed(observed):
+    first = swarm_envs.make("swap_v1", num_drones=2, physics="batch", **{observed: True})
+    second = swarm_envs.make("swap_v1", num_drones=2, physics="batch")
+    first.reset(seed=0)
+    second.reset(seed=1)
+    before = second.core.world.drones["position"].copy()
+    with pytest.raises(ValueError, match=f"{observed} is True, but here it is False"):
+        second.set_state(first.get_state())
+    assert np.array_equal(second.core.world.drones["position"], before)
+    first.close()
+    second.close()

@@ -304,6 +304,15 @@ def test_a_set_has_no_order_and_no_places_for_who_is_not_there():
     np.testing.assert_allclose(network(padded, SIZES), network(alone, single), atol=2e-6)
 
 
+def test_a_policy_of_other_observations_or_decisions_begins_no_training():
+    for given, why in (
+        ({"num_neighbors": 7, "decision_rate": 20}, "observe_setpoint is True, but here it is F"),
+        ({"num_neighbors": 7, "decision_rate": 10}, "decision_rate is 20, but here it is 10"),
+    ):
+        with pytest.raises(ValueError, match=f"--start is 'swap-dagger', whose {why}"):
+            learner(start="swap-dagger", **given)
+
+
 @pytest.mark.parametrize("kind", NETWORKS)
 def test_training_begins_as_another_policy(kind):
     first: Network = actor_of(kind).network()

@@ -43,6 +43,11 @@ from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_settin
 LARGEST_GRADIENT = 1.0
 NOISY = 3  # every so many environments, one flies with noise
 CURVE = "progress.csv"
+STARTED_ALIKE = (
+    *("action", "decision_rate", "num_neighbors", "num_obstacles"),
+    *("observe_load", "observe_force", "observe_setpoint"),
+)
+"""Entries of a policy's note in which the policy that a run starts from must be like its own."""
 
 
 def train_dagger(config: RlConfig, task: str) -> dict[str, Any]:
@@ -144,6 +149,13 @@ class Dagger:
         agent = load_agent(self.config.start)
         if not isinstance(agent, PolicyAgent):
             raise ValueError(f"--start is {self.config.start!r}, but must be a trained policy")
+        theirs, ours = agent.policy.note, self.setting.note()
+        for name in STARTED_ALIKE:
+            if getattr(theirs, name) != getattr(ours, name):
+                raise ValueError(
+                    f"--start is {self.config.start!r}, whose {name} is {getattr(theirs, name)!r}, "
+                    f"but here it is {getattr(ours, name)!r}; give both the same"
+                )
         self.actor.fill(agent.policy.network)
 
     @property

@@ -185,7 +185,7 @@ def _begin(
     write_json(path, {"config": options, "evaluations": []})
     try:
         return algorithm("MlpPolicy", env, **arguments), Evaluation(setting)
-    except (TypeError, AssertionError) as error:
+    except (TypeError, ValueError, RuntimeError, AssertionError) as error:
         raise ValueError(f"--algo {config.algo} refuses its arguments: {error}") from error
 
 

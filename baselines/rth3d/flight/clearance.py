@@ -1,4 +1,4 @@
-"""The least distance to which robots on splines of a grid can come, and that of a flight.
+"""Clearances: the least distance of robots on splines of a grid, and that within a flight.
 
 Two robots on valid paths never stand on one vertex and never exchange two. Within a step their
 distance is a spline of four differences of vertices. There are finitely many such windows near
