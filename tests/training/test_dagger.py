@@ -305,12 +305,12 @@ def test_a_set_has_no_order_and_no_places_for_who_is_not_there():
 
 
 def test_a_policy_of_other_observations_or_decisions_begins_no_training():
-    for given, why in (
-        ({"num_neighbors": 7, "decision_rate": 20}, "observe_setpoint is True, but here it is F"),
-        ({"num_neighbors": 7, "decision_rate": 10}, "decision_rate is 20, but here it is 10"),
+    for rate, why in (
+        (20, "observe_setpoint is True, but here it is F"),
+        (10, "decision_rate is 20, but here it is 10"),
     ):
         with pytest.raises(ValueError, match=f"--start is 'swap-dagger', whose {why}"):
-            learner(start="swap-dagger", **given)
+            learner(start="swap-dagger", num_neighbors=7, decision_rate=rate)
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
