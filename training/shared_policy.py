@@ -89,6 +89,11 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             for found, count in zip(blueprints, counts, strict=True)
         )
         self.features = features
+        if features and self.core.config.observation != "flat":
+            raise ValueError(
+                f"features=True replaces the row, but observation is "
+                f"{self.core.config.observation!r}; give one of them"
+            )
         for k, core in enumerate(self.cores):
             if (core.form, core.mode) != (self.core.form, self.core.mode):
                 raise ValueError(

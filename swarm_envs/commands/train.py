@@ -42,7 +42,8 @@ def check_algorithm(config: RlConfig, task: str) -> None:
     from swarm_envs.training.rl.sb3 import algorithm_of, arguments_of
 
     with as_misuse():
-        taken = inspect.signature(algorithm_of(config.algo)).parameters
+        found = inspect.signature(algorithm_of(config.algo)).parameters
+        taken = [name for name in found if name not in ("self", "policy", "env")]
         for name in arguments_of(make_setting(config, task)):
             if name not in taken and "kwargs" not in taken:
                 said = unknown_name("argument", name, taken)

@@ -75,6 +75,14 @@ class Randomization:
     noise_scale: Annotated[tuple[float, float], Interval(Range(0.0))] = SAME
     """factor of all noise, one for a whole environment"""
 
+    def __post_init__(self) -> None:
+        """Refuse a factor of noise where there is none."""
+        if self.noise_scale != SAME and not self.noisy:
+            raise ValueError(
+                f"noise_scale is {self.noise_scale}, but there is no noise to scale; give a "
+                "standard deviation too, such as position_noise_m=0.02"
+            )
+
     @classmethod
     def of(cls, given: Randomization | str | None) -> Randomization | None:
         """What an option `randomization` stands for; text is such as `mass=0.9:1.1,thrust=1:1.2`.
@@ -87,11 +95,11 @@ class Randomization:
         values: dict[str, Any] = {}
         for name, numbers in parse_pairs("randomization", given, "mass=0.9:1.1,thrust=1:1.2"):
             check_name("randomization", name, [field.name for field in fields(cls)])
-            if isinstance(getattr(cls, name), tuple) and len(numbers) != 2:
+            ranged = isinstance(getattr(cls, name), tuple)
+            if len(numbers) != (2 if ranged else 1):
                 got = ":".join(f"{number:g}" for number in numbers)
-                raise ValueError(
-                    f"randomization is {name}={got}, but must be a range, {name}=LOW:HIGH"
-                )
+                rule = f"a range, {name}=LOW:HIGH" if ranged else f"one number, {name}=NUMBER"
+                raise ValueError(f"randomization is {name}={got}, but must be {rule}")
             values[name] = numbers[0] if len(numbers) == 1 else tuple(numbers)
         return cls(**values)
 

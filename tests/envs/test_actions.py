@@ -275,6 +275,13 @@ def test_the_scale_of_noise_is_drawn_for_each_environment():
     core.close()
 
 
+def test_bad_noise_is_refused():
+    with pytest.raises(ValueError, match=r"noise_scale is \(0.0, 1.0\), but there is no noise"):
+        make("swap_v1", randomization="noise_scale=0:1")
+    with pytest.raises(ValueError, match="position_noise_m=0:1, but must be one number"):
+        make("swap_v1", randomization="position_noise_m=0:1")
+
+
 @pytest.mark.parametrize("layout", ["random", "stacked"])
 def test_task(layout):
     env, observations = shaken(team="LSS*", layout=layout, horizon_s=5.0)

@@ -218,6 +218,11 @@ def test_features_are_observed_in_place_of_rows():
     assert ends
 
 
+def test_features_are_no_dictionaries():
+    with pytest.raises(ValueError, match="features=True replaces the row, but observation is"):
+        SharedPolicyVecEnv("swap_v1", 1, features=True, observation="dict")
+
+
 def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
     found = batch_of("swap_v1", num_drones=3, horizon_s=0.5)
     env = SharedPolicyVecEnv(found, num_envs=2, seed=0)
