@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from swarm_envs.agents import Agent
     from swarm_envs.agents.evaluation import Episode, EpisodeFile
     from swarm_envs.envs.parallel import SwarmParallelEnv
-    from swarm_envs.training.scale_out import Flight, Flown
+    from swarm_envs.training.flights import Flight, Flown
 
     Made = tuple[Agent, SwarmParallelEnv] | BaseException
 
@@ -148,7 +148,7 @@ def _reports(
     """Each agent's scores; or, under `error`, why it has none."""
     from swarm_envs.agents.evaluation import TIMED, frozen_seeds, score_episodes, source_digest
     from swarm_envs.agents.protocol import flies_batches
-    from swarm_envs.training.scale_out import Flight
+    from swarm_envs.training.flights import Flight
 
     seeds = frozen_seeds(options.seed, options.episodes)
     found: dict[str, dict[str, Any]] = {name: {"agent": name} for name in made}
@@ -246,7 +246,7 @@ def _fly_apart(
     Returns:
         By index of the flight, why it failed.
     """
-    from swarm_envs.training.scale_out import fly_flights
+    from swarm_envs.training.flights import fly_flights
 
     for flight, _, episodes in flights:
         _tell_before(flight.agent, len(episodes), len(episodes) + len(flight.seeds))

@@ -22,7 +22,8 @@ from swarm_envs.agents import Agent, load
 from swarm_envs.agents.evaluation import TIMED, Episode, frozen_seeds, source_digest
 from swarm_envs.agents.protocol import check_options_agree, flies_batches
 from swarm_envs.baselines.neural_swarm.flights import versions
-from swarm_envs.training.scale_out import Flight, ScaleOptions, fly_flights
+from swarm_envs.training.flights import Flight, fly_flights
+from swarm_envs.training.scale_out import ScaleOptions
 from swarm_envs.training.scoreboard.agents import episodes_of, seconds_of
 from swarm_envs.training.scoreboard.metrics import EpisodeRow, fastest_times, row_of
 from swarm_envs.training.scoreboard.results import (
