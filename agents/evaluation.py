@@ -44,6 +44,7 @@ __all__ = [
     "Episode",
     "EpisodeFile",
     "bootstrap_interval",
+    "collided",
     "evaluate_agent",
     "frozen_seeds",
     "interquartile_mean",
@@ -350,6 +351,11 @@ def rate_interval(count: int, total: int) -> list[float]:
     return [float(ends.low), float(ends.high)]
 
 
+def collided(metrics: Mapping[str, Any]) -> bool:
+    """Return whether any drone collided, left the arena or tumbled in an episode."""
+    return any(metrics[name] for name in COLLISIONS.values())
+
+
 def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """What an agent's episodes add up to.
 
@@ -371,7 +377,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     if not episodes:
         raise ValueError("there is no episode to score; fly at least one")
     metrics = [episode["metrics"] for episode in episodes]
-    crashed = [any(m[name] for name in COLLISIONS.values()) for m in metrics]
+    crashed = [collided(m) for m in metrics]
     flags = {
         "success_rate": [m["success"] for m in metrics],
         "collision_rate": crashed,
