@@ -44,6 +44,7 @@ __all__ = [
     "Episode",
     "EpisodeFile",
     "bootstrap_interval",
+    "collided",
     "evaluate_agent",
     "frozen_seeds",
     "interquartile_mean",
@@ -137,12 +138,10 @@ def evaluate_agent(
     env: SwarmParallelEnv,
     agent: Agent,
     seeds: Sequence[int],
-    kept: Mapping[int, Episode] | None = None,
-    keep: Callable[..., None] | None = None,
     timed: int = TIMED,
     refusals: bool = False,
 ) -> Iterator[Episode]:
-    """Give the episodes of the seeds in their order; those that are kept are not flown again.
+    """Give the episodes of the seeds in their order.
 
     An agent that acts on arrays (a `BatchAgent`) flies `AT_ONCE` episodes at once after the first
     `timed`, with the same metrics; of these no decision is timed, and `act_us` is empty.
@@ -151,54 +150,34 @@ def evaluate_agent(
         env: has what the agent requires.
         agent: who acts.
         seeds: of the episodes.
-        kept: episodes flown before, by seed.
-        keep: called with new episodes, one or more, before they are given.
         timed: of the seeds, how many are flown one at a time in any case.
         refusals: whether an episode that the agent refuses is given too; see `fly_seed`.
 
     Raises:
         AgentFailed: the agent did.
     """
-    found = kept or {}
     batched = flies_batches(env, agent)
     single = seeds[:timed] if batched else seeds
     for seed in single:
-        episode = found.get(seed)
-        if episode is None:
-            episode = fly_seed(env, agent, seed, refusals)
-            if keep is not None:
-                keep(episode)
-        yield episode
+        yield fly_seed(env, agent, seed, refusals)
     if batched:
-        yield from _evaluate_batched(env, agent, seeds[len(single) :], found, keep, refusals)
+        yield from _evaluate_batched(env, agent, seeds[len(single) :], refusals)
 
 
 def _evaluate_batched(
-    env: SwarmParallelEnv,
-    agent: Agent,
-    seeds: Sequence[int],
-    kept: Mapping[int, Episode],
-    keep: Callable[..., None] | None,
-    refusals: bool,
+    env: SwarmParallelEnv, agent: Agent, seeds: Sequence[int], refusals: bool
 ) -> Iterator[Episode]:
     """As `evaluate_agent`, many at once."""
     core: SwarmCore | None = None
     for first in range(0, len(seeds), AT_ONCE):
         chunk = seeds[first : first + AT_ONCE]
-        missing = [seed for seed in chunk if seed not in kept]
-        new: list[Episode] = []
-        if missing:
-            try:
-                core = core or _prepared(env, agent, missing[0], min(AT_ONCE, len(seeds)))
-                new = _fly_seeds(core, env, agent, missing)
-            except AgentRefused:
-                if not refusals:
-                    raise
-                new = [fly_seed(env, agent, seed, refusals) for seed in missing]
-            if keep is not None:
-                keep(*new)
-        given = {**kept, **{episode["seed"]: episode for episode in new}}
-        yield from (given[seed] for seed in chunk)
+        try:
+            core = core or _prepared(env, agent, chunk[0], min(AT_ONCE, len(seeds)))
+            yield from _fly_seeds(core, env, agent, chunk)
+        except AgentRefused:
+            if not refusals:
+                raise
+            yield from (fly_seed(env, agent, seed, refusals) for seed in chunk)
 
 
 def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> SwarmCore:
@@ -372,6 +351,11 @@ def rate_interval(count: int, total: int) -> list[float]:
     return [float(ends.low), float(ends.high)]
 
 
+def collided(metrics: Mapping[str, Any]) -> bool:
+    """Return whether any drone collided, left the arena or tumbled in an episode."""
+    return any(metrics[name] for name in COLLISIONS.values())
+
+
 def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """What an agent's episodes add up to.
 
@@ -393,7 +377,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     if not episodes:
         raise ValueError("there is no episode to score; fly at least one")
     metrics = [episode["metrics"] for episode in episodes]
-    crashed = [any(m[name] for name in COLLISIONS.values()) for m in metrics]
+    crashed = [collided(m) for m in metrics]
     flags = {
         "success_rate": [m["success"] for m in metrics],
         "collision_rate": crashed,

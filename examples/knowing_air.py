@@ -128,8 +128,10 @@ def fly_in(study: AirStudy, config: RlConfig, task: str, air: str) -> list[float
     env = make(case.task, **{**setting, **agent.requires, "threads": 1})
     try:
         seeds = frozen_seeds(EPISODE_SEED, study.episodes)
-        flown = evaluate_agent(env, agent, seeds, file.episodes, file.add, timed=0)
-        return [float(episode["metrics"][case.measure]) for episode in flown]
+        missing = [seed for seed in seeds if seed not in file.episodes]
+        for episode in evaluate_agent(env, agent, missing, timed=0):
+            file.add(episode)
+        return [float(file.episodes[seed]["metrics"][case.measure]) for seed in seeds]
     finally:
         env.close()
 

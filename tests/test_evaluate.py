@@ -16,7 +16,6 @@ from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode, load, recommended
 from swarm_envs.agents.evaluation import (
     TIMED,
-    Episode,
     EpisodeFile,
     bootstrap_interval,
     evaluate_agent,
@@ -185,16 +184,12 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
     options = {**agent.requires, "num_drones": 4, "horizon_s": 2.0, "physics": "batch"}
     env = swap_v1.parallel_env(**options)
-    kept = {seeds[-3]: {"seed": seeds[-3], "metrics": {"flown": "before"}, "act_us": []}}
-    calls: list[tuple[Episode, ...]] = []
-    episodes = list(evaluate_agent(env, agent, seeds, kept, lambda *new: calls.append(new)))
+    episodes = list(evaluate_agent(env, agent, seeds))
     assert [episode["seed"] for episode in episodes] == seeds
-    assert [len(new) for new in calls] == [1] * TIMED + [4]  # the last four at once
     assert all(episode["act_us"] for episode in episodes[:TIMED])
     assert not any(episode["act_us"] for episode in episodes[TIMED:])
     for seed, episode in zip(seeds, episodes, strict=True):
-        expected = kept[seed]["metrics"] if seed in kept else fly_episode(env, agent, seed)
-        assert episode["metrics"] == expected
+        assert episode["metrics"] == fly_episode(env, agent, seed)
     env.close()
 
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import shutil
 import sys
-import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-from tqdm import tqdm
 
 from swarm_envs import __version__, make
 from swarm_envs.arguments import Count, Divides, Seed
@@ -37,9 +34,9 @@ from swarm_envs.training.scale_out import ScaleOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
-    from swarm_envs.agents.evaluation import Episode, EpisodeFile
+    from swarm_envs.agents.evaluation import EpisodeFile
     from swarm_envs.envs.parallel import SwarmParallelEnv
-    from swarm_envs.training.scale_out import Flight, Flown
+    from swarm_envs.training.flights import Flight
 
     Made = tuple[Agent, SwarmParallelEnv] | BaseException
 
@@ -49,7 +46,7 @@ if TYPE_CHECKING:
 class EvaluateOptions(EpisodeOptions):
     """Evaluate agents on many episodes with the same seeds, and report rates and means.
 
-    An interrupted command resumes after the last complete episode when it is run again. An agent
+    An interrupted command resumes after the last complete episodes when it is run again. An agent
     that fails during an episode is reported with its error, and the exit status is 1. Agents that
     cannot fly the task are refused before the first episode.
     """
@@ -146,13 +143,11 @@ def _reports(
     options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
 ) -> list[dict[str, Any]]:
     """Each agent's scores; or, under `error`, why it has none."""
-    from swarm_envs.agents.evaluation import TIMED, frozen_seeds, score_episodes, source_digest
-    from swarm_envs.agents.protocol import flies_batches
-    from swarm_envs.training.scale_out import Flight
+    from swarm_envs.agents.evaluation import score_episodes
+    from swarm_envs.training.flights import fly_flights
 
-    seeds = frozen_seeds(options.seed, options.episodes)
     found: dict[str, dict[str, Any]] = {name: {"agent": name} for name in made}
-    flights: list[tuple[Flight, EpisodeFile | None, list[Episode]]] = []
+    flights: dict[str, tuple[Flight, EpisodeFile | None]] = {}
     for name, each in made.items():
         if isinstance(each, BaseException):
             found[name]["error"] = f"cannot be flown: {type(each).__name__}: {each}"
@@ -161,110 +156,54 @@ def _reports(
         rate = env.core.config.decision_rate
         found[name] |= {"privileged": agent.privileged, "decision_rate": rate}
         try:
-            kept = _open_episodes(name, agent, options, about)
-            if options.scale.alone:
-                found[name] |= _fly_here(name, agent, env, seeds, kept)
-            else:
-                before = {} if kept is None else kept.episodes
-                flight = Flight(
-                    agent=name,
-                    digest=source_digest(agent),
-                    task=about["task"],
-                    setting=options.setting(),
-                    seeds=[seed for seed in seeds if seed not in before],
-                    timed=sum(seed not in before for seed in seeds[:TIMED]),
-                    batched=flies_batches(env, agent),
-                )
-                done = [before[seed] for seed in seeds if seed in before]
-                flights.append((flight, kept, done))
-        except Exception as error:
-            if ":" in name:  # its author needs to see where it failed
-                traceback.print_exception(error.__cause__ or error)
+            flights[name] = (
+                _flight(name, agent, env, options),
+                _open_episodes(name, agent, options, about),
+            )
+        except ValueError as error:
             found[name]["error"] = str(error)
-    failed = _fly_apart(flights, options.scale)
-    for k, (flight, _, episodes) in enumerate(flights):
-        if k not in failed:
-            by_seed = {episode["seed"]: episode for episode in episodes}
-            found[flight.agent] |= score_episodes([by_seed[seed] for seed in seeds])
-            continue
-        found[flight.agent]["error"] = failed[k].error
-        if ":" in flight.agent:
-            sys.stderr.write(failed[k].trace)
+    flown = fly_flights([*flights.values()], options.scale)
+    for name, (episodes, why, trace) in zip(flights, flown, strict=True):
+        found[name] |= {"error": why} if why else score_episodes(episodes)
+        if ":" in name:  # its author needs to see where it failed
+            sys.stderr.write(trace)
     return [*found.values()]
 
 
-def _fly_here(
-    name: str, agent: Agent, env: SwarmParallelEnv, seeds: Sequence[int], kept: EpisodeFile | None
-) -> dict[str, Any]:
-    """Scores of every episode of an agent; what is kept is not flown again."""
-    from swarm_envs.agents import SafetyFilter
-    from swarm_envs.agents.evaluation import evaluate_agent, score_episodes
+def _flight(name: str, agent: Agent, env: SwarmParallelEnv, options: EvaluateOptions) -> Flight:
+    """The episodes that an agent is to fly."""
+    from swarm_envs.agents.evaluation import TIMED, frozen_seeds, source_digest
+    from swarm_envs.agents.protocol import flies_batches
+    from swarm_envs.training.flights import Flight
 
-    found = {} if kept is None else kept.episodes
-    _tell_before(name, sum(seed in found for seed in seeds), len(seeds))
-    episodes, good = [], 0
-    flown = evaluate_agent(env, agent, seeds, dict(found), None if kept is None else kept.add)
-    with tqdm(total=len(seeds), desc=name[-30:], unit="episode", mininterval=0.5) as bar:
-        for episode in flown:
-            episodes.append(episode)
-            good += episode["metrics"]["success"]
-            bar.set_postfix_str(f"success {good / len(episodes):.1%}", refresh=False)
-            bar.update()
-    counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
-    return {**score_episodes(episodes), **counted}
-
-
-def _tell_before(name: str, before: int, wanted: int) -> None:
-    """Say how many of an agent's episodes are there already, if any."""
-    if before:
-        print(f"{name}: {before} of {wanted} episodes were flown before", flush=True)
+    return Flight(
+        agent=name,
+        digest=source_digest(agent),
+        task=find_task(options.task),
+        setting=options.setting(),
+        seeds=frozen_seeds(options.seed, options.episodes),
+        timed=TIMED,
+        batched=flies_batches(env, agent),
+    )
 
 
 def _open_episodes(
     name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
     """Where an agent's episodes are kept; None if they are not."""
-    from swarm_envs.agents.evaluation import EpisodeFile, source_digest
+    from swarm_envs.agents.evaluation import EpisodeFile, frozen_seeds, source_digest
 
     folder = _kept(options)
     if folder is None:
         return None
     depends = {k: v for k, v in about.items() if k != "seed"}
     depends |= {"agent": name, "source": source_digest(agent), "version": __version__}
-    return EpisodeFile(folder, name, depends)
-
-
-def _fly_apart(
-    flights: Sequence[tuple[Flight, EpisodeFile | None, list[Episode]]], scale: ScaleOptions
-) -> dict[int, Flown]:
-    """Add every episode that is not there yet, flown by other processes or a cluster, with one bar.
-
-    Args:
-        flights: of each agent, where its episodes are kept, and the episodes.
-        scale: the workers.
-
-    Returns:
-        By index of the flight, why it failed.
-    """
-    from swarm_envs.training.scale_out import fly_flights
-
-    for flight, _, episodes in flights:
-        _tell_before(flight.agent, len(episodes), len(episodes) + len(flight.seeds))
-    before = sum(len(episodes) for _, _, episodes in flights)
-    missing = sum(len(flight.seeds) for flight, _, _ in flights)
-    if not missing:
-        return {}
-    with tqdm(total=before + missing, initial=before, unit="episode", mininterval=0.5) as bar:
-
-        def keep(k: int, new: list[Episode]) -> None:
-            flight, kept, episodes = flights[k]
-            if kept is not None:
-                kept.add(*new)
-            episodes.extend(new)
-            bar.set_description_str(flight.agent[-30:], refresh=False)
-            bar.update(len(new))
-
-        return fly_flights([flight for flight, _, _ in flights], scale, keep)
+    file = EpisodeFile(folder, name, depends)
+    if before := sum(
+        seed in file.episodes for seed in frozen_seeds(options.seed, options.episodes)
+    ):
+        print(f"{name}: {before} of {options.episodes} episodes were flown before", flush=True)
+    return file
 
 
 def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:

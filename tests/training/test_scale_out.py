@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ import pytest
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds, source_digest
 from swarm_envs.cli import main
-from swarm_envs.training.scale_out import Flight, ScaleOptions, WorkerDied, fly_chunk, run_jobs
+from swarm_envs.training.flights import Flight, fly_chunk
+from swarm_envs.training.scale_out import ScaleOptions, WorkerDied, run_jobs
 from tests.helpers.small_jobs import alive, small_job, wait_for
 from tests.helpers.users_agents import FINE
 
@@ -79,7 +79,7 @@ def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
 def test_a_job_whose_process_dies_is_repeated(tmp_path):
     notes = tmp_path / "notes"
     notes.mkdir()
-    jobs: deque[Any] = deque((k, ("square", 0.1 * k)) for k in range(20))
+    jobs: list[Any] = [(k, ("square", 0.1 * k)) for k in range(20)]
     jobs.append(("dies", ("dies", notes)))
     found: dict[Any, Any] = dict(run_jobs(small_job, jobs, ScaleOptions(workers=2)))
     assert found.pop("dies") == 1.0
@@ -88,7 +88,7 @@ def test_a_job_whose_process_dies_is_repeated(tmp_path):
 
 
 def test_a_job_that_kills_every_process_is_given_up():
-    jobs = deque([("kill", signal.SIGKILL), ("other", 0)])
+    jobs = [("kill", signal.SIGKILL), ("other", 0)]
     found = dict(run_jobs(send_to_itself, jobs, ScaleOptions(workers=2)))
     assert isinstance(found["kill"], WorkerDied)
     assert found["other"] is None
@@ -101,13 +101,12 @@ def send_to_itself(number: int) -> None:
 
 DRIVER = """
 import signal, sys
-from collections import deque
 from pathlib import Path
 from swarm_envs.training.scale_out import ScaleOptions, run_jobs
 from tests.helpers.small_jobs import small_job
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
-    jobs = deque((k, ("waits", Path(sys.argv[1]))) for k in range(2))
+    jobs = [(k, ("waits", Path(sys.argv[1]))) for k in range(2)]
     list(run_jobs(small_job, jobs, ScaleOptions(workers=2)))
 """
 
@@ -153,4 +152,4 @@ def test_impossible_options_are_refused(options, why):
 def test_without_ray_its_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r"pip install 'swarm-envs\[ray\]'"):
-        next(run_jobs(small_job, deque([(0, ("square", 1.0))]), ScaleOptions(ray="local")))
+        next(run_jobs(small_job, [(0, ("square", 1.0))], ScaleOptions(ray="local")))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -41,7 +40,7 @@ def test_a_node_dies_and_every_result_is_there_once(cluster, tmp_path):
     """Both nodes are at a long job when the second is killed; the first does all that is left."""
     victim, notes = cluster.add_node(**NODE), tmp_path / "notes"
     notes.mkdir()
-    jobs: deque[Any] = deque((name, ("waits", notes)) for name in "ab")
+    jobs: list[Any] = [(name, ("waits", notes)) for name in "ab"]
     jobs += [(k, ("square", 0.1 * k)) for k in range(30)]
     expected: dict[Any, Any] = {k: (0.1 * k) * (0.1 * k) / 3.0 for k in range(30)}
     expected |= {"a": "waited", "b": "waited"}
@@ -61,9 +60,21 @@ def test_a_node_dies_and_every_result_is_there_once(cluster, tmp_path):
     assert len([*notes.iterdir()]) == 3  # the dead node's was begun anew
 
 
+@pytest.mark.slow
+def test_what_runs_on_a_cluster_ends_with_the_results(cluster, tmp_path):
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    jobs = [("quick", ("square", 3.0)), ("long", ("waits", notes))]
+    results = run_jobs(small_job, jobs, ScaleOptions(ray=cluster.address))
+    assert next(results) == ("quick", 3.0)
+    wait_for(lambda: [*notes.iterdir()])
+    results.close()
+    wait_for(lambda: not any(map(alive, notes.iterdir())))
+
+
 def test_where_nobody_listens_is_said_at_once():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"  # bound, so that nobody else listens there
         with pytest.raises(ConnectionError, match="no Ray cluster was found at '127"):
-            next(run_jobs(small_job, deque([(0, ("square", 1.0))]), ScaleOptions(ray=address)))
+            next(run_jobs(small_job, [(0, ("square", 1.0))], ScaleOptions(ray=address)))

@@ -7,7 +7,6 @@ all tasks take less than an hour on two processors.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import MappingProxyType
@@ -20,72 +19,62 @@ __all__ = ["AGENTS", "choose_agents"]
 
 LEAST = 8  # Episodes that every agent flies at least
 
-
-@dataclass(frozen=True)
-class Entry:
-    """The cost of an agent in the benchmark."""
-
-    share: int = 1
-    """It flies the first 1 / share of a task's episodes."""
-    cost: float = 0.001
-    """CPU seconds per drone and second of the clock, roughly: the progress bar counts these."""
-
-
-AGENTS: Mapping[str, Entry] = MappingProxyType(
+AGENTS: Mapping[str, int] = MappingProxyType(
     {
-        "hover": Entry(2),
-        "random": Entry(2, 0.0005),
-        "straight-line": Entry(),
-        "straight-line+filter": Entry(),
-        "fast-line": Entry(1, 0.0015),
-        "orca": Entry(1, 0.0015),
-        "roundabout": Entry(1, 0.0015),
-        "tracking": Entry(2),
-        "tracking+compensated": Entry(2),
-        "tracking+adaptive": Entry(2),
-        "tracking+compensated+adaptive": Entry(2),
-        "air-blind": Entry(2),
-        "air-blind+adaptive": Entry(2),
-        "air-aware": Entry(2),
-        "air-on-top": Entry(2),
-        "detour": Entry(4),
-        "detour+compensated": Entry(4, 0.004),
-        "swap-dagger": Entry(),
-        "gates-dagger": Entry(),
-        "pursuit-dagger": Entry(),
-        "pursuit-dagger+filter": Entry(),
-        "crowd-dagger": Entry(),
-        "crowd-dagger+filter": Entry(),
-        "stack-dagger": Entry(),
-        "mixed-dagger": Entry(),
-        "sprint-dagger": Entry(),
-        "delivery-dagger": Entry(),
-        "ring-dagger": Entry(),
-        "swap-ppo": Entry(),
-        "neural-swarm-planner": Entry(8, 0.1),
-        "mlr-dmpc": Entry(4, 0.009),
-        "mlr-dmpc+compensated": Entry(4, 0.009),
-        "rth3d": Entry(4, 0.007),
-        "rth3d+compensated": Entry(4, 0.007),
+        "hover": 2,
+        "random": 2,
+        "straight-line": 1,
+        "straight-line+filter": 1,
+        "fast-line": 1,
+        "orca": 1,
+        "roundabout": 1,
+        "tracking": 2,
+        "tracking+compensated": 2,
+        "tracking+adaptive": 2,
+        "tracking+compensated+adaptive": 2,
+        "air-blind": 2,
+        "air-blind+adaptive": 2,
+        "air-aware": 2,
+        "air-on-top": 2,
+        "detour": 4,
+        "detour+compensated": 4,
+        "swap-dagger": 1,
+        "gates-dagger": 1,
+        "pursuit-dagger": 1,
+        "pursuit-dagger+filter": 1,
+        "crowd-dagger": 1,
+        "crowd-dagger+filter": 1,
+        "stack-dagger": 1,
+        "mixed-dagger": 1,
+        "sprint-dagger": 1,
+        "delivery-dagger": 1,
+        "ring-dagger": 1,
+        "swap-ppo": 1,
+        "neural-swarm-planner": 8,
+        "mlr-dmpc": 4,
+        "mlr-dmpc+compensated": 4,
+        "rth3d": 4,
+        "rth3d+compensated": 4,
     }
 )
-"""Agents by name, in the order in which they are shown."""
-_OTHER = Entry(4, 0.003)
+"""Agents by name, in the order in which they are shown. Of slow ones the number is greater: an
+agent flies the first 1 / number of a task's episodes."""
+_OTHERS = 4  # The number of agents that do not ship
 
 
-def entry_of(name: str) -> Entry:
-    """Return an agent's entry; one that does not ship has the share of slow agents."""
-    return AGENTS.get(name) or AGENTS.get(name.removesuffix(FILTER)) or _OTHER
+def slowness_of(name: str) -> int:
+    """Return an agent's number in the table; one that does not ship has that of slow agents."""
+    return AGENTS.get(name) or AGENTS.get(name.removesuffix(FILTER)) or _OTHERS
 
 
 def episodes_of(name: str, task: ScoredTask) -> int:
     """Return how many of a task's episodes an agent flies."""
-    return min(task.episodes, max(LEAST, task.episodes // entry_of(name).share))
+    return min(task.episodes, max(LEAST, task.episodes // slowness_of(name)))
 
 
-def seconds_of(name: str, task: ScoredTask) -> float:
-    """Return the approximate cost of an episode at most, CPU seconds."""
-    return entry_of(name).cost * task.drones * task.clock_s
+def cost_of(name: str, task: ScoredTask) -> float:
+    """Return the cost of an episode, relative to others, roughly."""
+    return slowness_of(name) * task.drones * task.clock_s
 
 
 def choose_agents(patterns: Sequence[str]) -> list[str]:

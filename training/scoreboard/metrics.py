@@ -23,6 +23,7 @@ from swarm_envs.agents.evaluation import (
     COLLISIONS,
     Episode,
     bootstrap_interval,
+    collided,
     interquartile_mean,
     rate_interval,
 )
@@ -118,7 +119,7 @@ def row_of(
     if "refused" in metrics:
         return row | {"refusal": metrics["refused"]}
     row["success"] = bool(metrics["success"])
-    row["collided"] = any(metrics[name] for name in COLLISIONS.values())
+    row["collided"] = collided(metrics)
     row["near_miss"] = not row["collided"] and metrics["near_misses"] > 0
     row["score"] = score_of(task, metrics, fastest_s)
     row["makespan_s"] = _makespan(task, metrics) if row["success"] else None

@@ -8,15 +8,14 @@ why agents did not fly a task.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.training.scoreboard.metrics import COLUMNS, EpisodeRow
 
-__all__ = ["FILE", "Cell", "Results", "need_parquet", "read_results", "read_rows", "write_rows"]
+__all__ = ["FILE", "Cell", "Results", "need_parquet", "read_results"]
 
 FILE = "episodes.parquet"
 """Its name in a benchmark's folder."""
@@ -29,7 +28,7 @@ class Cell:
 
     task: str
     agent: str
-    rows: Sequence[EpisodeRow] = ()
+    rows: list[EpisodeRow] = field(default_factory=list)
     failure: str = ""
     """Why the agent failed, or could not be made; then there is no episode."""
     mismatch: str = ""
@@ -70,13 +69,17 @@ class Results:
         Raises:
             OSError: it cannot be written.
         """
-        idle = [cell for cell in self.cells if not cell.rows]
+        arrow, parquet = need_parquet()
         not_flown = [
             {"task": c.task, "agent": c.agent, "failure": c.failure, "mismatch": c.mismatch}
-            for c in idle
+            for c in self.cells
+            if not c.rows
         ]
+        note = {_KEY: json.dumps({**self.about, "not_flown": not_flown})}
+        schema = arrow.schema([(name, getattr(arrow, kind)()) for name, kind in COLUMNS.items()])
         rows = [row for cell in self.cells for row in cell.rows]
-        write_rows(path, rows, {**self.about, "not_flown": not_flown})
+        with written_whole(path) as partial:
+            parquet.write_table(arrow.Table.from_pylist(rows, schema.with_metadata(note)), partial)
 
 
 def read_results(path: Path) -> Results:
@@ -87,17 +90,20 @@ def read_results(path: Path) -> Results:
         ImportError: pyarrow is not installed.
         ValueError: it is no such file.
     """
-    rows, about = read_rows(path / FILE if path.is_dir() else path)
-    not_flown = about.pop("not_flown", [])
-    cells = {
-        (task, name): Cell(task, name, []) for task in about["tasks"] for name in about["agents"]
-    }
-    for each in not_flown:
+    arrow, parquet = need_parquet()
+    path = path / FILE if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {str(path)!r}; `swarm-envs benchmark` writes it")
+    try:
+        table = parquet.read_table(path)
+        about = json.loads(table.schema.metadata[_KEY])
+    except (arrow.ArrowException, KeyError, TypeError) as error:
+        raise ValueError(f"{str(path)!r} is no file of a benchmark: {error!r}") from error
+    cells = {(task, name): Cell(task, name) for task in about["tasks"] for name in about["agents"]}
+    for each in about.pop("not_flown"):
         cells[each["task"], each["agent"]] = Cell(**each)
-    for row in rows:
-        found = cells[row["task"], row["agent"]].rows
-        assert isinstance(found, list)
-        found.append(row)
+    for row in table.to_pylist():
+        cells[row["task"], row["agent"]].rows.append(row)
     return Results(about, [*cells.values()])
 
 
@@ -108,36 +114,3 @@ def need_parquet() -> tuple[Any, Any]:
         ImportError: they are not installed; the message says how to get them.
     """
     return pyarrow("the benchmark", "evaluate agents by `swarm-envs evaluate`")
-
-
-def write_rows(path: Path, rows: Sequence[EpisodeRow], about: Mapping[str, Any]) -> None:
-    """Write rows of the table of episodes, whole or not at all, with JSON in the metadata.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    arrow, parquet = need_parquet()
-    schema = arrow.schema([(name, getattr(arrow, kind)()) for name, kind in COLUMNS.items()])
-    columns = {name: [row[name] for row in rows] for name in COLUMNS}
-    table = arrow.table(columns, schema=schema.with_metadata({_KEY: json.dumps(about)}))
-    with written_whole(path) as partial:
-        parquet.write_table(table, partial)
-
-
-def read_rows(path: Path) -> tuple[list[EpisodeRow], dict[str, Any]]:
-    """Read rows, and what the metadata holds.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is not of a benchmark.
-    """
-    arrow, parquet = need_parquet()
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {str(path)!r}; `swarm-envs benchmark` writes it")
-    try:
-        table = parquet.read_table(path)
-        about: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
-    except (arrow.ArrowException, KeyError, TypeError) as error:
-        raise ValueError(f"{str(path)!r} is no file of a benchmark: {error!r}") from error
-    rows: list[EpisodeRow] = table.to_pylist()
-    return rows, about

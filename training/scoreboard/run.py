@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
-import re
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,25 +17,19 @@ from tqdm import tqdm
 
 from swarm_envs import __version__
 from swarm_envs.agents import Agent, load
-from swarm_envs.agents.evaluation import TIMED, Episode, frozen_seeds, source_digest
+from swarm_envs.agents.evaluation import TIMED, EpisodeFile, frozen_seeds, source_digest
 from swarm_envs.agents.protocol import check_options_agree, flies_batches
 from swarm_envs.baselines.neural_swarm.flights import versions
-from swarm_envs.training.scale_out import Flight, ScaleOptions, fly_flights
-from swarm_envs.training.scoreboard.agents import episodes_of, seconds_of
-from swarm_envs.training.scoreboard.metrics import EpisodeRow, fastest_times, row_of
-from swarm_envs.training.scoreboard.results import (
-    FILE,
-    Cell,
-    Results,
-    need_parquet,
-    read_rows,
-    write_rows,
-)
+from swarm_envs.training.flights import Flight, fly_flights
+from swarm_envs.training.scale_out import ScaleOptions
+from swarm_envs.training.scoreboard.agents import cost_of, episodes_of
+from swarm_envs.training.scoreboard.metrics import fastest_times, row_of
+from swarm_envs.training.scoreboard.results import FILE, Cell, Results, need_parquet
 from swarm_envs.training.scoreboard.tasks import SEED, ScoredTask, digest, make_scored
 
 __all__ = ["fly_benchmark"]
 
-PARTS = "parts"  # Where finished cells are kept, in a benchmark's folder
+PARTS = "parts"  # Where episodes are kept, in a benchmark's folder
 _QUICK = 16  # A quick benchmark flies so many times fewer episodes
 
 
@@ -51,17 +43,14 @@ class _Loaded:
     error: str = ""  # Why it could not be made
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Flying:
-    """A cell that is flown now."""
+    """A cell that is flown, and where its episodes are kept."""
 
     cell: Cell
     task: ScoredTask
     flight: Flight
-    part: Path
-    about: Mapping[str, Any]
-    episodes: dict[int, Episode] = field(default_factory=dict)
-    """By seed."""
+    file: EpisodeFile
 
 
 def fly_benchmark(
@@ -76,9 +65,8 @@ def fly_benchmark(
 ) -> Results:
     """Fly what a folder does not have yet, and write `episodes.parquet`.
 
-    A finished cell (an agent on a task) is kept as a file in `parts/`. A later call uses it if the
-    digests of agent and task, the version of the package and the seeds are the same. The folder
-    must be claimed (`swarm_envs.files.claimed`).
+    Episodes are kept in `parts/`, in files by agent and task, their digests, and the version of the
+    package. The folder must be claimed (`swarm_envs.files.claimed`).
 
     Args:
         tasks: rows of the table of tasks.
@@ -93,7 +81,7 @@ def fly_benchmark(
         ConnectionError: there is no such cluster.
         ImportError: pyarrow or Ray is needed and not installed.
         OSError: something cannot be written.
-        ValueError: the folder has a cell of another agent, task, version or seed.
+        ValueError: a file of episodes is damaged.
     """
     need_parquet()
     loaded = [_load(name) for name in agents]
@@ -102,9 +90,16 @@ def fly_benchmark(
     for task, agent in tqdm(pairs, desc="cells", unit="cell", mininterval=0.5):
         count = episodes if episodes is not None else episodes_of(agent.name, task)
         count = max(1, count // _QUICK) if quick else count
-        cell, missing = _prepare(task, agent, seed, count, out / PARTS)
+        cell = Cell(task.id, agent.name, failure=agent.error)
         cells.append(cell)
-        flying += missing
+        if agent.agent is None:
+            continue
+        try:
+            flight = _flight(task, agent.name, agent.agent, frozen_seeds(seed, count))
+        except (ValueError, TypeError, ImportError) as error:
+            cell.mismatch = str(error)
+            continue
+        flying.append(_Flying(cell, task, flight, _file(out / PARTS, task, flight)))
     _fly(flying, scale)
     results = Results(_about(tasks, loaded, seed), cells)
     results.write(out / FILE)
@@ -119,95 +114,49 @@ def _load(name: str) -> _Loaded:
         return _Loaded(name, None, "", f"cannot be made: {type(error).__name__}: {error}")
 
 
-def _prepare(
-    task: ScoredTask, loaded: _Loaded, seed: int, count: int, parts: Path
-) -> tuple[Cell, list[_Flying]]:
-    """Return a cell, read from its part if there is one, and what is to be flown of it, if any."""
-    cell, agent = Cell(task.id, loaded.name, failure=loaded.error), loaded.agent
-    if agent is None:
-        return cell, []
-    about = {
-        "task": digest(task),
-        "agent": loaded.digest,
-        "version": __version__,
-        "seed": seed,
-        "episodes": count,
-    }
-    short = re.sub(r"[^A-Za-z0-9]+", "-", loaded.name).strip("-")[-40:]
-    key = hashlib.sha256(loaded.name.encode()).hexdigest()[:8]
-    part = parts / f"{task.id}--{short}-{key}.parquet"
-    if part.is_file():
-        cell.rows = _read_part(part, about)
-        return cell, []
-    try:
-        check_options_agree(agent, task.setting)
-        env = make_scored(task.environment, {**task.setting, **agent.requires})
-    except (ValueError, TypeError, ImportError) as error:
-        cell.mismatch = str(error)
-        return cell, []
-    batched = flies_batches(env, agent)
-    env.close()
-    flight = Flight(
-        agent=loaded.name,
-        digest=loaded.digest,
+def _flight(task: ScoredTask, name: str, agent: Agent, seeds: Sequence[int]) -> Flight:
+    """Return what an agent flies of a task; an exception if it does not fly it."""
+    check_options_agree(agent, task.setting)
+    with closing(make_scored(task.environment, {**task.setting, **agent.requires})) as env:
+        batched = flies_batches(env, agent)
+    return Flight(
+        agent=name,
+        digest=source_digest(agent),
         task=task.environment,
         setting=task.setting,
-        seeds=frozen_seeds(seed, count),
+        seeds=seeds,
         timed=TIMED,
         batched=batched,
         refusals=True,
+        cost=cost_of(name, task),
     )
-    return cell, [_Flying(cell, task, flight, part, about)]
 
 
-def _read_part(part: Path, about: Mapping[str, Any]) -> list[EpisodeRow]:
-    rows, found = read_rows(part)
-    if found != about:
-        names = [name for name in about if found.get(name) != about[name]]
-        differ = ", ".join(f"{k} was {found.get(k)!r:.20} and is {about[k]!r:.20}" for k in names)
-        raise ValueError(
-            f"{str(part)!r} is of another benchmark: {differ}; choose another folder by --out, or "
-            "delete this file"
-        )
-    return rows
+def _file(parts: Path, task: ScoredTask, flight: Flight) -> EpisodeFile:
+    depends = {"task": digest(task), "agent": flight.digest, "version": __version__}
+    return EpisodeFile(parts, f"{task.id} {flight.agent}", {**depends, "name": flight.agent})
 
 
-def _fly(flying: list[_Flying], scale: ScaleOptions) -> None:
-    """Fly cells, the most expensive first, and keep each when it is finished."""
-    costs = {id(each): seconds_of(each.cell.agent, each.task) for each in flying}
-    flying.sort(key=lambda each: -costs[id(each)])
-    work = sum(len(each.flight.seeds) * costs[id(each)] for each in flying)
+def _fly(flying: Sequence[_Flying], scale: ScaleOptions) -> None:
+    """Fill cells."""
+    flown = fly_flights([(each.flight, each.file) for each in flying], scale)
     fastest: dict[str, dict[int, float]] = {}
-    form = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
-    with tqdm(total=work, bar_format=form, mininterval=0.5, disable=not flying) as bar:
-
-        def keep(k: int, episodes: list[Episode]) -> None:
-            each = flying[k]
-            each.episodes |= {episode["seed"]: episode for episode in episodes}
-            bar.set_description_str(f"{each.task.id} {each.cell.agent[-24:]}", refresh=False)
-            bar.update(len(episodes) * costs[id(each)])
-            if len(each.episodes) == len(each.flight.seeds):
-                each.cell.rows = _rows(each, fastest.setdefault(each.task.id, {}))
-                write_rows(each.part, each.cell.rows, each.about)
-
-        failed = fly_flights([each.flight for each in flying], scale, keep)
     traces = {}
-    for k, flown in failed.items():
-        flying[k].cell.failure = flown.error
-        if ":" in flying[k].cell.agent:  # whoever wrote the file needs to see where it failed
-            traces[flying[k].cell.agent] = flown.trace
-    sys.stderr.write("".join(traces.values()))
-
-
-def _rows(each: _Flying, fastest: dict[int, float]) -> list[EpisodeRow]:
-    """Return a cell's rows; times by seed that are missing in `fastest` are added to it."""
-    seeds = each.flight.seeds
-    if each.task.score == "time":
-        fastest |= fastest_times(each.task, [seed for seed in seeds if seed not in fastest])
-    return [
-        row_of(each.task, each.cell.agent, k, each.episodes[seed], fastest.get(seed))
-        for k, seed in enumerate(seeds)
-    ]
+    for each, (episodes, error, trace) in zip(flying, flown, strict=True):
+        cell, task = each.cell, each.task
+        cell.failure = error
+        if error:
+            traces[cell.agent] = trace
+            continue
+        times = fastest.setdefault(task.id, {})
+        if task.score == "time":
+            times |= fastest_times(task, [k for k in each.flight.seeds if k not in times])
+        cell.rows = [
+            row_of(task, cell.agent, k, episode, times.get(episode["seed"]))
+            for k, episode in enumerate(episodes)
+        ]
+    # Whoever wrote a file needs to see where it failed.
+    sys.stderr.write("".join(trace for name, trace in traces.items() if ":" in name))
 
 
 def _about(tasks: Sequence[ScoredTask], loaded: Sequence[_Loaded], seed: int) -> dict[str, Any]:

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from swarm_envs.agents.evaluation import EpisodeFile
 from swarm_envs.cli import main
-from swarm_envs.training.scoreboard import run
-from swarm_envs.training.scoreboard.results import Cell, read_results, read_rows
+from swarm_envs.training.scoreboard.results import Cell, Results, read_results
 from tests.helpers.interrupts import calls_of
 from tests.helpers.users_agents import FAILING, FINE
 
@@ -56,8 +56,12 @@ def cells(out: Path) -> dict[tuple[str, str], Cell]:
 
 def untimed(out: Path) -> list[dict[str, Any]]:
     """The rows of a benchmark without the times of decisions."""
-    rows, _ = read_rows(out / "episodes.parquet")
+    rows = rows_of(read_results(out))
     return [{k: v for k, v in row.items() if not k.startswith("act_us")} for row in rows]
+
+
+def rows_of(results: Results) -> list[dict[str, Any]]:
+    return [row for cell in results.cells for row in cell.rows]
 
 
 def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys):
@@ -95,7 +99,8 @@ def test_the_file_has_every_episode_and_how_it_was_made(tmp_path):
     out = tmp_path / "out"
     agents = ["swap-dagger", "detour", "gates-dagger"]
     assert benchmark(out, "--task", FOUR, "ring-5-v2", "--agent", *agents, "--episodes", "3") == 0
-    rows, about = read_rows(out / "episodes.parquet")
+    results = read_results(out)
+    rows, about = rows_of(results), results.about
     assert [row["episode"] for row in rows] == [0, 1, 2] * 6
     flown = [row for row in rows if row["refusal"] is None]
     assert {(row["agent"], row["task"]) for row in flown} == {
@@ -120,29 +125,32 @@ def test_processes_give_the_results_of_one(tmp_path, mine):
     assert reasons[0] == reasons[1]
 
 
-def test_a_killed_run_goes_on_with_the_cells_that_it_finished(tmp_path):
+def test_a_killed_run_goes_on_with_the_episodes_that_it_flew(tmp_path):
     few = ["--task", PAIR, FOUR, "--episodes", "3", "--agent", "hover", "straight-line"]
     outs = [tmp_path / "whole", tmp_path / "killed"]
     assert benchmark(outs[0], *few) == 0
-    with calls_of(run, "write_rows", killed_at=3):
+    with calls_of(EpisodeFile, "add", killed_at=3):
         assert benchmark(outs[1], *few) == 130
-    assert len([*outs[1].glob("parts/*.parquet")]) == 2
-    with calls_of(run, "row_of") as calls:
+    assert not (outs[1] / "episodes.parquet").exists()
+    with calls_of(EpisodeFile, "add") as calls:
         assert benchmark(outs[1], *few) == 0
-    assert len(calls) == 2 * 3  # the other two cells were read
+    assert len(calls) == 2  # the other two cells were read
     assert untimed(outs[0]) == untimed(outs[1])
 
 
-def test_cells_of_another_agent_or_seed_are_refused_and_kept(tmp_path, mine, capsys):
-    out, few = tmp_path / "out", ["--task", PAIR, "--episodes", "1", "--agent"]
-    assert benchmark(out, *few, f"{mine}:Fine") == 0
-    before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
-    assert benchmark(out, *few, f"{mine}:Fine", "--seed", "5") == 2
-    assert "seed was 2026 and is 5; choose another folder" in capsys.readouterr().err
-    mine.write_text(MINE + "\n# edited\n")
-    assert benchmark(out, *few, f"{mine}:Fine") == 2
-    assert "is of another benchmark: agent was" in capsys.readouterr().err
-    assert {file: file.read_bytes() for file in before} == before
+def test_episodes_of_another_agent_or_seed_are_flown_anew(tmp_path, mine):
+    out, few = tmp_path / "out", ["--task", PAIR, "--episodes", "1", "--agent", f"{mine}:Fine"]
+    for edit, more, flown in (
+        ("", [], 1),
+        ("", [], 0),
+        ("", ["--seed", "5"], 1),
+        ("\n# edited\n", [], 1),
+    ):
+        mine.write_text(MINE + edit, encoding="utf-8")
+        with calls_of(EpisodeFile, "add") as calls:
+            assert benchmark(out, *few, *more) == 0
+        assert len(calls) == flown
+        assert len(rows_of(read_results(out))) == 1
 
 
 def test_without_pyarrow_nothing_flies(tmp_path, monkeypatch, capsys):
