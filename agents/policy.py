@@ -37,7 +37,7 @@ from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import parse_note, written_whole
-from swarm_envs.vehicles import VEHICLES
+from swarm_envs.vehicles import VEHICLES, Team
 
 __all__ = [
     "CHECKPOINT",
@@ -127,6 +127,11 @@ class PolicyNote:
     def teams(self) -> str:
         """Team sizes in which it flies, for people."""
         return f"{self.fewest} to {self.drones}" if self.fewest < self.drones else f"{self.drones}"
+
+    def takes(self, team: Team) -> bool:
+        """Return whether it flies a team of such vehicles."""
+        known = not self.types or {vehicle.token for vehicle in team} <= set(self.types)
+        return known and self.fewest <= len(team) <= self.drones
 
     def network(self, tensors: Mapping[str, Float32Array]) -> Network:
         """Return the network that a file holds for such a policy, every layer's widths checked.
@@ -337,11 +342,6 @@ class PolicyAgent(RowAgent):
         # The note too: it says which tasks are refused, and episodes are kept by this digest.
         self.digest = hashlib.sha256(f"{policy.digest} {note}".encode()).hexdigest()
         self.requires: Mapping[str, Any] = note.requires
-
-    @property
-    def policies(self) -> tuple[PolicyAgent, ...]:
-        """Itself: an agent may have several."""
-        return (self,)
 
     @classmethod
     def load(cls, path: Path) -> PolicyAgent:

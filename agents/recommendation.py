@@ -15,7 +15,9 @@ from typing import Any, Literal
 
 from swarm_envs import task_family
 from swarm_envs.agents.avoiding import TUNED
+from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import load_agent
+from swarm_envs.agents.safety import SafetyFilter
 from swarm_envs.arguments import typed
 from swarm_envs.envs.setting import NumDrones
 from swarm_envs.vehicles import SMALL, Team, parse_team
@@ -130,10 +132,5 @@ def _best_first(row: Mapping[str, Any], num_drones: int) -> dict[str, Mapping[st
 def _takes(name: str, team: Team) -> bool:
     """Whether an agent flies such a team: trained policies do not fly all."""
     agent = load_agent(name)
-    policies = getattr(getattr(agent, "agent", agent), "policies", ())
-    types = {vehicle.token for vehicle in team}
-    fits = [
-        note.fewest <= len(team) <= note.drones and (not note.types or types <= {*note.types})
-        for note in (policy.policy.note for policy in policies)
-    ]
-    return any(fits) or not fits
+    inner = agent.agent if isinstance(agent, SafetyFilter) else agent
+    return not isinstance(inner, PolicyAgent) or inner.policy.note.takes(team)

@@ -91,22 +91,7 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
     if not name:
         raise ValueError("name is '', but must be an agent's, such as 'swap-dagger'")
     if name.endswith(FILTER):
-        from swarm_envs.agents.policy import PolicyAgent
-        from swarm_envs.agents.safety import SafetyFilter
-
-        inner = name.removesuffix(FILTER)
-        if not inner:
-            raise ValueError(f"name is {name!r}, but must begin with an agent's: 'orca{FILTER}'")
-        if inner.endswith(FILTER):
-            raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
-        agent = load_agent(inner)
-        if isinstance(agent, SafetyFilter):
-            raise ValueError(
-                f"name is {name!r}, but {inner!r} flies behind a filter already; name it without "
-                "'+filter'"
-            )
-        own = agent.policy.note.safety if isinstance(agent, PolicyAgent) else None
-        return SafetyFilter(agent, own)
+        return _load_filtered(name)
     if name in POLICIES:
         from swarm_envs.agents.policy import shipped_policy
 
@@ -127,6 +112,25 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
             )
         raise ValueError(_unknown_agent(name))
     return _make(name, _import_file(Path(file)), path)
+
+
+def _load_filtered(name: str) -> Agent:
+    """Make the agent that a name has before its suffix `+filter`, with the filter around it."""
+    from swarm_envs.agents.policy import PolicyAgent
+    from swarm_envs.agents.safety import SafetyFilter
+
+    inner = name.removesuffix(FILTER)
+    if not inner:
+        raise ValueError(f"name is {name!r}, but must begin with an agent's: 'orca{FILTER}'")
+    if inner.endswith(FILTER):
+        raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
+    agent = load_agent(inner)
+    if isinstance(agent, SafetyFilter):
+        raise ValueError(
+            f"name is {name!r}, but {inner!r} flies behind a filter already; name it without "
+            "'+filter'"
+        )
+    return SafetyFilter(agent, agent.policy.note.safety if isinstance(agent, PolicyAgent) else None)
 
 
 def controller_of(name: str) -> ControllerConfig:

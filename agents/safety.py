@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -41,6 +40,7 @@ from swarm_envs.compiled import announce_compilation
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
@@ -200,7 +200,6 @@ class SafetyFilter:
             raise ValueError(
                 f"the agent's actions must be finite numbers {shape}, but are {asked!r:.200}"
             )
-        begun = time.perf_counter_ns()
         flat = np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]), dtype=np.float32)
         wanted = np.ascontiguousarray(asked.reshape(-1, 3), dtype=np.float32)
         actions, broken = np.empty_like(wanted), np.empty(len(wanted))
@@ -217,17 +216,15 @@ class SafetyFilter:
             actions,
             broken,
         )
-        spent = time.perf_counter_ns() - begun
-        self._statistics.take(wanted, actions, broken, spent if rows.ndim == 2 else None)
+        self._statistics.take(wanted, actions, broken)
         return actions.reshape(shape)
 
     def statistics(self) -> dict[str, Any]:
-        """How often and how much the filter has acted since it was made, and what it costs.
+        """How often and how much the filter has acted since it was made.
 
         `decisions` of single drones; `acted`, the share that was changed; `change_mps2`, mean and
         largest change of these; `unsafe`, the share in which no acceleration satisfied every
-        inequality, and `worst_broken_mps2`, by how much at most; `cost_us`: median and 99th
-        percentile of the time for a team, where one is flown at a time.
+        inequality, and `worst_broken_mps2`, by how much at most.
         """
         return self._statistics.report()
 
@@ -255,11 +252,8 @@ class _Statistics:
     def __init__(self) -> None:
         self.decisions = self.acted = self.unsafe = 0
         self.change = self.largest = self.worst = 0.0
-        self.spent_ns: list[int] = []
 
-    def take(
-        self, asked: Float32Array, given: Float32Array, broken: np.ndarray[Any, Any], ns: int | None
-    ) -> None:
+    def take(self, asked: Float32Array, given: Float32Array, broken: FloatArray) -> None:
         """Count some decisions."""
         change = ACCELERATION_LIMIT * np.sqrt(np.square(given - asked).sum(axis=-1))
         acted = change > ACTED
@@ -269,20 +263,16 @@ class _Statistics:
         self.change += float(change[acted].sum())
         self.largest = max(self.largest, float(change.max(initial=0.0)))
         self.worst = max(self.worst, float(broken.max(initial=0.0)))
-        if ns is not None:
-            self.spent_ns.append(ns)
 
     def report(self) -> dict[str, Any]:
         """As `SafetyFilter.statistics`."""
-        count, spent = max(self.decisions, 1), np.array(self.spent_ns, dtype=np.float64) / 1e3
-        shares = (("p50", 50), ("p99", 99)) if len(spent) else ()
+        count = max(self.decisions, 1)
         return {
             "decisions": self.decisions,
             "acted": self.acted / count,
             "change_mps2": {"mean": self.change / max(self.acted, 1), "largest": self.largest},
             "unsafe": self.unsafe / count,
             "worst_broken_mps2": self.worst,
-            "cost_us": {name: float(np.percentile(spent, share)) for name, share in shares},
         }
 
 

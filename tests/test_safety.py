@@ -87,7 +87,6 @@ def test_a_filtered_policy_flies_in_batches_as_it_flies_alone():
     counted = agent.statistics()
     assert 0.0 < counted["acted"] < 0.5
     assert counted["decisions"] > 3 * 15
-    assert counted["cost_us"]["p50"] <= counted["cost_us"]["p99"]
     env.close()
 
 

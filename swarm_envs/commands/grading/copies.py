@@ -16,6 +16,7 @@ import numpy as np
 
 import swarm_envs
 from swarm_envs.agents import Actions, Observations, Safety, SafetyFilter, load
+from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.agents.safety import ACTED
 from swarm_envs.commands.grading.messages import Array
@@ -126,9 +127,11 @@ def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]
             own = _shipped_acts(name, env, rows)
         except (ValueError, AttributeError):  # it flies no such episodes, or not by rows
             continue
-        if any(_alike(one, acts) for one in own):
+        if own is None:
+            continue
+        if _alike(own, acts):
             return name
-        if filtered is not None and any(_alike(filtered(rows, one), acts) for one in own):
+        if filtered is not None and _alike(filtered(rows, own), acts):
             return name + FILTER
     if filtered is not None and _ends_at_filter(env, filtered, rows, acts):
         return f"an agent behind {_FILTER}"
@@ -192,22 +195,19 @@ def _ends_at_filter(
     return bool(20.0 * usual < more)
 
 
-def _shipped_acts(name: str, env: SwarmParallelEnv, rows: Float32Array) -> list[Array]:
-    """Actions of a shipped agent's policies; none if it is privileged, or acts otherwise."""
+def _shipped_acts(name: str, env: SwarmParallelEnv, rows: Float32Array) -> Array | None:
+    """Actions of a shipped agent; None if it is privileged, or acts otherwise."""
     agent: Any = _shipped(name)
     if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
-        return []
-    acting: Any = getattr(agent, "policies", ())
-    layouts = [observation_layout(*one.policy.note.form) for one in acting]
-    if not acting:
+        return None
+    if isinstance(agent, PolicyAgent):
+        layout = observation_layout(*agent.policy.note.form)
+    else:
         config = replace(env.core.config, **{**agent.requires, "num_obstacles": 0})
         twin = SwarmParallelEnv(env.core.task, config)
-        acting, layouts = [agent], [twin.observation_layout]
+        layout = twin.observation_layout
         agent.reset(twin, 0)
-    return [
-        np.asarray(one.act_batch(_observed(rows, env, layout)), np.float64)
-        for one, layout in zip(acting, layouts, strict=True)
-    ]
+    return np.asarray(agent.act_batch(_observed(rows, env, layout)), np.float64)
 
 
 def _alike(own: Array, acts: Array) -> bool:
