@@ -222,7 +222,7 @@ def _of_own(
         environment=environment,
         options={**options, **({"world": "hall"} if name.startswith("air") else {})},
         score=score,
-        clock_s=options.get("horizon_s", 2.0 if options.get("layout") == "sprint" else clock_s),
+        clock_s=options.get("horizon_s", clock_s),
         full_score=full_score,
         certificate=certificate,
         episodes=episodes,
