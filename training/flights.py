@@ -33,7 +33,6 @@ from swarm_envs.training.scoreboard.tasks import make_scored
 
 __all__ = ["Flight", "Flown", "fly_chunk", "fly_flights"]
 
-_FEW = 4  # Episodes in a chunk of an agent that flies one episode at a time
 _BAR = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
 
 
@@ -69,7 +68,7 @@ class Flight:
 
     def chunks(self) -> Iterator[tuple[int, Flight]]:
         """Yield parts of the flight, each after the position of its first seed."""
-        size = AT_ONCE if self.batched else _FEW
+        size = AT_ONCE if self.batched else 1
         for k in range(0, len(self.seeds), size):
             yield k, replace(self, seeds=self.seeds[k : k + size], timed=max(0, self.timed - k))
 

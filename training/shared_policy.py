@@ -84,16 +84,16 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 f"{len(blueprints)} teams"
             )
         check_value("features", features, bool)
+        observed = blueprints[0].config.observation
+        if features and observed != "flat":
+            raise ValueError(
+                f"features=True replaces the row, but observation is {observed!r}; give one of them"
+            )
         self.cores = tuple(
             SwarmCore(found.task, found.config, check_num_envs(count))
             for found, count in zip(blueprints, counts, strict=True)
         )
         self.features = features
-        if features and self.core.config.observation != "flat":
-            raise ValueError(
-                f"features=True replaces the row, but observation is "
-                f"{self.core.config.observation!r}; give one of them"
-            )
         for k, core in enumerate(self.cores):
             if (core.form, core.mode) != (self.core.form, self.core.mode):
                 raise ValueError(

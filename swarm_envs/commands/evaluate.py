@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 class EvaluateOptions(EpisodeOptions):
     """Evaluate agents on many episodes with the same seeds, and report rates and means.
 
-    An interrupted command resumes after the last complete episodes when it is run again. An agent
+    An interrupted command resumes after the last complete episode when it is run again. An agent
     that fails during an episode is reported with its error, and the exit status is 1. Agents that
     cannot fly the task are refused before the first episode.
     """
@@ -156,10 +156,8 @@ def _reports(
         rate = env.core.config.decision_rate
         found[name] |= {"privileged": agent.privileged, "decision_rate": rate}
         try:
-            flights[name] = (
-                _flight(name, agent, env, options),
-                _open_episodes(name, agent, options, about),
-            )
+            flight = _flight(name, agent, env, options)
+            flights[name] = flight, _open_episodes(flight, options, about)
         except ValueError as error:
             found[name]["error"] = str(error)
     flown = fly_flights([*flights.values()], options.scale)
@@ -188,21 +186,21 @@ def _flight(name: str, agent: Agent, env: SwarmParallelEnv, options: EvaluateOpt
 
 
 def _open_episodes(
-    name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
+    flight: Flight, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
-    """Where an agent's episodes are kept; None if they are not."""
-    from swarm_envs.agents.evaluation import EpisodeFile, frozen_seeds, source_digest
+    """Where the episodes of a flight are kept; None if they are not."""
+    from swarm_envs.agents.evaluation import EpisodeFile
 
     folder = _kept(options)
     if folder is None:
         return None
     depends = {k: v for k, v in about.items() if k != "seed"}
-    depends |= {"agent": name, "source": source_digest(agent), "version": __version__}
-    file = EpisodeFile(folder, name, depends)
-    if before := sum(
-        seed in file.episodes for seed in frozen_seeds(options.seed, options.episodes)
-    ):
-        print(f"{name}: {before} of {options.episodes} episodes were flown before", flush=True)
+    depends |= {"agent": flight.agent, "source": flight.digest, "version": __version__}
+    file = EpisodeFile(folder, flight.agent, depends)
+    if before := sum(seed in file.episodes for seed in flight.seeds):
+        print(
+            f"{flight.agent}: {before} of {options.episodes} episodes were flown before", flush=True
+        )
     return file
 
 

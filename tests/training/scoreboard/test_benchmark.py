@@ -129,12 +129,17 @@ def test_a_killed_run_goes_on_with_the_episodes_that_it_flew(tmp_path):
     few = ["--task", PAIR, FOUR, "--episodes", "3", "--agent", "hover", "straight-line"]
     outs = [tmp_path / "whole", tmp_path / "killed"]
     assert benchmark(outs[0], *few) == 0
-    with calls_of(EpisodeFile, "add", killed_at=3):
+    with calls_of(EpisodeFile, "add", killed_at=3) as before:
         assert benchmark(outs[1], *few) == 130
     assert not (outs[1] / "episodes.parquet").exists()
-    with calls_of(EpisodeFile, "add") as calls:
+    with calls_of(EpisodeFile, "add") as after:
         assert benchmark(outs[1], *few) == 0
-    assert len(calls) == 2  # the other two cells were read
+    flown = [
+        (file.path.name, episode["seed"])
+        for file, *episodes in before[:2] + after  # the third was not written
+        for episode in episodes
+    ]
+    assert len(flown) == len(set(flown)) == 2 * 2 * 3  # each episode once
     assert untimed(outs[0]) == untimed(outs[1])
 
 
