@@ -125,7 +125,7 @@ def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int, refusals: bool = Fa
         metrics = fly_episode(env, timed, seed)
     except (Exception, SystemExit) as error:
         if timed.refused and refusals:
-            return {"seed": seed, "metrics": {"refused": str(error)}, "act_us": []}
+            return _refused(seed, error)
         kind = AgentRefused if timed.refused else AgentFailed
         raise kind(
             f"in the episode of seed {seed}, decision {timed.begun}: "
@@ -167,28 +167,47 @@ def evaluate_agent(
 def _evaluate_batched(
     env: SwarmParallelEnv, agent: Agent, seeds: Sequence[int], refusals: bool
 ) -> Iterator[Episode]:
-    """As `evaluate_agent`, many at once."""
+    """Yield episodes as `evaluate_agent` does, many flown at once."""
+    check_requirements(env, agent)
     core: SwarmCore | None = None
     for first in range(0, len(seeds), AT_ONCE):
         chunk = seeds[first : first + AT_ONCE]
-        try:
-            core = core or _prepared(env, agent, chunk[0], min(AT_ONCE, len(seeds)))
-            yield from _fly_seeds(core, env, agent, chunk)
-        except AgentRefused:
-            if not refusals:
-                raise
-            yield from (fly_seed(env, agent, seed, refusals) for seed in chunk)
+        episodes: dict[int, Episode] = {}
+        for seed in chunk:
+            try:
+                _begin(env, agent, seed)
+            except AgentRefused as error:
+                if not refusals:
+                    raise
+                episodes[seed] = _refused(seed, error.__cause__)
+        flown = [seed for seed in chunk if seed not in episodes]
+        if flown:
+            core = core or _prepared(env, agent, flown[0], min(AT_ONCE, len(seeds)))
+            episodes |= {each["seed"]: each for each in _fly_seeds(core, env, agent, flown)}
+        yield from (episodes[seed] for seed in chunk)
+
+
+def _begin(env: SwarmParallelEnv, agent: Agent, seed: int) -> Observations:
+    """Reset both to an episode, which the agent may refuse."""
+    observations, _ = env.reset(seed=seed)
+    try:
+        agent.reset(env, seed)
+    except (Exception, SystemExit) as error:
+        kind = AgentRefused if isinstance(error, ValueError) else AgentFailed
+        raise kind(
+            f"in the episode of seed {seed}, before its first decision: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    return observations
+
+
+def _refused(seed: int, error: BaseException | None) -> Episode:
+    return {"seed": seed, "metrics": {"refused": str(error)}, "act_us": []}
 
 
 def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> SwarmCore:
     """So many environments like one, for which the agent is prepared."""
-    check_requirements(env, agent)
-    try:
-        observations, _ = env.reset(seed=seed)
-        agent.reset(env, seed)
-    except (Exception, SystemExit) as error:
-        kind = AgentRefused if isinstance(error, ValueError) else AgentFailed
-        raise kind(f"before its first decision: {type(error).__name__}: {error}") from error
+    observations = _begin(env, agent, seed)
     differ = disagreement(agent, observations) if isinstance(agent, BatchAgent) else None
     if differ is not None:
         raise AgentFailed(differ)
@@ -275,14 +294,23 @@ class EpisodeFile:
 _FIELDS = ("seed", "metrics", "act_us")
 
 
-def source_digest(agent: Agent) -> str:
-    """SHA-256 of the file that defines an agent: an edited controller is another one.
+def source_digest(agent: Agent, name: str = "") -> str:
+    """Return the SHA-256 of what defines an agent: an edited controller is another one.
 
-    An agent with a `digest` of its own, such as that of its weights, has it in here too.
+    That is the file of its class, and its `digest`, if it has one, such as that of its weights. Of
+    an agent from a file, `path/to/file.py:Class`, it is every Python file of that folder: the file
+    may import those beside it.
+
+    Args:
+        agent: the agent.
+        name: its name, as of `swarm_envs.agents.load`; only agents from files need one.
     """
     file = inspect.getsourcefile(type(agent))
     digest = hashlib.sha256(Path(file).read_bytes() if file else b"")
     digest.update(str(getattr(agent, "digest", "")).encode())
+    own, colon, _ = name.rpartition(":")
+    for path in sorted(Path(own).parent.glob("*.py")) if colon else ():
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

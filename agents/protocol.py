@@ -200,7 +200,7 @@ def disagreement(agent: BatchAgent, observations: Observations) -> str | None:
     rows = np.stack([np.asarray(row) for row in observations.values()])
     try:
         alone = np.stack(list(agent.act(observations, None).values()))
-        together = np.asarray(agent.act_batch(rows[None]))[0]
+        together = np.asarray(agent.act_batch(np.stack([rows, rows])))[1]  # of two teams
         if alone.shape != together.shape or np.allclose(alone, together, rtol=0.0, atol=1e-3):
             return None
     except (Exception, SystemExit):

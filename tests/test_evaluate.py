@@ -24,6 +24,7 @@ from swarm_envs.agents.evaluation import (
     rate_interval,
     score_episodes,
 )
+from swarm_envs.agents.models import ModelAgent
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.files import LOCK
@@ -56,6 +57,11 @@ class Late:
         return dict(zip(observations, self.act_batch(rows)))
     def act_batch(self, rows):
         return np.zeros((*rows.shape[:-1], 3), np.float32) + (1 // (self.made <= 16))
+class Several(Late):
+    def act(self, observations, view):
+        return {name: np.zeros(3, np.float32) for name in observations}
+    def act_batch(self, rows):
+        return np.full((*rows.shape[:-1], 3), float(rows.ndim > 2 and len(rows) > 1), np.float32)
 class Batch(Late):
     def act_batch(self, rows):
         return np.zeros((*rows.shape[:-1], 3), np.float32) / (1 // (rows.ndim == 2))
@@ -169,6 +175,40 @@ def test_another_setting_begins_another_file_and_damage_is_named(tmp_path):
         EpisodeFile(tmp_path, "a.py:Mine", {"layout": "random"})
 
 
+@pytest.mark.parametrize("edited", ["policy.py", "gains.py"])
+def test_an_edited_function_or_module_beside_is_another_agent(tmp_path, capsys, edited):
+    (tmp_path / "gains.py").write_text("GAIN = 0.0\n")
+    policy = tmp_path / "policy.py"
+    policy.write_text(
+        "import sys\nsys.path.insert(0, __file__.rpartition('/')[0])\nfrom gains import GAIN\n"
+        "def act(rows): return GAIN * rows[..., :3]\n"
+    )
+    arguments = ["evaluate", *QUICK, "--agent", f"{policy}:act", "--out", str(tmp_path / "run")]
+    for expected in (False, True):
+        assert main(arguments) == 0
+        assert ("flown before" in capsys.readouterr().out) is expected
+    (tmp_path / edited).write_text((tmp_path / edited).read_text() + "# edited\n")
+    assert main(arguments) == 0
+    assert "flown before" not in capsys.readouterr().out
+
+
+def test_an_agent_that_flies_many_at_once_is_asked_for_each_episode():
+    class Picky(ModelAgent):
+        def reset(self, env, seed):
+            if seed % 3 == 0:
+                raise ValueError(f"not {seed}")
+
+    seeds = frozen_seeds(0, TIMED + 12)
+    env = swap_v1.parallel_env(num_drones=2, horizon_s=0.5, physics="batch")
+    agent = Picky(lambda rows: 0.0 * rows[:, :3])
+    episodes = [*evaluate_agent(env, agent, seeds, refusals=True)]
+    assert [episode["seed"] for episode in episodes] == seeds
+    refused = {e["seed"]: e["metrics"]["refused"] for e in episodes if "refused" in e["metrics"]}
+    assert refused == {seed: f"not {seed}" for seed in seeds if seed % 3 == 0}
+    assert {*refused} & {*seeds[TIMED:]}
+    env.close()
+
+
 def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
     arguments = ["evaluate", *QUICK, "--agent", f"{mine}:Fine", "--out", str(tmp_path / "run")]
     for expected in (False, True):
@@ -198,6 +238,7 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     [
         ("Late", r"seed \d+, decision \d+: ZeroDivisionError"),
         ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, though act does not: Ze"),
+        ("Several", r"act gives drone_0 \[0.0, .* but act_batch \[1.0, .* both must give the same"),
         ("Differs", r"act gives drone_0 \[0.5, .* but act_batch \[0.0, .* both must give the same"),
         (
             "Spread",

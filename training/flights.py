@@ -43,7 +43,7 @@ class Flight:
     agent: str
     """Name, as of `swarm_envs.agents.load`."""
     digest: str
-    """Of its source: what `source_digest` gives."""
+    """Of its source, by `source_digest`."""
     task: str
     """Versioned name of the environment."""
     setting: Mapping[str, Any]
@@ -166,6 +166,7 @@ def fly_chunk(chunk: Flight) -> Flown:
     except (Exception, SystemExit) as error:
         _prepare.cache_clear()
         said = str(error) if isinstance(error, AgentFailed) else f"{type(error).__name__}: {error}"
+        said = " ".join(said.split())  # a line of a table
         trace = "".join(traceback.format_exception(error.__cause__ or error))
         return Flown(episodes, said, trace)
     return Flown(episodes)
@@ -175,7 +176,7 @@ def fly_chunk(chunk: Flight) -> Flown:
 def _prepare(name: str, digest: str, task: str, setting: str) -> tuple[Agent, SwarmParallelEnv]:
     """Load an agent, and make its environment from options in JSON."""
     agent = load_agent(name)
-    if source_digest(agent) != digest:
+    if source_digest(agent, name) != digest:
         raise ValueError(
             f"agent {name!r} is another here than where the command was given: all machines need "
             "the same packages, and the same files at the same paths"

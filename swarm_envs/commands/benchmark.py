@@ -28,8 +28,8 @@ from swarm_envs.training.scoreboard.tasks import SEED, choose_tasks
 class BenchmarkOptions:
     """Evaluate every agent on every benchmark task that it supports; write a table and plots.
 
-    An interrupted command resumes when it is run again, after the last agent and task that were
-    finished. An agent that fails is reported with its error, and the exit status is 1.
+    An interrupted command resumes after the last complete episode when it is run again. An agent
+    that fails is reported with its error, and the exit status is 1.
     """
 
     out: Path

@@ -176,7 +176,7 @@ def _flight(name: str, agent: Agent, env: SwarmParallelEnv, options: EvaluateOpt
 
     return Flight(
         agent=name,
-        digest=source_digest(agent),
+        digest=source_digest(agent, name),
         task=find_task(options.task),
         setting=options.setting(),
         seeds=frozen_seeds(options.seed, options.episodes),

@@ -109,7 +109,7 @@ def fly_benchmark(
 def _load(name: str) -> _Loaded:
     try:
         agent = load(name)
-        return _Loaded(name, agent, source_digest(agent))
+        return _Loaded(name, agent, source_digest(agent, name))
     except (Exception, SystemExit) as error:
         return _Loaded(name, None, "", f"cannot be made: {type(error).__name__}: {error}")
 
@@ -121,7 +121,7 @@ def _flight(task: ScoredTask, name: str, agent: Agent, seeds: Sequence[int]) -> 
         batched = flies_batches(env, agent)
     return Flight(
         agent=name,
-        digest=source_digest(agent),
+        digest=source_digest(agent, name),
         task=task.environment,
         setting=task.setting,
         seeds=seeds,
