@@ -54,7 +54,7 @@ def rows_of_types(types=("S", "L"), count=1500, seed=0):
 
 def config_of(rows, folder, **options):
     save_rows(folder / "rows.npz", rows)
-    usual = {"steps": 5, "offsets": "none", "lipschitz_samples": 0, "progress": False}
+    usual = {"steps": 5, "offsets": "none", "progress": False}
     return FitConfig(data=folder / "rows.npz", out=folder / "out", **{**usual, **options})
 
 

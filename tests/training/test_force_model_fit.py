@@ -16,12 +16,13 @@ import torch
 import tyro
 
 from docs.model_card import REPORTS, CardConfig, write_card
+from swarm_envs.interactions import load
 from swarm_envs.training.force_model import pipeline
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows, scan_swarms
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.labels import fit_drag
-from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
+from swarm_envs.training.force_model.lipschitz import steepest
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
@@ -146,7 +147,7 @@ def test_measured_fit_is_the_papers_form(tmp_path):
     save_rows(tmp_path / "rows.npz", rows)
     out = tmp_path / "out"
     config = FitConfig(data=tmp_path / "rows.npz", out=out, mode="measured", steps=20,
-                       lipschitz_samples=0, progress=False)  # fmt: skip
+                       progress=False)  # fmt: skip
     report = fit(config)
     network = load_network(out / "learned.safetensors")
     assert network.spec.anchor_height_m is None
@@ -231,22 +232,20 @@ STEEPEST = {"learned": 450, "deep-set": 1500}
 """g per m, or per unit of input. `deep-set` is trained as the paper does, without a penalty."""
 
 
-def test_lipschitz_constant_of_the_shipped_weights(name, shipped, report):
-    bound, most = lipschitz_bound(shipped), STEEPEST[name]
+def test_gradients_of_the_shipped_weights(name, shipped, report):
+    most = STEEPEST[name]
     for neighbors in (1, 2):
-        found = measure_lipschitz(shipped, 20_000, neighbors, np.random.default_rng(7))
+        found = steepest(shipped, neighbors, np.random.default_rng(7))
         assert found["position_gradient_g_per_m"] <= most
         assert found["input_gradient_g_per_unit"] <= most
         stated = report["findings"]["lipschitz_measured"][str(neighbors)]
         assert stated["position_gradient_g_per_m"] <= most
         assert stated["input_gradient_g_per_unit"] <= most
-    stated_bound = report["findings"]["lipschitz_bound"]["position_g_per_m"]
-    assert stated_bound == pytest.approx(bound["position_g_per_m"])
 
 
 @pytest.mark.parametrize("drones", [2, 3, 16])
-def test_random_swarms_give_no_absurd_force(shipped, drones):
-    found = scan_swarms(shipped, drones, 500, np.random.default_rng(8))
+def test_random_swarms_give_no_absurd_force(name, drones):
+    found = scan_swarms(load(name), drones, 500, np.random.default_rng(8))
     lowest, highest = found["small_only"]
     assert lowest > (-25 if drones <= 3 else -40) and highest < 15
 
@@ -271,7 +270,6 @@ def test_measured_fit_reaches_the_reference(shared_data, tmp_path):
         data=shared_data / "data" / "neural_swarm_flights_33hz.npz",
         out=tmp_path,
         mode="measured",
-        lipschitz_samples=0,
         progress=False,
     )
     assert fit(config).findings.errors.overall <= 6.5

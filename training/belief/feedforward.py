@@ -157,7 +157,6 @@ def simulated_fit_config(
         offsets="none",
         steps=steps,
         balance=1.0,
-        lipschitz_samples=0,
         seed=seed,
         progress=progress,
     )

@@ -67,7 +67,7 @@ class FitFiles:
     """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
     .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
-    """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
+    """folder for model and report: `learned.safetensors` and `learned.json` of a deep
     set, `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
 
 
@@ -76,10 +76,9 @@ class FitFiles:
 class FitConfig(TrainConfig, FitFiles):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
 
-    Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
-    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed. With
-    --residual, which has options of its own (`fit --residual --help`), it fits what a force model
-    leaves over, for the hall.
+    Writes the model and a report of its errors. Most fits need no more than --data, --out, --model,
+    --mode and --seed. With --residual, which has options of its own (`fit --residual --help`), it
+    fits what a force model leaves over, for the hall.
 
     Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
     vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to
@@ -105,12 +104,8 @@ class FitConfig(TrainConfig, FitFiles):
     """let the network see velocities; without, it sees positions alone"""
     torque: bool = False
     """let the deep set give the torque too, from rows that carry it"""
-    lipschitz_samples: Annotated[int, Range(0)] = 1_000_000
-    """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
-    tensorboard: Path | None = None
-    """folder for TensorBoard's event files: losses and errors at every checkpoint"""
     json: Path | None = None
     """write the report to this file too"""
     logs: LogOptions = LogOptions()

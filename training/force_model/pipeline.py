@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from swarm_envs.agents.policy import CHECKPOINT
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
+from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.evaluate import (
     Findings,
@@ -45,11 +45,11 @@ from swarm_envs.training.force_model.train import train
 from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.provenance import changed_options, check_same, json_ready, scalar_writer
+from swarm_envs.training.provenance import changed_options, check_same, json_ready
 
 __all__ = ["REPORTS", "fit"]
 
-_ASIDE = ("progress", "json", "tensorboard")  # Options that change nothing of the result
+_ASIDE = ("progress", "json")  # Options that change nothing of the result
 _Fitted = tuple[Findings, dict[str, Any]]
 """What was measured on a model, and the other fields of its report."""
 
@@ -74,9 +74,6 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
 @typed
 def fit(config: FitConfig) -> FitReport:
     """Fit a model to rows and write it and its report into `config.out`.
-
-    Run again after an interruption, with the same configuration, training resumes from
-    its checkpoint and gives the same weights.
 
     Raises:
         FileNotFoundError: there is no data.
@@ -113,7 +110,6 @@ def fit(config: FitConfig) -> FitReport:
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
-    (config.out / CHECKPOINT).unlink(missing_ok=True)
     return report
 
 
@@ -126,10 +122,8 @@ def training_recipe(config: FitConfig) -> FitConfig:
 
 def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     spec = network_spec(treated.rows, config)
-    checkpoint = config.out / CHECKPOINT
     target = flown(treated.target) if spec.kind == "composed" else treated.target
-    with scalar_writer(config.tensorboard) as watch:
-        run = train(target, spec, training_recipe(config), checkpoint, config.progress, watch)
+    run = train(target, spec, training_recipe(config), config.progress)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
     path = config.out / WEIGHTS[config.model]
@@ -139,7 +133,7 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
     if notes:
         save_network(path, network, provenance | {"notes": notes})
     predicted = predict_rows(network, treated.rows)
-    findings = examine(network, predicted, treated, config.lipschitz_samples, config.seed)
+    findings = examine(load(path), predicted, treated, config.seed, network)
     torque = None
     if isinstance(network, DeepSet) and config.torque:
         torque = torque_errors(network, treated.rows)
@@ -148,9 +142,8 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
 
 def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     path = config.out / WEIGHTS["wake"]
-    function, predicted, notes = fit_wake_model(path, treated, config, provenance)
-    findings = examine(function, predicted, treated, 0, config.seed)
-    return findings, {"history": [], "notes": notes}
+    predicted, notes = fit_wake_model(path, treated, config, provenance)
+    return examine(load(path), predicted, treated, config.seed), {"history": [], "notes": notes}
 
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:

@@ -25,9 +25,8 @@ import torch
 from scipy.optimize import least_squares
 
 from swarm_envs.files import write_json
-from swarm_envs.interactions import load
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.training.force_model.evaluate import CompiledForce, mean_squared_errors
+from swarm_envs.training.force_model.evaluate import mean_squared_errors
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.labels import (
     Treated,
@@ -222,14 +221,13 @@ def description(
 
 def fit_wake_model(
     path: Path, treated: Treated, config: FitConfig, provenance: dict[str, object]
-) -> tuple[CompiledForce, FloatArray, list[str]]:
+) -> tuple[FloatArray, list[str]]:
     """Fit the closed form by least squares and write it to `path`, with further keys `provenance`.
 
     The seed of `config` draws the rows, where there are more than `MOST_ROWS`.
 
     Returns:
-        The model as it loads, its vertical force of every row with drag, (R,) gram-force, and
-        what a user must know.
+        Its vertical force of every row with drag, (R,) gram-force, and what a user must know.
     """
     target = treated.target
     drawn = draw_rows(target, config.seed)
@@ -245,4 +243,4 @@ def fit_wake_model(
         never_together(target.types[above], target.types[below]) + "it does not push it"
         for above, below in np.argwhere(~shown_pairs(drawn))
     ]
-    return CompiledForce(load(str(path))), predicted - drag_g, notes
+    return predicted - drag_g, notes
