@@ -57,7 +57,6 @@ from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
 from swarm_envs.training.belief.feedforward import FeedforwardConfig
 from swarm_envs.training.collection import CollectionConfig
-from swarm_envs.training.collection.flight import CalibrationErrors
 from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.flight_logs.log_options import LogOptions
@@ -95,7 +94,7 @@ OTHERS: dict[type, dict[str, Any]] = {
     **{kind: {} for kind in (MlrDmpcConfig, PlanningBounds, RefinementOptions, SearchConfig)},
     SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
     Jam: {"first_round": 1, "last_round": 2},
-    **{kind: {} for kind in (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig)},
+    **{kind: {} for kind in (SensorNoise, LogOptions, CollectionConfig)},
     MotionRanges: {},
     FeedforwardConfig: {"out": Path("belief")},
     FitConfig: {"out": Path("fit"), "data": Path("data")},
@@ -152,7 +151,7 @@ def test_a_number_with_a_range_is_finite_and_no_truth_value():
 
 
 def test_every_number_of_a_fit_has_a_range():
-    for settings in (FitConfig, LogOptions, MotionRanges, SensorNoise, CalibrationErrors):
+    for settings in (FitConfig, LogOptions, MotionRanges, SensorNoise):
         for option in options_of(settings).values():
             if option.kind.has_type(1):
                 assert not option.kind.fits(-1), option.name

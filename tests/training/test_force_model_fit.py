@@ -111,7 +111,7 @@ def test_planted_offsets_are_recovered():
 def test_vehicle_without_quiet_rows_is_refused():
     rows = planted_rows(300)
     low = dataclasses.replace(rows, position=rows.position * [1, 1, 0.1])
-    with pytest.raises(ValueError, match="vehicle 50 has no training row aloft"):
+    with pytest.raises(ValueError, match="vehicle '50' has 0 training rows aloft"):
         estimate_offsets(low)
 
 
@@ -163,7 +163,7 @@ def test_measured_fit_is_the_papers_form(tmp_path):
 def test_command_line_makes_the_same_configuration():
     config = FitConfig(data=Path("rows.npz"), out=Path("DIR"), seed=5, steps=70, torque=True)
     config = dataclasses.replace(
-        config, relative_velocity=False, logs=dataclasses.replace(config.logs, guard_s=0.25)
+        config, relative_velocity=False, logs=dataclasses.replace(config.logs, keep_every=2)
     )
     words = shlex.split(pipeline.fit_command(config))
     assert words[:2] == ["swarm-envs", "fit"]

@@ -15,8 +15,6 @@ from safetensors.torch import save_file
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
-from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.flight_logs.read import read_data
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import turned_labels
 from swarm_envs.training.force_model.export import load_network, save_network
@@ -311,21 +309,16 @@ def test_a_torque_turns_with_its_row_and_changes_sign_in_a_mirror() -> None:
     np.testing.assert_allclose(found[:, 1:], expected, atol=1e-12)
 
 
-def test_tables_without_torque_are_refused_where_it_is_wanted(tmp_path: Path) -> None:
+def test_a_table_without_torque_is_refused_where_it_is_wanted(tmp_path: Path) -> None:
     rows = planted_rows(1000)
     save_rows(tmp_path / "with.npz", rows)
     assert np.array_equal(read_rows(tmp_path / "with.npz").torque, rows.torque)  # type: ignore[arg-type]
-    elsewhere = rows.position + np.array([0.5, 0.0, 0.0])  # the same rows would be a copy
-    bare = dataclasses.replace(rows, torque=None, position=elsewhere)
-    save_rows(tmp_path / "without.npz", bare)
-    found, report = read_data(tmp_path, LogOptions(), offsets=False, torque=True)
-    assert found.torque is not None and len(found) == 1000
-    assert report.files[1].refused is not None
-    assert "no array `torque` (R, 3), N m in" in report.files[1].refused
-    with pytest.raises(ValueError, match=r"^without\.npz: a torque head is wanted, but it has"):
-        read_data(tmp_path / "without.npz", LogOptions(), offsets=False, torque=True)
-    both, _ = read_data(tmp_path, LogOptions(), offsets=False)
-    assert both.torque is None and len(both) == 2000
+    save_rows(tmp_path / "without.npz", dataclasses.replace(rows, torque=None))
+    config = FitConfig(
+        data=tmp_path / "without.npz", out=tmp_path, torque=True, offsets="none", progress=False
+    )
+    with pytest.raises(ValueError, match=r"torque head is wanted.* `torque` \(R, 3\), N m in"):
+        fit(config)
 
 
 def test_what_gives_no_torque_says_so(tmp_path: Path) -> None:

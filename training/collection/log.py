@@ -14,12 +14,14 @@ is as logged, the mass m is the type's. A log is all that these functions are gi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 from swarm_envs.arguments import NOT_NEGATIVE, typed, typed_options
+from swarm_envs.files import written_whole
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
@@ -48,6 +50,23 @@ class FlightLog(NamedTuple):
     def cut(self, count: int) -> FlightLog:
         """Return the first `count` entries."""
         return FlightLog(*(array[:count] for array in self))
+
+
+def save_log(path: Path, log: FlightLog) -> None:
+    """Write a log, atomically: npz without pickle, in single precision."""
+    arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
+    with written_whole(path) as partial:
+        np.savez(partial, allow_pickle=False, **arrays)
+
+
+def read_log(path: Path) -> FlightLog:
+    """Read a file that `save_log` wrote.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        return FlightLog(*(file[name].astype(np.float64) for name in FlightLog._fields))
 
 
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:

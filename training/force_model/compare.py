@@ -54,7 +54,7 @@ class CompareConfig:
     """What to compare, on which flights."""
 
     data: Path
-    """flight logs, a table of rows, or a folder of them, as `swarm-envs fit` takes them"""
+    """flight logs or a table of rows, as `swarm-envs fit` takes them"""
     out: Path
     """folder for what every model said of the flights that it has not seen: a comparison that was
     stopped resumes from there"""

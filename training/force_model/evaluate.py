@@ -21,7 +21,7 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.state import FloatArray
-from swarm_envs.training.flight_logs import LogReport
+from swarm_envs.training.flight_logs.read import FileReport
 from swarm_envs.training.force_model.labels import Treated
 from swarm_envs.training.force_model.lipschitz import steepest
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
@@ -199,7 +199,7 @@ class FitReport:
     """Step, training loss, validation MSE and that of early validation, g^2."""
     wall_time_s: float
     """Of reading, training and evaluation."""
-    logs: LogReport  # What became of every file
+    logs: list[FileReport]  # What became of every file
     notes: list[str]  # What a user of the model must know: types that no row shows
     torque_errors: dict[str, list[float]] | None = None
     """On held-out rows, if there is a torque head."""
@@ -207,14 +207,11 @@ class FitReport:
     def lines(self) -> list[str]:
         """What a command prints of it."""
         errors = self.findings.errors
-        kept = self.logs.vehicles and self.offset_rule == "none"
+        offsets = [f"vehicle {n}: offset {g:+.2f} g" for n, g in self.vehicle_offsets_g.items()]
         return [
-            *self.logs.lines(),
-            *(
-                ["calibration offsets are not subtracted: labels are fitted as measured"]
-                if kept
-                else []
-            ),
+            *(file.line() for file in self.logs),
+            f"{self.findings.rows} rows, {self.findings.validation_rows} of them held out",
+            *(offsets or ["calibration offsets are not subtracted: labels are as measured"]),
             *(f"note: {note}" for note in self.notes),
             f"{self.model}: validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, "
             f"scenario mean {errors.scenario_mean:.2f})",

@@ -64,8 +64,8 @@ class FitFiles:
     """What a fit cannot do without: fields of the last base class come first in the help."""
 
     data: Path
-    """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
-    .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
+    """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
+    `swarm-envs collect`, or rows: the published flights' table, or what `save_rows` wrote (.npz)"""
     out: Path
     """folder for model and report: `learned.safetensors` and `learned.json` of a deep
     set, `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
@@ -109,7 +109,7 @@ class FitConfig(TrainConfig, FitFiles):
     json: Path | None = None
     """write the report to this file too"""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows, and what of row tables is held out"""
+    """how flight logs become rows"""
 
     def __post_init__(self) -> None:
         if self.model == "composed" and self.mode == "measured":
@@ -139,8 +139,8 @@ class ResidualConfig:
     """
 
     data: Path
-    """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
-    .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
+    """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
+    `swarm-envs collect`, or rows: the published flights' table, or what `save_rows` wrote (.npz)"""
     out: Path
     """folder for `residual.json`"""
     force: str = "composed"

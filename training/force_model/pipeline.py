@@ -44,7 +44,8 @@ from swarm_envs.training.force_model.network import (
 from swarm_envs.training.force_model.train import train
 from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
-from swarm_envs.training.interaction_rows.calibration import RULE
+from swarm_envs.training.interaction_rows.calibration import RULE, implausible_offsets
+from swarm_envs.training.interaction_rows.row_tables import vehicle_name
 from swarm_envs.training.provenance import changed_options, check_same, json_ready
 
 __all__ = ["REPORTS", "fit"]
@@ -82,7 +83,7 @@ def fit(config: FitConfig) -> FitReport:
     """
     began = time.perf_counter()
     calibrated = is_calibrated(config)
-    rows, logs = read_data(config.data, config.logs, config.progress, calibrated, config.torque)
+    rows, logs = read_data(config.data, config.logs, config.progress)
     check_rows(rows)
     treated = treat(rows, config)
     words, digest = fit_command(config), data_sha256(config.data)
@@ -94,18 +95,20 @@ def fit(config: FitConfig) -> FitReport:
         "seed": config.seed,
     }
     findings, found = (_wake if config.model == "wake" else _network)(treated, config, provenance)
+    odd = implausible_offsets(rows, treated.offsets)
+    notes = [*odd, *found["notes"], *worth(findings.errors)]
     report = FitReport(
         model=config.model,
         command=words,
         config=json_ready(config),
         data_sha256=digest,
         offset_rule=RULE if calibrated else "none",
-        vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
+        vehicle_offsets_g={vehicle_name(rows, v): g for v, g in treated.offsets.vehicle.items()},
         drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
         findings=findings,
         wall_time_s=round(time.perf_counter() - began, 1),
         logs=logs,
-        **found | {"notes": [*found["notes"], *worth(findings.errors)]},
+        **found | {"notes": notes},
     )
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:

@@ -100,7 +100,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
         FileNotFoundError: there is no data.
         ValueError: the rows cannot be used, or a type is no vehicle that ships.
     """
-    rows, _ = read_data(config.data, config.logs, config.progress, offsets=False)
+    rows, _ = read_data(config.data, config.logs, config.progress)
     for name in rows.types:
         check_name("vehicle type", name, tuple(VEHICLES))
     rows = flown(dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_)))
