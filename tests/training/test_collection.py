@@ -247,6 +247,15 @@ def test_a_thrust_beyond_the_motors_is_logged_as_the_nearest_signal():
     assert (pwm[1] == 65535.0).all() and (pwm[0] > 0.0).all()
 
 
+def labels_of(rows, flights, vehicles):
+    """Labels by the names of flight and vehicle, and the time step."""
+    keys = zip(rows.flight.tolist(), rows.vehicle.tolist(), rows.step.tolist(), strict=True)
+    return {
+        (flights[flight], vehicles[vehicle], step): label
+        for (flight, vehicle, step), label in zip(keys, rows.force_g, strict=True)
+    }
+
+
 @pytest.mark.parametrize("label", ["imu", "differentiated"])
 def test_flights_give_the_same_forces_as_logs_of_real_vehicles(
     flights, label, tmp_path, monkeypatch
@@ -257,15 +266,15 @@ def test_flights_give_the_same_forces_as_logs_of_real_vehicles(
             table = dataclasses.replace(table, acceleration=None)
         write_table(tmp_path / f"{flight.name}.csv", table)
     monkeypatch.setattr("swarm_envs.training.interaction_rows.hold_out.GUARD_S", 0.0)
-    rows, _ = read_data(tmp_path, LogOptions(keep_every=4, rate_hz=120.0))
-    assert set(rows.vehicle_names.values()) == {"S1", "L1"}
-    ours = interaction_rows(flights, label)
-    for name in ("Ge2S", "L2S", "S2L"):  # the same forces computed in two ways
-        a = rows.force_g[rows.scenario == rows.scenario_names.index(name)]
-        b = ours.force_g[ours.scenario == ours.scenario_names.index(name)]
-        assert len(a) == pytest.approx(len(b), rel=0.15)
-        np.testing.assert_allclose(a.mean(axis=0), b.mean(axis=0), atol=0.2)
-        np.testing.assert_allclose(a.std(axis=0), b.std(axis=0), rtol=0.15, atol=0.05)
+    logged, _ = read_data(tmp_path, LogOptions(keep_every=4, rate_hz=120.0))
+    names, ours = [flight.name for flight in flights], interaction_rows(flights, label)
+    a = labels_of(logged, sorted(names), logged.vehicle_names)
+    b = labels_of(ours, names, {1: "S1", 101: "L1"})
+    both = sorted(a.keys() & b.keys())
+    assert len(both) > 0.85 * len(b)
+    error = np.array([np.abs(a[key] - b[key]).max() for key in both])
+    # A signal cannot say a command beyond the range of psi1: its rows differ, and some after it.
+    assert np.quantile(error, 0.9) < 1e-4
 
 
 def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(tmp_path):

@@ -133,7 +133,6 @@ class Composed(ForceNetwork):
 
     def window(self, pair: Tensor) -> Tensor:
         """Weight w of pairs (..., 6) by the horizontal distance and the depth."""
-        assert self.spec.window is not None
         lateral, vertical = self.spec.window
         weight = fade(_length(pair[..., :2]), *lateral) * fade(pair[..., 2].abs(), *vertical)
         return weight.clamp(min=0.0)  # rounding at the edge

@@ -72,7 +72,7 @@ def save_network(
         **(provenance or {}),
         "format": next(name for name, kind in FORMATS.items() if kind == spec.kind),
         "types": list(spec.types),
-        "window": spec.window and spec.window._asdict(),
+        "window": spec.window._asdict(),
         "input_range": spec.input_range and vars(spec.input_range),
         "anchor_height_m": spec.anchor_height_m,
     }
@@ -139,7 +139,7 @@ def _spec(description: dict[str, Any], tensors: dict[str, Tensor]) -> DeepSetSpe
     hidden = {} if kind != "deep-set" else {"hidden": tensors[f"{first}0.weight"].shape[1]}
     return DeepSetSpec(
         types=tuple(types),
-        window=window and FadeWindow(**{name: tuple(pair) for name, pair in window.items()}),
+        window=FadeWindow(**{name: tuple(pair) for name, pair in window.items()}),
         input_range=InputRange(**ranges) if ranges else None,
         anchor_height_m=description["anchor_height_m"] or None,  # a file may say 0 for none
         layers=depth,

@@ -23,7 +23,6 @@ import torch
 from torch import Tensor, nn
 
 from swarm_envs.arguments import POSITIVE_M, Count, Range, typed
-from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["InputRange"]
@@ -74,8 +73,8 @@ class DeepSetSpec:
 
     types: tuple[str, ...]
     """Vehicle types: each has its own phi and rho."""
-    window: FadeWindow | None = OUTER_FADE
-    """Smooth fade of pairs; None cuts off hard at the edges of the interaction volume."""
+    window: FadeWindow = OUTER_FADE
+    """Smooth fade of pairs."""
     input_range: InputRange | None = None
     """Clamp of the inputs; None leaves them."""
     anchor_height_m: Annotated[float, POSITIVE_M] | None = 0.6
@@ -211,9 +210,6 @@ class ForceNetwork(nn.Module, ABC):
         """Weight w of pairs (..., 6): 1 near, 0 outside the interaction volume."""
         x, y, z = pair[..., 0].abs(), pair[..., 1].abs(), pair[..., 2].abs()
         window = self.spec.window
-        if window is None:
-            inside = (torch.maximum(x, y) <= LATERAL_REACH) & (z <= VERTICAL_REACH)
-            return inside.to(pair.dtype)
         lateral = fade(x, *window.lateral_m) * fade(y, *window.lateral_m)
         return lateral * fade(z, *window.vertical_m)
 

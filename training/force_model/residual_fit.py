@@ -74,7 +74,6 @@ class ResidualReport:
     """The numbers, by the names of `Hall`: for each type, or one for all."""
     intervals: dict[str, list[tuple[float, float]]]  # Their 95 % intervals
     white_noise_g: list[float]  # Standard deviation of the labels' white noise by type, gram-force
-    bins: list[dict[str, Any]]  # By type and bin of |f|: what the fit saw
     config: Any  # The options
     data_sha256: str  # Digest of the data
     flights: int  # Number of flights
@@ -119,7 +118,6 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
         residual=found,
         intervals={name: list(zip(*two.tolist(), strict=True)) for name, two in ends.items()},
         white_noise_g=(_weights_g(rows.types) * white).tolist(),
-        bins=_bins(rows.types, moments),
         config=json_ready(config),
         data_sha256=data_sha256(config.data),
         flights=flights,
@@ -263,23 +261,3 @@ def _autocovariance(
     variance = (alone_pairs * alone)[:, 1:] @ kept / np.maximum(share.sum(axis=1), 1e-12)
     sizes = [*numbers[:-1].reshape(3, types), np.sqrt(np.maximum(variance, 0.0))]
     return np.array(sizes), float(numbers[-1]), np.asarray(white)
-
-
-def _bins(types: Sequence[str], moments: _Moments) -> list[dict[str, Any]]:
-    """Standard deviation and autocorrelation by type and force, gram-force."""
-    product, force, count = (table.sum(axis=0) for table in moments[:3])
-    found = []
-    for t, b in np.argwhere(count[..., 0] >= 100):
-        weight = _weights_g(types)[t]
-        covariance = product[t, b] / np.maximum(count[t, b], 1.0)
-        found.append(
-            {
-                "type": types[t],
-                "alone": bool(b == 0),
-                "rows": int(count[t, b, 0]),
-                "force_g": float(weight * force[t, b, 0] / count[t, b, 0]),
-                "std_g": float(weight * np.sqrt(covariance[0])),
-                "autocorrelation": (covariance[1:] / covariance[0]).round(3).tolist(),
-            }
-        )
-    return found

@@ -168,15 +168,6 @@ def test_a_jump_of_the_clock_costs_one_file_and_no_memory(table, tmp_path):
     assert all(report.refused for report in reports)
 
 
-def test_a_file_that_would_fill_the_memory_is_refused_by_its_size(table, tmp_path, monkeypatch):
-    pytest.importorskip("pyarrow")
-    monkeypatch.setattr("swarm_envs.training.flight_logs.flight_table.MOST_ROWS", 100)
-    for name in ("a.csv", "a.parquet"):
-        write_table(tmp_path / name, table)
-        with pytest.raises(ValueError, match=rf"{name}: it has .* 100"):
-            read_table(tmp_path / name)
-
-
 def test_the_docs_list_the_columns():
     text = (Path(__file__).parents[3] / "docs" / "flight-logs.md").read_text(encoding="utf-8")
     for name, column in COLUMNS.items():
@@ -289,9 +280,7 @@ def test_a_bad_file_costs_that_file_alone(flown, as_table, tmp_path):
 def test_what_gives_no_row_says_why(flown, as_table, tmp_path):
     table = as_table(flown("SL"), "SL")
     write_table(tmp_path / "a.csv", dataclasses.replace(table, pwm=table.pwm / 65536))
-    with pytest.raises(
-        ValueError, match=r"^a\.csv: motors of drone 'cf0' never run"
-    ):
+    with pytest.raises(ValueError, match=r"^a\.csv: motors of drone 'cf0' never run"):
         read_data(tmp_path)
     low = table.position * [1.0, 1.0, 0.0]
     level = table.velocity * [1.0, 1.0, 0.0]
