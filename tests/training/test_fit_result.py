@@ -145,14 +145,11 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
     assert report.findings.errors.overall < 0.6 * report.findings.errors.zero
     found = load(str(tmp_path / "out" / WEIGHTS[model]))
     assert found.types == ("S", "S*", "XL")
-    position = [[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]]
-    force = [
-        found.forces(position, np.zeros((1, 2, 3)), (STRONG, upper))[0, 0, 2]
-        for upper in (SMALL, HUGE)
-    ]
-    assert max(force) < 0.0
-    if model == "deep-set":  # on the axis a short fit of a composed model errs by a gram
-        assert force[1] < force[0]
+    # Beside the axis, where neighbors are seldom exactly: there a short fit knows little.
+    position = [[[0.0, 0.0, 0.8], [0.05, 0.0, 1.1]]]
+    for upper, planted in ((SMALL, -2.0), (HUGE, -6.0)):
+        force = found.forces(position, np.zeros((1, 2, 3)), (STRONG, upper))[0, 0, 2]
+        assert force / GRAM_FORCE == pytest.approx(planted, abs=1.0)
     with pytest.raises(ValueError, match="unknown interaction type 'L'"):
         found.forces(position, np.zeros((1, 2, 3)), "SL")
 

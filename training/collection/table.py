@@ -20,11 +20,7 @@ from swarm_envs.training.interaction_rows.drone_rows import (
 )
 from swarm_envs.vehicles import parse_team
 
-__all__ = [
-    "ROW_RATE",
-    "CollectedFlight",
-    "interaction_rows",
-]
+__all__ = ["ROW_RATE", "CollectedFlight", "interaction_rows"]
 
 ROW_RATE = 30
 """Rows per second and drone: successive log entries are near copies."""
@@ -64,7 +60,7 @@ def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, dict[str, A
         names = [scenario_name(k, kinds[:i] + kinds[i + 1 :]) for i, k in enumerate(kinds)]
         for name in names:
             entry = found.setdefault(name, {"flights": 0, "drone_seconds": 0.0})
-            entry["drone_seconds"] += flight.seconds
+            entry["drone_seconds"] = round(entry["drone_seconds"] + flight.seconds, 3)
         for name in set(names):
             found[name]["flights"] += 1
     order = [*(name for name in SCENARIOS if name in found), *sorted(set(found) - set(SCENARIOS))]
