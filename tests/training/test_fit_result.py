@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -99,7 +98,7 @@ def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     if model == "deep-set":
         assert pushed != 0.0 and "guessed" in note
     else:
-        assert abs(pushed) < 1e-12 and "does not push" in note
+        assert abs(pushed) < 1e-6 and "does not push" in note
 
 
 def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):
@@ -174,7 +173,8 @@ def test_a_type_that_never_pushed_or_never_felt_goes_on_so(model, shown, said, f
 
 
 def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
-    report = fit(config_of(rows_of_types(), tmp_path, model="wake", **QUICK))
+    length: dict[str, Any] = {"steps": 1000, "learning_rate": 3e-2}
+    report = fit(config_of(rows_of_types(), tmp_path, model="wake", **QUICK | length))
     path = tmp_path / "out" / "wake.json"
     found = load(path)
     assert found.types == ("S", "L")
@@ -260,7 +260,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(table: Path, out: Path, **given: object) -> ResidualConfig:
-    small = {"bootstrap": 20, "progress": False, "rows": 4000, "force": "wake"}
+    small = {"bootstrap": 20, "progress": False, "steps": 100, "force": "wake"}
     return ResidualConfig(**{"data": table, "out": out, **small, **given})  # type: ignore[arg-type]
 
 
@@ -296,11 +296,11 @@ def test_a_planted_process_is_found_under_the_true_force(table, tmp_path, monkey
 def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
     """Labels of the flights of one fold are spoiled: what is predicted for them stays."""
     rows = planted(20, 150)
-    config = options(table, tmp_path, folds=2, rows=1000)
+    config = options(table, tmp_path, folds=2)
     honest = predicted_g(rows, config)
     own = flight_folds(rows, config.folds, config.seed) == 0
     assert 0 < own.sum() < len(rows)
-    spoiled = rows.with_vertical_force(np.where(own, rows.force_g[:, 2] + 5.0, rows.force_g[:, 2]))
+    spoiled = rows.with_vertical_force(np.where(own, 2.0, 1.0) * rows.force_g[:, 2])
     again = predicted_g(spoiled, config)
     assert np.array_equal(honest[own], again[own])
     assert not np.array_equal(honest[~own], again[~own])
@@ -308,7 +308,7 @@ def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
 
 def test_the_command_line_and_what_it_refuses(table, tmp_path, capsys):
     arguments = ["fit", "--residual", "--data", str(table), "--out", str(tmp_path / "out")]
-    quick = ["--bootstrap", "5", "--rows", "2000", "--no-progress", "--force", "wake"]
+    quick = ["--bootstrap", "5", "--steps", "50", "--no-progress", "--force", "wake"]
     assert main([*arguments, *quick]) == 0
     said = capsys.readouterr().out
     assert "residual_time_s" in said and "white noise of the labels" in said
@@ -346,23 +346,14 @@ def flights(count: int = 1200, number: int = 6) -> InteractionRows:
     )
 
 
-@pytest.fixture
-def short_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a comparison fit for 60 steps."""
-    module = importlib.import_module("swarm_envs.training.force_model.compare")
-    usual = module.default_fit
-    monkeypatch.setattr(module, "default_fit", lambda *given: replace(usual(*given), steps=60))
-
-
 def comparison_of(tmp_path: Path, **options: Any) -> CompareConfig:
     data = tmp_path / "rows.npz"
     if not data.is_file():
         save_rows(data, flights())
-    given: dict[str, Any] = {"models": ("composed", "wake"), "folds": 2, "progress": False}
-    return CompareConfig(data=data, out=tmp_path / "out", **given | options)
+    usual: dict[str, Any] = {"models": ("composed", "wake"), "folds": 2, "steps": 60}
+    return CompareConfig(data=data, out=tmp_path / "out", progress=False, **usual | options)
 
 
-@pytest.mark.usefixtures("short_fits")
 def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     found = compare(comparison_of(tmp_path, json=tmp_path / "said.json"))
     assert found.rows == 1200 and found.flights == 6

@@ -28,13 +28,13 @@ from swarm_envs.training.force_model.network import (
     ForceNetwork,
     NetworkKind,
     layers,
-    swarm_batch,
 )
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
 from tests.helpers.tiny_fits import RANGE, make_rows
+from tests.helpers.torch_swarms import swarm_batch, swarm_force_g
 
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "composed")
 TEAM = "SLSLS"
@@ -92,7 +92,9 @@ def torch_force_g(
     network: ForceNetwork, position: FloatArray, velocity: FloatArray, team: Sequence[str]
 ) -> FloatArray:
     with torch.no_grad():
-        force = network.force_g(torch.from_numpy(position), torch.from_numpy(velocity), list(team))
+        force = swarm_force_g(
+            network, torch.from_numpy(position), torch.from_numpy(velocity), list(team)
+        )
     return np.asarray(force.numpy())
 
 
@@ -165,8 +167,8 @@ def test_file_gives_back_the_same_function(tmp_path):
         assert type(loaded) is type(made) and loaded.spec == made.spec
         assert b'\\"seed\\": 7' in (tmp_path / f"{name}.safetensors").read_bytes()
         position, velocity = map(torch.from_numpy, swarm(6, 10, 3))
-        force = loaded.force_g(position, velocity, "SLS")
-        assert torch.equal(force, made.double().force_g(position, velocity, "SLS"))
+        force = swarm_force_g(loaded, position, velocity, "SLS")
+        assert torch.equal(force, swarm_force_g(made.double(), position, velocity, "SLS"))
     assert [p.name for p in tmp_path.iterdir() if "partial" in p.name] == []
 
 

@@ -18,11 +18,11 @@ from swarm_envs.training.force_model.examples import (
     turned_rows,
 )
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.force_model.network import swarm_batch
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.train import Training, to_batch, train
 from swarm_envs.training.provenance import scalar_writer
 from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
+from tests.helpers.torch_swarms import swarm_batch
 
 
 def norms(network):

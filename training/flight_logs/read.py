@@ -162,11 +162,12 @@ def _read_log(
         known.vehicles.setdefault(drone.name, vehicle)
     force, dropped = interaction_force_g(clocked, options.smoothing_s), Counter[str]()
     kinds, parts = [vehicle.interaction_type for vehicle in clocked.team], []
-    motion = clocked.position, clocked.velocity, force
     for i, name in enumerate(clocked.names):
         keep, left_out = kept_entries(clocked, force, i, options.keep_every)
-        numbers = {"flight": number, "vehicle": known.vehicles[name].number, "validation": False}
-        parts.append(rows_of_drone(i, kinds, *motion, keep, **numbers))
+        own, motion = known.vehicles[name].number, (clocked.position, clocked.velocity, force)
+        parts.append(
+            rows_of_drone(i, kinds, *motion, keep, flight=number, vehicle=own, validation=False)
+        )
         dropped.update(left_out)
     report = FileReport(
         file=file.name,

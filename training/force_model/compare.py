@@ -21,7 +21,7 @@ import tyro
 from scipy import stats
 from tqdm import tqdm
 
-from swarm_envs.arguments import Range, Seed, typed, typed_options
+from swarm_envs.arguments import Count, Range, Seed, typed, typed_options
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.log_options import LogOptions
@@ -31,16 +31,9 @@ from swarm_envs.training.force_model.force_fit_config import (
     Model,
     ResidualConfig,
 )
-from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
-from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
-from swarm_envs.training.force_model.train import predict, to_batch, train
-from swarm_envs.training.force_model.wake_fit import (
-    MOST_ROWS,
-    draw_rows,
-    fit_wake,
-    wake_force_g,
-    wake_rows,
-)
+from swarm_envs.training.force_model.labels import FALL_SPEED, treat
+from swarm_envs.training.force_model.pipeline import train_model
+from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import begin_manifest, json_ready
 
@@ -65,6 +58,8 @@ class CompareConfig:
     hold_out: Literal["flights", "two-neighbors"] = "flights"
     """`two-neighbors`: fit to rows with at most one neighbor and test on the others, in place of
     the folds; it shows what a model makes of several neighbors"""
+    steps: Count = FitConfig.steps
+    """optimizer steps of each fit"""
     seed: Seed = 0
     """of the folds, the fits and the bootstrap"""
     progress: bool = True
@@ -180,25 +175,19 @@ def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
 
 def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:
     """Return a fit of a model to the same data with default options."""
-    return FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
+    return FitConfig(
+        data=config.data, out=config.out, model=model, steps=config.steps, seed=config.seed
+    )
 
 
-def fitted_force_g(
-    target: InteractionRows, options: FitConfig, wake_rows_drawn: int = MOST_ROWS
-) -> FloatArray:
+def fitted_force_g(target: InteractionRows, options: FitConfig) -> FloatArray:
     """Force of every row, (R, 3) gram-force, by a model fitted to the labels of the training rows.
 
-    A wake is fitted to `wake_rows_drawn` rows at random; it and a deep set have no horizontal
-    force.
+    Only a composed model has a horizontal force.
     """
     found = np.zeros((len(target), 3))
-    if options.model == "wake":
-        fitted = fit_wake(draw_rows(target, options.seed, wake_rows_drawn))
-        found[:, 2] = wake_force_g(fitted, wake_rows(target))
-        return found
-    known = flown(target) if options.model == "composed" else target
-    run = train(known, network_spec(target, options), training_recipe(options), progress=False)
-    heads = predict(run.network, to_batch(target), every=True).double().numpy()
+    network = train_model(target, options, progress=False).network
+    heads = predict(network, to_batch(target), every=True).double().numpy()
     found[:, 2] = heads[:, 0]
     if options.model == "composed":
         found[:, :2] = heads[:, 1:]

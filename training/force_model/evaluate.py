@@ -25,12 +25,11 @@ from swarm_envs.training.flight_logs.read import FileReport
 from swarm_envs.training.force_model.labels import Treated
 from swarm_envs.training.force_model.lipschitz import steepest
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
-from swarm_envs.training.force_model.train import predict, to_batch
+from swarm_envs.training.force_model.train import to_batch
 from swarm_envs.training.interaction_rows.calibration import subtract_offsets
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
-
-__all__ = ["predict_rows"]
 
 _LEAST_ROWS = 50  # of a bin
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
@@ -77,13 +76,6 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
         by_scenario.append({name: float(part.mean()) for name, part in own.items() if len(part)})
     overall, zero, scenario_mean = found
     return Errors(overall, zero, scenario_mean, *by_scenario)
-
-
-def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
-    """Vertical force of every row from the network and the drag, (R,) in gram-force."""
-    force = predict(network, to_batch(rows, torch.float64)).numpy()
-    drag = network.drag.numpy()[rows.ego_type, 2]
-    return np.asarray(force - drag * rows.velocity[:, 2] / GRAM_FORCE)
 
 
 def axis_bins(
@@ -231,18 +223,13 @@ def worth(errors: Errors) -> list[str]:
 
 
 def examine(
-    model: InteractionModel,
-    predicted_g: FloatArray,
-    treated: Treated,
-    seed: int,
-    network: ForceNetwork | None = None,
+    model: InteractionModel, treated: Treated, seed: int, network: ForceNetwork | None = None
 ) -> Findings:
     """Measure a fitted model as it loads from its file.
 
-    `predicted_g` (R,) is its vertical force for every row, drag included; `network` is the model in
-    torch, if it is one, whose gradients are measured.
+    `network` is the model in torch, whose gradients are measured; None leaves them out.
     """
-    rng = np.random.default_rng(seed)
+    rng, predicted_g = np.random.default_rng(seed), modelled_force_g(treated.rows, model)[:, 2]
     rows, free = treated.rows, subtract_offsets(treated.rows, treated.offsets)
     measured = {}
     if network is not None:

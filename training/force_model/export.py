@@ -14,7 +14,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from swarm_envs.arguments import typed
-from swarm_envs.files import written_whole
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.training.force_model.composed import Composed, build
 from swarm_envs.training.force_model.network import (
     DeepSet,
@@ -25,6 +25,8 @@ from swarm_envs.training.force_model.network import (
     NetworkKind,
     layers,
 )
+from swarm_envs.training.force_model.wake import Wake
+from swarm_envs.training.force_model.wake import description as wake_description
 
 __all__ = ["write_safetensors"]
 
@@ -59,9 +61,13 @@ def save_network(
     `environment.<type>.<layer>...`, and the numbers that `swarm_envs.interactions.weights_file`
     lists. Of both: `drag.<type>` (3,) in N s/m.
 
+    A wake has no weights: its file is JSON, with `provenance` as one key. Of the others
     `provenance` are further keys of the description. Networks that were trained in single precision
     lose nothing by float32, which halves the file; it is read as float64 either way.
     """
+    if isinstance(network, Wake):
+        write_json(Path(path), wake_description(network) | {"provenance": dict(provenance or {})})
+        return
     spec = network.spec
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}
     tensors |= {name: layer.weight for name, layer in _layers(network, ".weight").items()}

@@ -149,8 +149,8 @@ class ResidualConfig:
     flatter it"""
     folds: Annotated[int, Range(2)] = 5
     """parts into which the flights of each scenario are dealt"""
-    rows: Count = 30_000
-    """rows of each fit of the wake, drawn at random"""
+    steps: Count = FitConfig.steps
+    """optimizer steps of each fit"""
     bootstrap: Count = 400
     """draws of flights for the 95 % intervals"""
     seed: Seed = 0

@@ -23,13 +23,12 @@ import torch
 from torch import Tensor, nn
 
 from swarm_envs.arguments import POSITIVE_M, Count, Range, typed
-from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["InputRange"]
 
-NetworkKind = Literal["deep-set", "composed"]
+NetworkKind = Literal["deep-set", "composed", "wake"]
 """`deep-set`: Neural-Swarm2, eq. 10; `composed`: pushes of pairs that are joined,
-`composed.Composed`."""
+`composed.Composed`; `wake`: the closed form, `wake.Wake`."""
 
 _FIRST_WIDTH = 25  # of phi's first hidden layer
 _WIDTH = 40  # of every other hidden layer
@@ -196,10 +195,15 @@ class ForceNetwork(nn.Module, ABC):
         """Return its perceptrons by the names that they have in a weights file."""
 
     @abstractmethod
+    def silence_drone(self, index: int) -> None:
+        """Let a type, by its index, feel nothing by itself: no row shows what it feels."""
+
+    @abstractmethod
     def heads(self, batch: Batch) -> Tensor:
         """Outputs for every row, (R, 1) the vertical force in gram-force.
 
-        With a torque head (R, 4): the force, and the torque in the world frame, gram-force cm.
+        Of a composed model (R, 3): then the force in x and y. With a torque head (R, 4): then the
+        torque in the world frame, gram-force cm.
         """
 
     def forward(self, batch: Batch) -> Tensor:
@@ -241,17 +245,6 @@ class ForceNetwork(nn.Module, ABC):
         """Inputs of the environment (R, 4) moved into the measured range."""
         return environment.clamp(self.environment_low, self.environment_high)
 
-    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
-        """Vertical interaction force (E, N) of every drone of every swarm, in gram-force.
-
-        Positions and velocities (E, N, 3), m and m/s, are of E swarms of N drones of these types.
-        With the vertical drag -c v_z of the drone's type, as the shipped model has it.
-        """
-        batch = swarm_batch(position, velocity, [self.spec.types.index(n) for n in type_names])
-        force: Tensor = self(batch).reshape(position.shape[:2])
-        coefficient = self.drag[batch.ego_type, 2].reshape(force.shape)
-        return force - coefficient * velocity[..., 2] / GRAM_FORCE
-
 
 class DeepSet(ForceNetwork):
     """phi per type, phi of the environment, rho per type; see the module's docstring."""
@@ -273,6 +266,13 @@ class DeepSet(ForceNetwork):
         phi = {f"phi.{name}": module for name, module in self.phi.items()}
         rho = {f"rho.{name}": module for name, module in self.rho.items()}
         return {**phi, "phi.environment": self.phi_environment, **rho}
+
+    def silence_drone(self, index: int) -> None:
+        """Let rho and the torque of a type give zero."""
+        name = self.types[index]
+        silence(self.rho[name])
+        if self.spec.torque:
+            silence(self.torque[name])
 
     def heads(self, batch: Batch) -> Tensor:
         """Outputs for every row, (R, 1) or (R, 4); see `ForceNetwork.heads`."""
@@ -312,23 +312,14 @@ class DeepSet(ForceNetwork):
         return torch.cat([rho[-1](last), self.torque[name](last)], dim=1)
 
 
-def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Batch:
-    """Rows of every drone of (E, N, 3) swarms, with all others as its neighbours."""
-    envs, drones = position.shape[:2]
-    others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)])
-    others = others.reshape(drones, drones - 1).long()
-    kind = torch.tensor(list(types))
-    state = torch.cat([position, velocity], dim=-1)
-    pair = state[:, others] - state[:, :, None]
-    environment = -torch.cat([position[..., 2:], velocity], dim=-1)
-    return Batch(
-        ego_type=kind.repeat(envs),
-        environment=environment.reshape(envs * drones, 4),
-        pair=pair.reshape(envs * drones, drones - 1, 6),
-        pair_type=kind[others].repeat(envs, 1),
-    )
-
-
 def layers(network: nn.Module) -> list[nn.Linear]:
     """Return the linear layers of a perceptron in order."""
     return [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+
+
+@torch.no_grad()
+def silence(network: nn.Module) -> None:
+    """Let a perceptron give zero."""
+    last = layers(network)[-1]
+    last.weight.zero_()
+    last.bias.zero_()

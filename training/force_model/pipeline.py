@@ -18,12 +18,16 @@ from swarm_envs.training.force_model.evaluate import (
     Findings,
     FitReport,
     examine,
-    predict_rows,
     torque_errors,
     worth,
 )
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.force_fit_config import REPORTS, WEIGHTS, FitConfig
+from swarm_envs.training.force_model.force_fit_config import (
+    REPORTS,
+    WEIGHTS,
+    FitConfig,
+    TrainConfig,
+)
 from swarm_envs.training.force_model.labels import (
     Treated,
     check_rows,
@@ -38,11 +42,9 @@ from swarm_envs.training.force_model.network import (
     OUTER_FADE,
     DeepSet,
     DeepSetSpec,
-    NetworkKind,
     without_velocity,
 )
-from swarm_envs.training.force_model.train import train
-from swarm_envs.training.force_model.wake_fit import fit_wake_model
+from swarm_envs.training.force_model.train import Training, train
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE, implausible_offsets
 from swarm_envs.training.interaction_rows.row_tables import vehicle_name
@@ -94,7 +96,7 @@ def fit(config: FitConfig) -> FitReport:
         "mode": config.mode,
         "seed": config.seed,
     }
-    findings, found = (_wake if config.model == "wake" else _network)(treated, config, provenance)
+    findings, found = _fitted(treated, config, provenance)
     odd = implausible_offsets(rows, treated.offsets)
     notes = [*odd, *found["notes"], *worth(findings.errors)]
     report = FitReport(
@@ -116,44 +118,37 @@ def fit(config: FitConfig) -> FitReport:
     return report
 
 
-def training_recipe(config: FitConfig) -> FitConfig:
-    """How a network is trained: one that stands for phi and rho may be as steep as both."""
-    if config.model == "deep-set":
-        return config
-    return dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+def train_model(target: InteractionRows, config: FitConfig, progress: bool) -> Training:
+    """Train the network of a configuration on labels that `treat` made.
+
+    A network that stands for phi and rho may be as steep as both.
+    """
+    rows = flown(target) if config.model == "composed" else target
+    recipe: TrainConfig = config
+    if config.model != "deep-set":
+        recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+    return train(rows, network_spec(target, config), recipe, progress)
 
 
-def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
-    spec = network_spec(treated.rows, config)
-    target = flown(treated.target) if spec.kind == "composed" else treated.target
-    run = train(target, spec, training_recipe(config), config.progress)
+def _fitted(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
+    """Train, write the file and measure the model in it."""
+    run = train_model(treated.target, config, config.progress)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
+    notes = silence_unseen(run.network, treated.rows)
     path = config.out / WEIGHTS[config.model]
-    save_network(path, run.network, provenance)
-    network = load_network(path)
-    notes = silence_unseen(network, treated.rows)
-    if notes:
-        save_network(path, network, provenance | {"notes": notes})
-    predicted = predict_rows(network, treated.rows)
-    findings = examine(load(path), predicted, treated, config.seed, network)
+    save_network(path, run.network, provenance | ({"notes": notes} if notes else {}))
+    network = None if config.model == "wake" else load_network(path)
+    findings = examine(load(path), treated, config.seed, network)
     torque = None
     if isinstance(network, DeepSet) and config.torque:
         torque = torque_errors(network, treated.rows)
     return findings, {"history": run.history, "notes": notes, "torque_errors": torque}
 
 
-def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
-    path = config.out / WEIGHTS["wake"]
-    predicted, notes = fit_wake_model(path, treated, config, provenance)
-    return examine(load(path), predicted, treated, config.seed), {"history": [], "notes": notes}
-
-
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
     """The function that a fit looks for."""
-    assert config.model != "wake"
-    kind: NetworkKind = config.model
-    anchored = config.mode == "anchored"
+    anchored = config.mode == "anchored" or config.model == "wake"
     spec = DeepSetSpec(
         rows.types,
         window=OUTER_FADE if anchored else EVERYWHERE,
@@ -161,7 +156,7 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
         anchor_height_m=config.anchor_height_m if anchored else None,
         hidden=config.hidden,
         layers=config.layers,
-        kind=kind,
+        kind=config.model,
         torque=config.torque,
     )
     return spec if config.relative_velocity else without_velocity(spec)

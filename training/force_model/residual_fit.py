@@ -141,7 +141,7 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
         held = fold == k
         treated = treat(dataclasses.replace(rows, validation=held), options)
         drag = treated.drag[rows.ego_type] * rows.velocity / GRAM_FORCE
-        found[held] = (fitted_force_g(treated.target, options, config.rows) - drag)[held]
+        found[held] = (fitted_force_g(treated.target, options) - drag)[held]
     return found
 
 
