@@ -354,13 +354,3 @@ def test_a_constant_force_leaves_the_slope_of_the_window() -> None:
     found = steepest(network, 1, np.random.default_rng(0))
     assert 0.9 * 75.0 < found["position_gradient_g_per_m"] <= bound
     assert found["input_gradient_g_per_unit"] == pytest.approx(found["position_gradient_g_per_m"])
-
-
-def test_without_a_window_no_slope_exceeds_the_product_of_the_norms() -> None:
-    network = scaled_network(DeepSetSpec(("S",), EVERYWHERE, None, None), 0, 2.0)
-    phi, _, rho = (
-        math.prod(float(np.linalg.norm(layer.weight.detach().numpy(), 2)) for layer in layers(m))
-        for m in network.named_networks().values()
-    )
-    found = steepest(network, 1, np.random.default_rng(1), 3000)
-    assert 0.0 < found["position_gradient_g_per_m"] <= phi * rho

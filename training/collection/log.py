@@ -42,8 +42,7 @@ class FlightLog(NamedTuple):
     specific_force: FloatArray
     """(T, N, 3) what an accelerometer reads, body frame, m/s^2: (0, 0, 9.81) in hover."""
     setpoint: FloatArray
-    """(T, N, 3) position that the pilot was to hold, m; NaN where a file has no place for it.
-    """
+    """(T, N, 3) position that the pilot was to hold, m."""
     commands: FloatArray
     """(T, N, 4) rotor thrusts as commanded from this entry on, N; never those that act."""
 
@@ -191,7 +190,6 @@ def interaction_force(
     log: FlightLog,
     team: Team,
     smoothing_s: float = SMOOTHING_S,
-    rate_hz: float = LOG_RATE,
     label: Label = "differentiated",
 ) -> FloatArray:
     """Interaction force (T, N, 3), gram-force, world frame, on every drone at every entry of a log.
@@ -201,7 +199,7 @@ def interaction_force(
     """
     acceleration = rotate(log.quaternion, log.specific_force) if label == "imu" else None
     return force_from_motion(
-        log.velocity, acceleration, log.quaternion, log.commands, team, rate_hz, smoothing_s
+        log.velocity, acceleration, log.quaternion, log.commands, team, LOG_RATE, smoothing_s
     )
 
 

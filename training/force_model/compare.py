@@ -28,6 +28,7 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import (
     FitConfig,
+    FlightData,
     Model,
     ResidualConfig,
 )
@@ -43,11 +44,9 @@ _ASIDE = ("data", "out", "json", "progress")  # Options that change nothing of a
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class CompareConfig:
+class CompareConfig(FlightData):
     """What to compare, on which flights."""
 
-    data: Path
-    """flight logs or a table of rows, as `swarm-envs fit` takes them"""
     out: Path
     """folder for what every model said of the flights that it has not seen: a comparison that was
     stopped resumes from there"""

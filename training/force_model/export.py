@@ -70,8 +70,8 @@ def save_network(
         return
     spec = network.spec
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}
-    tensors |= {name: layer.weight for name, layer in _layers(network, ".weight").items()}
-    tensors |= {name: layer.bias for name, layer in _layers(network, ".bias").items()}
+    for name, layer in _layers(network).items():
+        tensors |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
     if isinstance(network, Composed):
         tensors |= network.wake_tensors()
     description = {
@@ -111,10 +111,9 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
         )
     network = build(_spec(description, tensors), dtype=torch.float64)
     with torch.no_grad():
-        for name, layer in _layers(network, ".weight").items():
-            layer.weight.copy_(tensors[name])
-        for name, layer in _layers(network, ".bias").items():
-            layer.bias.copy_(tensors[name])
+        for name, layer in _layers(network).items():
+            layer.weight.copy_(tensors[f"{name}.weight"])
+            layer.bias.copy_(tensors[f"{name}.bias"])
         for index, name in enumerate(network.spec.types):
             network.drag[index] = tensors[f"drag.{name}"]
         if isinstance(network, Composed):
@@ -122,17 +121,17 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
     return network
 
 
-def _layers(network: ForceNetwork, ending: str) -> dict[str, nn.Linear]:
-    """Layers by the names of their tensors, which end in `.weight` or `.bias`."""
+def _layers(network: ForceNetwork) -> dict[str, nn.Linear]:
+    """Layers by the beginning of the names of their tensors."""
     found = {
-        f"{prefix}.{index}{ending}": layer
+        f"{prefix}.{index}": layer
         for prefix, module in network.named_networks().items()
         for index, layer in enumerate(layers(module))
     }
     if isinstance(network, DeepSet) and network.spec.torque:
         for name, head in network.torque.items():
             assert isinstance(head, nn.Linear)
-            found[f"torque.{name}{ending}"] = head
+            found[f"torque.{name}"] = head
     return found
 
 

@@ -60,15 +60,21 @@ REPORTS = {"composed": "composed.json", "deep-set": "learned.json", "wake": "wak
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitFiles:
-    """What a fit cannot do without: fields of the last base class come first in the help."""
+class FlightData:
+    """What flights there are."""
 
     data: Path
     """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
     `swarm-envs collect`, or rows: the published flights' table, or what `save_rows` wrote (.npz)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitFiles(FlightData):
+    """What a fit cannot do without: fields of the last base class come first in the help."""
+
     out: Path
-    """folder for model and report: `learned.safetensors` and `learned.json` of a deep
-    set, `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
+    """folder for model and report: `learned.safetensors` and `learned.json` of a deep set,
+    `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
 
 
 @typed_options
@@ -132,15 +138,12 @@ FITTED = ("composed", "wake")
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class ResidualConfig:
+class ResidualConfig(FlightData):
     """What is left over by which model, on which flights.
 
     The result is the random force of `world="hall"`: see docs/hall.md.
     """
 
-    data: Path
-    """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
-    `swarm-envs collect`, or rows: the published flights' table, or what `save_rows` wrote (.npz)"""
     out: Path
     """folder for `residual.json`"""
     force: str = "composed"

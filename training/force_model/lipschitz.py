@@ -57,15 +57,13 @@ def input_gradient(network: ForceNetwork, batch: Batch) -> tuple[Tensor, Tensor]
     return at_environment, at_pair
 
 
-def steepest(
-    network: ForceNetwork, neighbors: int, rng: np.random.Generator, samples: int = SAMPLES
-) -> dict[str, float]:
-    """Return the largest gradients of a float64 network at random inputs, so many `samples`.
+def steepest(network: ForceNetwork, neighbors: int, rng: np.random.Generator) -> dict[str, float]:
+    """Return the largest gradients of a float64 network at random inputs.
 
     Against one neighbor's relative position, in g/m, and against the whole input, positions in m
     and velocities in m/s joined, in g per unit.
     """
-    batch = random_inputs(len(network.types), samples, neighbors, rng)
+    batch = random_inputs(len(network.types), SAMPLES, neighbors, rng)
     at_environment, at_pair = input_gradient(network, batch)
     position = torch.linalg.vector_norm(at_pair[..., :3], dim=-1)
     whole = torch.linalg.vector_norm(torch.cat([at_environment, at_pair.flatten(1)], 1), dim=1)

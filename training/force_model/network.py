@@ -13,7 +13,6 @@ anchor that makes a lone drone aloft feel exactly nothing.
 from __future__ import annotations
 
 import itertools
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -56,10 +55,8 @@ class InputRange:
     """Of -z_i and -v_i: 4 lowest, 4 highest."""
 
 
-UNLIMITED = InputRange(((-math.inf,) * 6, (math.inf,) * 6), ((-math.inf,) * 4, (math.inf,) * 4))
-"""No clamp at all."""
-
-_FAR = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))  # JSON has no infinity
+UNLIMITED = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))
+"""No clamp of any input that there is; JSON has no infinity."""
 
 OUTER_FADE = FadeWindow()
 """The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
@@ -120,7 +117,7 @@ def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
     The environment is a neighbour at rest, so its relative velocity goes too. Being a clamp, the
     blindness is part of the weights file, and every reader of it is as blind.
     """
-    limits = spec.input_range or _FAR
+    limits = spec.input_range or UNLIMITED
     still = (0.0, 0.0, 0.0)
     pair = ((*limits.pair[0][:3], *still), (*limits.pair[1][:3], *still))
     environment = ((limits.environment[0][0], *still), (limits.environment[1][0], *still))

@@ -13,7 +13,6 @@ from tqdm import tqdm
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import (
     Examples,
-    batches_per_epoch,
     shuffled,
     targets,
 )
@@ -62,7 +61,7 @@ def train(
     run = start(spec, config)
     training, held_out = rows.select(~rows.validation), rows.select(rows.validation)
     examples, check = make_examples(training, spec, config.balance), to_batch(held_out)
-    batches, losses = batches_per_epoch(len(training), config.batch_size), list[float]()
+    batches, losses = math.ceil(len(training) / config.batch_size), list[float]()
     bar = tqdm(range(config.steps), disable=not progress, unit="step")
     for step in bar:
         epoch, place = divmod(step, batches)
