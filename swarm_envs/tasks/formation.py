@@ -20,12 +20,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed
+from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
@@ -56,35 +56,44 @@ CLOSEST = 2.0 * math.sqrt(2.0)
 _RAMP = 0.5
 
 
-@typed
 @dataclass(frozen=True)
 class FormationTask(Task):
     """Fly one shape after another. See the module for who goes where."""
 
     shapes: tuple[str, ...] = SHAPES
     """Names of the shapes, in order; `letter:A` and the like write."""
-    labels: Annotated[str, OneOf(LABELS)] = "nearest"
+    labels: str = "nearest"
     """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
-    start: Annotated[str, OneOf(STARTS)] = "shape"
+    start: str = "shape"
     """Where drones start: on the first `shape`, or on the `ground`."""
-    spacing_m: Annotated[float, POSITIVE_M] | None = None
+    spacing_m: float | None = None
     """Smallest distance between two places of a shape, m; None: 0.5, or less where shapes of so
     many drones would not fit the arena."""
-    shape_s: Annotated[float, POSITIVE_S] = 6.0
+    shape_s: float = 6.0
     """Time for each shape, s."""
-    travel_s: Annotated[float, POSITIVE_S] = 4.0
+    travel_s: float = 4.0
     """Time in which the reference gets there, s."""
-    turn_rad: Annotated[tuple[float, float], Interval(Range(unit="rad"))] = (0.0, 2 * math.pi)
+    turn_rad: tuple[float, float] = (0.0, 2 * math.pi)
     """Range from which the turn of all shapes about the vertical is drawn, rad."""
     success: Success = Success()
     """When the team has reached a shape."""
 
     name = "formation_v1"
+    layouts = tuple(LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "those of shapes=(...)"
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other, and shapes that do not fit the arena."""
+        check_type("shapes", self.shapes, tuple | list)
+        check_name("labels", self.labels, LABELS)
+        check_name("start", self.start, STARTS)
+        if self.spacing_m is not None:
+            check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
+        for name in ("shape_s", "travel_s"):
+            check_number(name, getattr(self, name), above=0.0, unit="s")
+        check_interval("turn_rad", self.turn_rad, unit="rad")
+        check_type("success", self.success, Success)
         super().__post_init__()
         if self.travel_s > self.shape_s:
             raise ValueError(

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Annotated
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
+from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
@@ -38,9 +38,10 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
 
-LAYOUTS = ("stacked", "circle", "random")  # Every layout by name
-Layout = Annotated[str, OneOf(LAYOUTS)]
-"""One of them."""
+Layout = Literal["stacked", "circle", "random"]
+"""The name of a layout."""
+LAYOUTS: tuple[str, ...] = get_args(Layout)
+"""Every layout by name."""
 _RAMP = 0.2  # Share of a stacked swap in which the speed grows, and in which it falls
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
@@ -58,32 +59,42 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
 stage of a formation more than its 6 s there, so that lingering does not pay."""
 
 
-@typed
 @dataclass(frozen=True)
 class StackedLayout:
     """Ranges from which a stacked swap is drawn; equal ends fix a value."""
 
-    radius_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.5, 0.75)
+    radius_m: tuple[float, float] = (0.5, 0.75)
     """Radius of the circle on which drones stand, seen from above, m."""
-    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.2, 0.3)
+    gap_m: tuple[float, float] = (0.2, 0.3)
     """Vertical distance between neighbouring planes, m."""
-    lowest_m: Annotated[float, POSITIVE_M] = 0.8
+    lowest_m: float = 0.8
     """Height of the lowest plane, m."""
-    duration_s: Annotated[tuple[float, float], Interval(POSITIVE_S)] = (3.0, 4.0)
+    duration_s: tuple[float, float] = (3.0, 4.0)
     """Time from one side to the other, s."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("radius_m", "gap_m"):
+            check_interval(name, getattr(self, name), above=0.0, unit="m")
+        check_number("lowest_m", self.lowest_m, above=0.0, unit="m")
+        check_interval("duration_s", self.duration_s, above=0.0, unit="s")
 
-@typed
+
 @dataclass(frozen=True)
 class CircleLayout:
     """What the circle layout is made of; its turn about the vertical is drawn."""
 
-    radius_m: Annotated[float, POSITIVE_M] = 1.5
+    radius_m: float = 1.5
     """Radius of the circle, m; it grows where neighbours would stand closer than `spacing_m`."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.3
+    spacing_m: float = 0.3
     """Smallest distance between neighbours on the circle, m."""
-    height_m: Annotated[float, POSITIVE_M] = 1.0
+    height_m: float = 1.0
     """Height of starts and goals, m."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("radius_m", "spacing_m", "height_m"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
 
     def radius_for(self, num_drones: int) -> float:
         """Radius at which that many drones keep their spacing, m."""
@@ -92,7 +103,6 @@ class CircleLayout:
         return max(self.radius_m, self.spacing_m / (2.0 * math.sin(math.pi / num_drones)))
 
 
-@typed
 @dataclass(frozen=True)
 class SwapTask(Task):
     """Swap places. See the module for the layouts."""
@@ -105,7 +115,7 @@ class SwapTask(Task):
     """What the stacked layout is drawn from."""
     circle: CircleLayout = CircleLayout()
     """What the circle layout is made of."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.5
+    spacing_m: float = 0.5
     """Smallest distance between starts in the random layout, m."""
     heights_m: tuple[float, float] = (0.5, 2.0)
     """Lowest and highest start in the random layout, m; the highest grows with the arena."""
@@ -113,12 +123,19 @@ class SwapTask(Task):
     """When the team has swapped."""
 
     name = "swap_v1"
+    layouts = LAYOUTS
     default_weights = REWARD_WEIGHTS
     episode_s = 8.0
     """Time limit, s."""
 
     def __post_init__(self) -> None:
         """Refuse layouts that do not fit the team, and weights of unknown terms."""
+        check_name("layout", self.layout, LAYOUTS)
+        check_type("stacked", self.stacked, StackedLayout)
+        check_type("circle", self.circle, CircleLayout)
+        check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
+        check_interval("heights_m", self.heights_m, above=0.0, unit="m")
+        check_type("success", self.success, Success)
         if self.layout == "stacked":
             self._check_stack()
         if self.layout == "circle":

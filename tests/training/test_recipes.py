@@ -12,6 +12,7 @@ import pytest
 from swarm_envs import crowd_v0, formation_v1, pursuit_v0
 from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.swap_v1 import blueprint
 from swarm_envs.tasks.formation import LAYOUTS
 from swarm_envs.training.rl import recipes
@@ -180,7 +181,7 @@ def test_each_layout_of_a_pursuit_is_learned_with_its_own_success():
     config = with_recipe(options(task="pursuit", algo="dagger"), "pursuit_v0")
     found = recipe_of("pursuit_v0").parts(pursuit_v0.blueprint(num_drones=4).task, config)
     assert {part.success for _, part in found.values()} == {
-        pursuit_v0.blueprint(num_drones=4, layout=name).task.success for name in found
+        blueprint_of("pursuit_v0", num_drones=4, layout=name).task.success for name in found
     }
     assert len(found) == 3
 
