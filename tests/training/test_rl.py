@@ -173,9 +173,9 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
         ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
         ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),
-        ("--drones 4 0", "--drones is (4, 0)"),
+        ("--drones 4 0", "--drones is 0"),
         ("--algo pop", "unknown --algo 'pop'; did you mean 'ppo'?"),
-        ("--set-hidden 0", "--set-hidden is '0', but must be a sequence, each an integer"),
+        ("--set-hidden 0", "--set-hidden is 0, but must be an integer of at least 1"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(options, why, tmp_path, refused):
