@@ -31,7 +31,7 @@ from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer, check_number
 from swarm_envs.files import claimed, write_json
-from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
+from swarm_envs.training.rl.choosing import choosing_seeds, evaluate_policy
 
 TASK, ENVIRONMENT, SHARED = "swap_v1", "swarm-envs-swap", "all"
 """What is flown, the name under which RLlib knows it, and that of the one policy."""

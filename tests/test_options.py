@@ -60,7 +60,7 @@ from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.rl.recipes import with_recipe
+from swarm_envs.training.rl.choosing import with_defaults
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import training_blueprint
 from swarm_envs.vehicles import SMALL, Vehicle
@@ -342,7 +342,7 @@ def test_train_flies_them(tmp_path):
         on_contact="end_pair",
         obstacles="column=1.8:1.8:0.1",
     )
-    found = training_blueprint(with_recipe(config, "swap_v1"), "swap_v1", {"num_drones": 3})
+    found = training_blueprint(with_defaults(config, "swap_v1"), "swap_v1", {"num_drones": 3})
     assert found.config.hall is not None and found.config.on_contact == "end_pair"
     assert found.config.ranges == Randomization(mass=(0.95, 1.05))
     assert found.task.obstacles == (Column((1.8, 1.8), 0.1),)

@@ -20,11 +20,11 @@ TrainOptions = RlConfig
 def check_training(config: RlConfig) -> str:
     """The versioned name of the task, if the options make a run."""
     check_outputs(config.out, config.json, (".json",))
-    from swarm_envs.training.rl.recipes import with_recipe
+    from swarm_envs.training.rl.choosing import with_defaults
 
     with as_misuse():
         task = find_task(config.task)
-        with_recipe(config, task)
+        with_defaults(config, task)
     return task
 
 

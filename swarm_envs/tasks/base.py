@@ -14,6 +14,7 @@ from numpy.random import Generator
 from swarm_envs.errors import check_array, check_bool, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
+from swarm_envs.tasks.learning import Learning
 from swarm_envs.tasks.motion import ACCELERATION_LIMIT, SPEED_LIMIT, WRITERS, Motion, reference_of
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
@@ -174,6 +175,8 @@ class Task(_Flown, ABC):
     """Names of the T reward terms."""
     goals_are: str = ""
     """What goals are, in a task that takes none."""
+    learning: Learning | None = None
+    """How the task is learned; None if it has nothing that training could use."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None] = staticmethod(
         write_terms
     )

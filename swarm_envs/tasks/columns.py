@@ -25,6 +25,7 @@ from numpy.random import Generator
 from swarm_envs.errors import check_interval, check_number, check_type
 from swarm_envs.state import IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
+from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
@@ -93,6 +94,12 @@ class ColumnsTask(Task):
     layouts = tuple(COLUMN_LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "the places of the columns"
+    learning = in_time(
+        {
+            "stack": {"layout": "stack", "gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)},
+            **{name: {"layout": name} for name in COLUMN_LAYOUTS if name != "stack"},
+        }
+    )  # The gaps and payloads of `stack` are those of the default and of the benchmark
 
     def __post_init__(self) -> None:
         """Refuse teams and gaps of which no columns can be made."""

@@ -16,6 +16,7 @@ from numpy.random import Generator
 from swarm_envs.errors import check_integer, check_interval, check_number, check_type
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.columns import RAMP
+from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
@@ -58,6 +59,7 @@ class DeliveryTask(Task):
     name = "delivery_v0"
     default_weights = REWARD_WEIGHTS
     goals_are = "the docks"
+    learning = in_time({"docks": {}})
 
     def __post_init__(self) -> None:
         """Refuse teams for which there are no docks, and ways that take longer than a stage."""

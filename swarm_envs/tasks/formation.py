@@ -28,6 +28,7 @@ from numpy.random import Generator
 from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
+from swarm_envs.tasks.learning import Learning
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement
 from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
@@ -82,6 +83,14 @@ class FormationTask(Task):
     layouts = tuple(LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "those of shapes=(...)"
+    learning = Learning(
+        layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
+        evaluated={"shuffle": ("shuffle", "cube", "tour")},
+        reward_weights={"at_goal": 2.0},
+        curriculum=lambda task, layout: FormationCurriculum(
+            team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+        ),
+    )
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other, and shapes that do not fit the arena."""
@@ -221,3 +230,49 @@ def shapes_of(letters: str) -> tuple[str, ...]:
         ValueError: a character is missing in the font.
     """
     return tuple(LETTER + character for character in letters.upper())
+
+
+NEAREST_SHARE = 0.2
+"""Share of the curriculum in which places are matched to drones, as with labels='nearest'."""
+STRETCH = (0.8, 1.0)
+"""Range from which the spacing of both shapes of the curriculum is drawn, over the task's own."""
+
+
+@dataclass(frozen=True)
+class FormationCurriculum(FormationTask):
+    """One change of shape, from any of `shapes` to any, the same included; no reference.
+
+    Any shape follows any other at several spacings, and places are mostly drawn rather than
+    matched, so that straight ways cross; what also has to be learned is that a drone below others
+    sinks.
+    """
+
+    @property
+    def num_stages(self) -> int:
+        """One: training episodes are short."""
+        return 1
+
+    @property
+    def motion(self) -> Motion:
+        """Rest at the places."""
+        return Motion(REST)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw two shapes, their turn and spacing, who starts where and who goes where."""
+        count, n = len(self.places), len(self.team)
+        stretch, angle = rng.uniform(*STRETCH), rng.uniform(*self.turn_rad)
+        middle = (self.arena[0] + self.arena[1]) / 2
+        c, s = np.cos(angle), np.sin(angle)
+        turn = stretch * np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        before, after = (
+            middle + (self.places[k] - middle) @ turn for k in rng.integers(count, size=2)
+        )
+        matched = rng.random() < NEAREST_SHARE
+        here = before[rng.permutation(n)] if start is None else start
+        order = nearest_places(here, after) if matched else rng.permutation(n)
+        return Placement(here, after[order][None] if goal is None else goal[None])

@@ -18,6 +18,7 @@ from swarm_envs.errors import check_interval, check_type
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Placement, Task
+from swarm_envs.tasks.learning import RATES, Learning, metric
 from swarm_envs.tasks.motion import OWN_GOALS, Motion
 from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, send_to
@@ -90,6 +91,14 @@ class GatesTask(Task):
     """Time limit, s."""
     score_names = ("gates_per_min", "places_passed")
     advance = staticmethod(pass_gates)
+    learning = Learning(
+        layouts={"slalom": {}},
+        horizon_s=None,
+        observe_load=True,
+        has_obstacles=True,
+        measures={**RATES, "gates_per_min": metric("gates_per_min")},
+        cost={"gates_per_min": -1.0 / 80.0},
+    )
 
     def __post_init__(self) -> None:
         """Add the posts; refuse columns that do not fit, and weights of unknown terms."""

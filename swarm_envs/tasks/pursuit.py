@@ -20,6 +20,7 @@ from swarm_envs.errors import check_interval, check_name, check_number, check_ty
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Orbit, Placement, Task
+from swarm_envs.tasks.learning import scored
 from swarm_envs.tasks.motion import PURSUIT, REST, Motion
 from swarm_envs.tasks.placing import derangement, draw_apart, drawing_box
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score
@@ -91,6 +92,7 @@ class PursuitTask(Task):
     """Time limit, s."""
     score_names = ("share_on_goal",)
     advance = staticmethod(score_pursuit)
+    learning = scored(PURSUIT_LAYOUTS, "share_on_goal", 1.0)
 
     def __post_init__(self) -> None:
         """Refuse weights of unknown terms, and set the layout's success."""

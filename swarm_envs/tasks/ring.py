@@ -29,6 +29,7 @@ from numpy.random import Generator
 from swarm_envs.errors import check_integer, check_interval, check_number, check_numbers, check_type
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Given, Orbit, Placement, Task, TrackingSuccess
+from swarm_envs.tasks.learning import RATES, Learning, Metrics
 from swarm_envs.tasks.motion import ORBITS, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
@@ -216,6 +217,16 @@ def ring_team(num_drones: int) -> Team:
     return parse_team(teams.get(num_drones, num_drones * "S"))
 
 
+LOST_M = 0.15
+"""Height error with which an episode counts that was lost: what ends a ring's success, m."""
+
+
+def worst_height_error_m(metrics: Metrics) -> float:
+    """Return the largest vertical distance of any drone to its reference; `LOST_M` if lost."""
+    error = metrics["worst_height_error_m"]
+    return LOST_M if error is None or not metrics["success"] else float(error)
+
+
 @dataclass(frozen=True)
 class RingTask(Task):
     """Keep to a reference on intertwined rings. See the module for teams and rings."""
@@ -230,6 +241,13 @@ class RingTask(Task):
     name = "ring_v1"
     default_weights = REWARD_WEIGHTS
     goals_are = "where the reference is"
+    learning = Learning(
+        layouts={"rings": {}},
+        horizon_s=5.0,
+        reward_weights={"progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
+        measures={**RATES, "worst_height_error_m": worst_height_error_m},
+        cost={"worst_height_error_m": 1.0 / LOST_M},
+    )
 
     def __post_init__(self) -> None:
         """Refuse rings that do not fit, on which drones would collide, or that are too fast."""

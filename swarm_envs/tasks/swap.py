@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -26,6 +26,7 @@ from numpy.random import Generator
 from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
+from swarm_envs.tasks.learning import Learning, Parts
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.placing import (
     OBSTACLE_MARGIN,
@@ -103,6 +104,33 @@ class CircleLayout:
         return max(self.radius_m, self.spacing_m / (2.0 * math.sin(math.pi / num_drones)))
 
 
+CIRCLE_SHARE, CROWDED_SHARE = 0.25, 0.5
+"""Shares of episodes on a circle, and in a small cube; the rest are those of the random layout."""
+CROWDED_SIDE_M = (0.9, 1.6)
+"""Side of the cube for four drones, m, from which it is drawn; it grows with N^(1/3)."""
+PAIRS_SHARE = 0.5  # Share of crowded episodes in which drones change places in pairs
+
+
+def hard_swaps(task: SwapTask, layout: str) -> SwapTask:
+    """Return the task in which a swap is learned: in the layout `random`, with hard starts."""
+    if layout != "random":
+        return task
+    return SwapCurriculum(
+        team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+    )
+
+
+def kinds_of_swaps(task: SwapTask, layout: str) -> Parts:
+    """Return random swaps, crowded ones and circles apart: a teacher may be for one alone."""
+    if not isinstance(task, SwapCurriculum):
+        return {layout: (1.0, task)}
+    return {
+        "random": (0.6, replace(task, circle_share=0.0, crowded_share=0.0)),
+        "crowded": (0.25, replace(task, circle_share=0.0, crowded_share=1.0)),
+        "circle": (0.15, replace(task, circle_share=1.0, crowded_share=0.0)),
+    }
+
+
 @dataclass(frozen=True)
 class SwapTask(Task):
     """Swap places. See the module for the layouts."""
@@ -125,6 +153,13 @@ class SwapTask(Task):
     name = "swap_v1"
     layouts = LAYOUTS
     default_weights = REWARD_WEIGHTS
+    learning = Learning(
+        layouts={name: {"layout": name} for name in ("random", "circle")},
+        evaluated={"random": ("random", "circle")},
+        reward_weights={"at_goal": 2.0},
+        curriculum=hard_swaps,
+        parts=kinds_of_swaps,
+    )
     episode_s = 8.0
     """Time limit, s."""
 
@@ -238,3 +273,59 @@ def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -
 def _opposite(points: FloatArray) -> FloatArray:
     """The points (n, 3) on the other side of the vertical axis."""
     return points * np.array([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class SwapCurriculum(SwapTask):
+    """A random swap whose episodes are at times on a circle, and at times crowded.
+
+    Nearly all failures of a policy that swaps are collisions soon after the start, mostly with a
+    drone that heads for the other's place. Starts drawn in a small cube, half of them as pairs that
+    change places, have many of these.
+    """
+
+    circle_share: float = CIRCLE_SHARE  # Of the episodes on a circle
+    crowded_share: float = CROWDED_SHARE  # Of the episodes in a small cube
+
+    @cached_property
+    def _circle(self) -> SwapTask:
+        options = {field.name: getattr(self, field.name) for field in fields(SwapTask)}
+        return SwapTask(**{**options, "layout": "circle"})
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw an episode; a start or goal that is given makes it one of the random layout.
+
+        Raises:
+            RuntimeError: no room for the drones was found within a bounded number of draws.
+        """
+        kind = rng.random()
+        if start is not None or goal is not None or len(self.team) < 2:
+            return super().draw(rng, start, goal)
+        if kind < self.circle_share:
+            return self._circle.draw(rng)
+        if kind < self.circle_share + self.crowded_share:
+            return self._draw_crowded(rng)
+        return super().draw(rng)
+
+    def _draw_crowded(self, rng: np.random.Generator) -> Placement:
+        n, (_, _, arena) = len(self.team), self._kept
+        side = rng.uniform(*CROWDED_SIDE_M) * (n / 4.0) ** (1.0 / 3.0)
+        low, high = arena[0] + WALL_MARGIN, arena[1] - WALL_MARGIN
+        size = np.minimum(side, high - low)
+        corner = low + (high - low - size) * rng.random(3)
+        start = draw_apart(rng, corner, corner + size, n, 0.35)
+        paired = rng.random() < PAIRS_SHARE and n % 2 == 0
+        order = _pairs(rng, n) if paired else derangement(rng, n)
+        return Placement(start, start[order][None])
+
+
+def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """A permutation (n,), n even, in which each changes places with one other."""
+    order, shuffled = np.empty(n, dtype=np.int64), rng.permutation(n)
+    order[shuffled[0::2]], order[shuffled[1::2]] = shuffled[1::2], shuffled[0::2]
+    return order

@@ -22,7 +22,7 @@ from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.training.rl import dagger, sb3
-from swarm_envs.training.rl.recipes import choosing_seeds
+from swarm_envs.training.rl.choosing import choosing_seeds
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
 from swarm_envs.training.rl.runs import make_setting
 from tests.helpers.interrupts import calls_of
