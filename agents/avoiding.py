@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +27,9 @@ from swarm_envs.agents.features import ObservationColumns, observation_columns
 from swarm_envs.agents.protocol import RowAgent
 from swarm_envs.agents.safety import Safety, SafetyFilter
 from swarm_envs.agents.scripted import steer
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, POSITIVE_S, Range, typed
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_number, check_type
 from swarm_envs.tasks.base import SPEED_LIMIT
 
 __all__ = ["TUNED", "Avoidance", "Cruise", "RoundaboutAgent"]
@@ -38,36 +38,49 @@ _KEEP_M, _SLOPE = 0.25, 2.5
 """Drones approach obstacles at most as fast as `_SLOPE` times what they are farther away, 1/s."""
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class Cruise:
     """How a drone flies straight to its goal."""
 
-    position_gain: Annotated[float, POSITIVE] = 6.0
+    position_gain: float = 6.0
     """Acceleration for each metre to the goal, 1/s^2."""
-    velocity_gain: Annotated[float, POSITIVE] = 4.0
+    velocity_gain: float = 4.0
     """Acceleration for each m/s that is missing, 1/s."""
-    speed_mps: Annotated[float, Range(0.0, SPEED_LIMIT, above=True, unit="m/s")] = 1.8
+    speed_mps: float = 1.8
     """The cruise speed."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("position_gain", "velocity_gain"):
+            check_number(name, getattr(self, name), above=0.0)
+        check_number("speed_mps", self.speed_mps, above=0.0, at_most=SPEED_LIMIT, unit="m/s")
 
-@typed
+
 @dataclass(frozen=True, kw_only=True)
 class Roundabout:
     """What a drone does where several ways meet."""
 
-    turn_rad: Annotated[float, Range(0.0, np.pi / 2, unit="rad")] = 0.889
+    turn_rad: float = 0.889
     """By how much it steers to the right at most."""
-    full: Annotated[float, POSITIVE] = 1.96
+    full: float = 1.96
     """Neighbours beyond the first that make it steer so much."""
-    near_m: Annotated[float, POSITIVE_M] = 0.644
+    near_m: float = 0.644
     """Distance below which two straight ways meet, m."""
-    ahead_s: Annotated[float, POSITIVE_S] = 1.51
+    ahead_s: float = 1.51
     """How far ahead ways are looked at, s."""
-    slower: Annotated[float, Range(0.0, 1.0)] = 0.253
+    slower: float = 0.253
     """Share of the cruise speed that it gives up at most."""
-    climb_m: Annotated[float, NOT_NEGATIVE] = 0.46
+    climb_m: float = 0.46
     """How far above or below its way it flies at most, by its heading, m."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("turn_rad", self.turn_rad, at_least=0.0, at_most=np.pi / 2, unit="rad")
+        check_number("full", self.full, above=0.0)
+        check_number("near_m", self.near_m, above=0.0, unit="m")
+        check_number("ahead_s", self.ahead_s, above=0.0, unit="s")
+        check_number("slower", self.slower, at_least=0.0, at_most=1.0)
+        check_number("climb_m", self.climb_m, at_least=0.0)
 
 
 class CruiseAgent(RowAgent):
@@ -171,7 +184,6 @@ class RoundaboutAgent(CruiseAgent):
         return share
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:
     """Every number of an agent that flies behind its own filter."""
@@ -182,6 +194,12 @@ class Avoidance:
     """Of its filter."""
     roundabout: Roundabout | None = None
     """What it does where several ways meet; None for nothing."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_type("cruise", self.cruise, Cruise)
+        check_type("safety", self.safety, Safety)
+        check_type("roundabout", self.roundabout, Roundabout | None)
 
     def agent(self) -> SafetyFilter:
         """An agent with these numbers."""

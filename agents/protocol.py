@@ -10,12 +10,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import check_integer, unknown_name
 from swarm_envs.viewing.record import Recorder, Recording
 
 __all__ = ["AT_ONCE", "BatchAgent", "check_options_agree", "flies_batches", "fly_batch"]
@@ -84,7 +83,6 @@ def check_options_agree(agent: Agent, given: Mapping[str, Any]) -> None:
             )
 
 
-@typed
 def fly_episode(
     env: SwarmParallelEnv,
     agent: Agent,
@@ -104,6 +102,7 @@ def fly_episode(
     Raises:
         ValueError: the environment lacks what the agent requires.
     """
+    check_integer("seed", seed)
     infos: StepInfos = {}
     for _, given in _fly(env, agent, seed, options):
         infos = given
@@ -113,7 +112,6 @@ def fly_episode(
     return metrics
 
 
-@typed
 def record_episode(
     env: SwarmParallelEnv,
     agent: Agent,
@@ -128,6 +126,7 @@ def record_episode(
     of its class. Write the recording with `swarm_envs.viewing.trajectory.write_trajectory`, look at
     it with `swarm_envs.viewing.replay.write_replay`.
     """
+    check_integer("seed", seed)
     recorder = Recorder(type(agent).__name__ if name is None else name, seed)
     for rewards, infos in _fly(env, agent, seed, options):
         recorder.take(env, rewards, infos)

@@ -18,8 +18,8 @@ from swarm_envs.agents.avoiding import TUNED
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.agents.safety import SafetyFilter
-from swarm_envs.arguments import typed
-from swarm_envs.envs.setting import NumDrones
+from swarm_envs.envs.setting import MOST_DRONES
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.vehicles import SMALL, Team, parse_team
 
 __all__ = ["AVOIDS", "FILE", "recommended"]
@@ -39,11 +39,10 @@ def _rows() -> list[Mapping[str, Any]]:
     return rows
 
 
-@typed
 def recommended(
     task: str,
     *,
-    num_drones: NumDrones | None = None,
+    num_drones: int | None = None,
     team: str | None = None,
     learned: bool | None = None,
     privileged: bool | None = None,
@@ -76,6 +75,10 @@ def recommended(
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
             message names an agent for a task that is near.
     """
+    if num_drones is not None:
+        check_integer("num_drones", num_drones, at_least=1, at_most=MOST_DRONES)
+    if world is not None:
+        check_name("world", world, ("ideal", "hall"))
     rows = _rows_of(task, layout)
     plain = [row for row in rows if "world" not in row]
     count = num_drones or _row_for(plain, 4)["drones"]

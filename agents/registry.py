@@ -14,9 +14,8 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 from swarm_envs.agents.protocol import Agent
-from swarm_envs.arguments import typed
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import check_type, unknown_name
 from swarm_envs.interactions import InteractionModel
 
 __all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
@@ -69,7 +68,6 @@ FILTER = "+filter"
 _USERS_MODULE = "swarm_envs_users_agent_"
 
 
-@typed
 def load_agent(name: str | os.PathLike[str]) -> Agent:
     """Make an agent.
 
@@ -87,6 +85,7 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
+    check_type("name", name, str | os.PathLike)
     name = os.fspath(name)
     if not name:
         raise ValueError("name is '', but must be an agent's, such as 'swap-dagger'")

@@ -13,7 +13,7 @@ import dataclasses
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,18 +28,11 @@ from swarm_envs.agents.barrier import (
 from swarm_envs.agents.evaluation import source_digest
 from swarm_envs.agents.features import observation_columns
 from swarm_envs.agents.protocol import Actions, Agent, BatchAgent, Observations, check_requirements
-from swarm_envs.arguments import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    POSITIVE_S,
-    Count,
-    Range,
-    typed,
-)
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.errors import check_bool, check_integer, check_number
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT
 from swarm_envs.vehicles import VEHICLES
@@ -51,35 +44,42 @@ ACTED = 1e-3
 """A change of an acceleration counts from this size on, m/s^2."""
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class Safety:
     """How much safety a filter keeps. Raises ValueError for what cannot be."""
 
-    margin_m: Annotated[float, NOT_NEGATIVE] = 0.12
+    margin_m: float = 0.12
     """Distance to keep beyond the sum of radii, m; and from obstacles; from walls half of it."""
-    horizon_s: Annotated[float, POSITIVE_S] = 0.7
+    horizon_s: float = 0.7
     """How far ahead that distance is kept, if both fly straight on, s."""
-    response_s: Annotated[float, NOT_NEGATIVE] = 0.08
+    response_s: float = 0.08
     """Time until a drone follows its command, s: positions and velocities are predicted as
     far, one's own with the acceleration that its thrust gives it."""
-    rate: Annotated[float, POSITIVE] = 8.0
+    rate: float = 8.0
     """Share of what is left of safety that may be used up a second, 1/s; at most the rate of
     decisions. Less acts earlier, and more gently."""
-    share: Annotated[float, Range(0.0, 1.0, above=True)] = 0.5
+    share: float = 0.5
     """Of each evasion, the share that this drone makes: a half if the other has a filter too."""
-    downwash: Annotated[float, Range(1.0)] = 1.3
+    downwash: float = 1.3
     """By how much farther drones keep below and above each other than side by side; 1 for equal."""
-    aside_m: Annotated[float, NOT_NEGATIVE] = 0.03
+    aside_m: float = 0.03
     """How far to the left a neighbour is taken to be, so that both of a pair pass on the right, m:
     two that meet head on would otherwise stop each other."""
     walls: bool = True
     """Whether walls, floor and ceiling are kept away from too."""
-    num_neighbors: Count = 7
+    num_neighbors: int = 7
     """How many neighbours are watched, if the agent does not itself observe more."""
 
     def __post_init__(self) -> None:
         """Refuse to let neighbours be passed nearer than the sum of radii."""
+        for name in ("margin_m", "response_s", "aside_m"):
+            check_number(name, getattr(self, name), at_least=0.0)
+        check_number("horizon_s", self.horizon_s, above=0.0, unit="s")
+        check_number("rate", self.rate, above=0.0)
+        check_number("share", self.share, above=0.0, at_most=1.0)
+        check_number("downwash", self.downwash, at_least=1.0)
+        check_bool("walls", self.walls)
+        check_integer("num_neighbors", self.num_neighbors, at_least=1)
         if self.margin_m < self.aside_m:
             raise ValueError(
                 f"margin_m is {self.margin_m}, but must be at least aside_m, {self.aside_m}: so "
@@ -100,7 +100,6 @@ class Safety:
         )
 
 
-@typed
 class SafetyFilter:
     """Flies as an agent does, but keeps its drones apart. By name: `swap-dagger+filter`.
 

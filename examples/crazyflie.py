@@ -29,7 +29,6 @@ import csv
 import math
 import sys
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -39,7 +38,7 @@ import tyro
 from scipy.interpolate import BSpline, CubicHermiteSpline, make_lsq_spline
 from tqdm import tqdm
 
-from swarm_envs.arguments import POSITIVE_M, Range, typed
+from swarm_envs.errors import check_number
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.trajectory import read_trajectory
 
@@ -50,7 +49,6 @@ STATE = (*(f"{q}{axis}" for q in ("", "v", "a") for axis in "xyz"), "yaw")
 DENSE = 240.0  # samples per second at which pieces are compared with the flight
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True)
 class Options:
     """Options of the conversion."""
@@ -59,10 +57,15 @@ class Options:
     """a trajectory that `swarm-envs fly --out` or `write_trajectory` wrote, .parquet or .npz"""
     out: Path = Path("real")
     """output folder"""
-    rate: Annotated[float, Range(1.0, 10_000.0)] = 100.0
+    rate: float = 100.0
     """set-points per second"""
-    tolerance_m: Annotated[float, POSITIVE_M] = 0.01
+    tolerance_m: float = 0.01
     """largest distance between pieces and flight, m"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("--rate", self.rate, at_least=1.0, at_most=10_000.0)
+        check_number("--tolerance-m", self.tolerance_m, above=0.0, unit="m")
 
 
 class Pieces(NamedTuple):

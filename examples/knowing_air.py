@@ -30,8 +30,7 @@ from swarm_envs import __version__, make
 from swarm_envs.agents.evaluation import EpisodeFile, evaluate_agent, frozen_seeds
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import load_agent
-from swarm_envs.arguments import Count, Seed
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -90,15 +89,19 @@ class AirStudy:
     """folder of the runs, the episodes and results.json"""
     task: list[str] = field(default_factory=lambda: list(CASES))
     """`stack`, `sprint`, `delivery`, `gates`"""
-    seeds: list[Seed] = field(default_factory=lambda: [0, 1, 2])
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """training seeds"""
-    steps: Count = 1_000_000
+    steps: int = 1_000_000
     """of each run: decisions of single drones"""
-    episodes: Count = 128
+    episodes: int = 128
     """of each policy in each air"""
 
     def __post_init__(self) -> None:
         """Refuse tasks that there are not."""
+        for seed in self.seeds:
+            check_integer("--seeds", seed, at_least=0)
+        check_integer("--steps", self.steps, at_least=1)
+        check_integer("--episodes", self.episodes, at_least=1)
         for name in self.task:
             check_name("--task", name, CASES)
 

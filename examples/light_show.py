@@ -20,22 +20,20 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
 from swarm_envs.agents import record_episode
-from swarm_envs.arguments import POSITIVE_S, Range, Seed, typed
 from swarm_envs.baselines.rth3d.grid_agent import GridAgent
 from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_bool, check_integer, check_name, check_number
 from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.formation import nearest_places
 from swarm_envs.tasks.motion import REST, Motion
@@ -52,7 +50,6 @@ WAY = 0.7  # share of a stage in which the drones reach their places
 FARTHEST_M = 25.0  # largest coordinate of a point, which bounds the grid of the planner
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True)
 class Options:
     """Options of the show."""
@@ -61,18 +58,26 @@ class Options:
     """letters and digits, each a formation; spaces are skipped; default: SWARM"""
     points: Path | None = None
     """formations in a file (.npy) instead of a text"""
-    drones: Annotated[int, Range(1, 256)] | None = None
+    drones: int | None = None
     """number of drones that write the text; default: 24"""
-    stage_s: Annotated[float, POSITIVE_S] = 14.0
+    stage_s: float = 14.0
     """time for each formation, s; the way to it takes at most 70 % of that"""
     world: str = "hall"
     """`hall`, with random forces and a state estimate, or `ideal`"""
-    seed: Seed = 0
+    seed: int = 0
     """random seed of the planner and of the hall"""
     video: bool = True
     """render the film, which takes most of the time"""
     out: Path = Path("show")
     """output folder"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        if self.drones is not None:
+            check_integer("--drones", self.drones, at_least=1, at_most=256)
+        check_number("--stage-s", self.stage_s, above=0.0, unit="s")
+        check_integer("--seed", self.seed, at_least=0)
+        check_bool("--video", self.video)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import gymnasium
@@ -27,13 +26,11 @@ from tqdm import tqdm
 
 import swarm_envs  # noqa: F401  (registers the environments)
 from swarm_envs.agents import load
-from swarm_envs.arguments import Count, Seed, typed
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_integer, check_name
 
 NAME = re.compile(r"([\w-]{2,}(/[\w-]+)*/)?[\w-]+-v\d+")  # what Minari takes as a dataset's id
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True)
 class Options:
     """Options of the recording."""
@@ -42,14 +39,20 @@ class Options:
     """Gymnasium id of an environment that flies a whole team"""
     agent: str = "roundabout"
     """name of an agent, or the folder of a trained policy"""
-    drones: Count = 4
+    drones: int = 4
     """number of drones"""
-    episodes: Count = 64
+    episodes: int = 64
     """number of flights"""
-    seed: Seed = 0
+    seed: int = 0
     """random seed of the first flight; each further flight has the next one"""
     name: str = "swap/roundabout-v0"
     """id of the dataset, as Minari writes it: `namespace/dataset-v0` or `dataset-v0`"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("drones", "episodes"):
+            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=1)
+        check_integer("--seed", self.seed, at_least=0)
 
 
 def fly(env: Any, agent: Any, seed: int) -> EpisodeBuffer:

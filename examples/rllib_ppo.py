@@ -15,9 +15,8 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -28,30 +27,29 @@ from swarm_envs import __version__, swap_v1
 from swarm_envs.agents.features import feature_sizes, features_of
 from swarm_envs.agents.networks import Layers, Network
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, write_policy
-from swarm_envs.arguments import Count, Range, Seed, typed
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_integer, check_number
 from swarm_envs.files import claimed, write_json
-from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
+from swarm_envs.training.rl.choosing import choosing_seeds, evaluate_policy
 
 TASK, ENVIRONMENT, SHARED = "swap_v1", "swarm-envs-swap", "all"
 """What is flown, the name under which RLlib knows it, and that of the one policy."""
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class RllibConfig:
     """Train one policy for all drones by RLlib's PPO, and write it where `evaluate` finds it."""
 
     out: Path
     """folder for policy.safetensors and report.json"""
-    drones: Count = 4
+    drones: int = 4
     """number of small drones; the policy will fly as many or fewer"""
-    steps: Count = 1_000_000
+    steps: int = 1_000_000
     """decisions of single drones, rounded up to whole batches"""
-    seed: Seed = 0
+    seed: int = 0
     """of first weights, episodes and exploration"""
-    runners: Annotated[int, Range(0)] = 0
+    runners: int = 0
     """Ray actors that fly, one processor each; 0 for this process"""
     ray: str | None = None
     """address of a cluster, or `auto`; one on this machine alone if not given"""
@@ -61,23 +59,31 @@ class RllibConfig:
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float = 3.5
     """the clock of training, s"""
-    num_neighbors: Annotated[int, Range(0)] = 3
+    num_neighbors: int = 3
     """K, how many neighbours a drone observes"""
-    hidden: tuple[Count, ...] = (64, 64)
+    hidden: tuple[int, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
-    batch: Count = 4096
+    batch: int = 4096
     """decisions of teams between two updates"""
-    minibatch: Count = 2048
+    minibatch: int = 2048
     """decisions of drones per gradient step"""
-    passes: Count = 5
+    passes: int = 5
     """over the decisions of a batch"""
     learning_rate: float = 5e-4
     """of Adam"""
-    judge_episodes: Count = 256
+    judge_episodes: int = 256
     """in which the policy is evaluated at the end, on each layout"""
 
     def __post_init__(self) -> None:
         """Refuse networks without a hidden layer."""
+        for name in ("drones", "steps", "batch", "minibatch", "passes", "judge_episodes"):
+            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=1)
+        for name in ("seed", "runners", "num_neighbors"):
+            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=0)
+        for name in ("horizon_s", "learning_rate"):
+            check_number(f"--{name.replace('_', '-')}", getattr(self, name), above=0.0)
+        for width in self.hidden:
+            check_integer("--hidden", width, at_least=1)
         if not self.hidden:
             raise ValueError("--hidden is (), but must be one or more widths")
 

@@ -27,8 +27,8 @@ from tqdm import tqdm
 
 from swarm_envs.agents import avoiding
 from swarm_envs.agents.evaluation import AgentRefused, evaluate_agent, frozen_seeds
-from swarm_envs.arguments import Count, Seed
 from swarm_envs.baselines.neural_swarm import air
+from swarm_envs.errors import check_integer
 from swarm_envs.training.scoreboard.tasks import choose_tasks, make_scored
 
 Candidate = avoiding.Avoidance | air.AirNumbers
@@ -67,12 +67,18 @@ class TuneOptions:
     """file of the trials, a line of JSON each"""
     task: list[str] = field(default_factory=list)
     """tasks of the benchmark, ids or quoted patterns, to be flown in place of the usual cases"""
-    trials: Count = 60
+    trials: int = 60
     """candidates, the shipped one first"""
-    episodes: Count = 64
+    episodes: int = 64
     """of each case"""
-    seed: Seed = 515
+    seed: int = 515
     """of the episodes and the candidates; the benchmark's is another"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_integer("--trials", self.trials, at_least=1)
+        check_integer("--episodes", self.episodes, at_least=1)
+        check_integer("--seed", self.seed, at_least=0)
 
 
 def cases_of(agent: str, tasks: Sequence[str] = ()) -> list[Case]:

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import pettingzoo
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_name, check_type
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -34,9 +33,9 @@ TASKS = (
 """Every task by its versioned name: modules with a `parallel_env()`."""
 
 
-@typed
 def task_family(task: str) -> str:
     """The name that all versions of a task share: `swap` for `swap_v1`, and for `swap`."""
+    check_type("task", task, str)
     return task.partition("_v")[0]
 
 

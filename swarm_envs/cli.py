@@ -4,183 +4,76 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import io
+import os
+import re
+import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr
+from typing import Any, NamedTuple
 
 from swarm_envs import __version__
-from swarm_envs.arguments import Range, Seed
-from swarm_envs.commands.checks import (
-    Misuse,
-    check_inputs,
-    check_outputs,
-    command_options,
-    forget_output,
-    need_torch,
-)
+from swarm_envs.commands.checks import Misuse, forget_output
 from swarm_envs.errors import unknown_name
-from swarm_envs.files import claimed, write_json
 
 PROGRAM = "swarm-envs"  # The command's name
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 HELP = frozenset({"-h", "--help"})
 """Arguments that ask for help."""
-
-Options = TypeVar("Options")
-
-
-@dataclass(frozen=True)
-class Command:
-    """A subcommand."""
-
-    summary: str  # One line for the list of commands
-    run: Callable[[Sequence[str]], int]
-    """Takes the arguments after the command's name and gives the exit code."""
+NARROWEST = 60  # columns of a help text; in much less, tyro never ends to wrap it
+WIDE = 10_000  # columns in which tyro wraps no error
 
 
-@command_options
-@dataclass(frozen=True, kw_only=True)
-class DemoOptions:
-    """Fly stacked swaps with and without compensation of the downwash.
+class Command(NamedTuple):
+    """A subcommand: `run_<name>` of the module `swarm_envs.commands.<name>`.
 
-    Prints the worst height error of the lowest drone; writes a picture, a video and all results.
+    It takes options as the module's `<Name>Options`, a dataclass, and may return how much failed.
     """
 
-    out: Path = Path("demo")
-    """output folder for summary.json, demo.png and demo.mp4"""
-    seed: Seed = 0
-    """random seed of the swaps"""
-    swaps: Annotated[int, Range(1, 1000)] = 6
-    """number of random swaps per scenario; each is flown twice"""
-    video: bool = True
-    """render the video, which takes most of the time"""
-    json: Path | None = None
-    """also write the results to this file"""
-
-
-def _run_demo(options: DemoOptions) -> int:
-    check_outputs(options.out, options.json)
-    from swarm_envs.baselines.neural_swarm.demo import crashed_flights, format_table, run_demo
-
-    with claimed(options.out):
-        summary = run_demo(options.out, options.seed, options.swaps, options.video)
-    if options.json is not None:
-        write_json(options.json, summary)
-    print(format_table(summary), "", *(f"note: {note}" for note in summary["notes"]), sep="\n")
-    files = [options.out / name for name in summary["files"].values() if name]
-    print("wrote", ", ".join(map(str, [options.out / "summary.json", *files])))
-    crashed = crashed_flights(summary)
-    if crashed:
-        message = f"{crashed} flights ended early: their worst error is a lower bound"
-        _complain(f"{PROGRAM} demo", message, FAILED)
-    return crashed
-
-
-def _load(path: str) -> Any:
-    """What `module:name` names; modules of the package without its name."""
-    module, name = path.split(":")
-    return getattr(importlib.import_module(f"swarm_envs.{module}"), name)
-
-
-def _command(
-    name: str, options: str, run: str | Callable[[Any], object], prefixes: bool = False
-) -> Callable[[Sequence[str]], int]:
-    """A command that reads options and runs a function, which may count failures."""
-
-    def read_and_run(arguments: Sequence[str]) -> int:
-        found = _read(name, _load(options), arguments, prefixes)
-        return FAILED if (_load(run) if isinstance(run, str) else run)(found) else DONE
-
-    return read_and_run
-
-
-def _learner(
-    name: str, options: str, function: str, prefixes: bool = False
-) -> Callable[[Sequence[str]], int]:
-    """A command that fits a model with a function that needs torch, and prints its report."""
-
-    def learn(config: Any) -> None:
-        check_outputs(config.out, config.json)
-        need_torch()
-        check_inputs(config)
-        with claimed(config.out):
-            report = _load(function)(config)
-        print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
-        if hasattr(config, "how_to_use"):
-            print(*config.how_to_use(), sep="\n")
-
-    return _command(name, options, learn, prefixes)
-
-
-def _fit(arguments: Sequence[str]) -> int:
-    """Fit a force model; with `--residual`, which has other options, what it leaves over."""
-    module = "training.force_model."
-    if "--residual" in arguments:
-        options, function = "force_fit_config:ResidualConfig", "residual_fit:fit_residual"
-        run = _learner("fit --residual", module + options, module + function, prefixes=True)
-        return run([word for word in arguments if word != "--residual"])
-    options, function = "force_fit_config:FitConfig", "pipeline:fit"
-    return _learner("fit", module + options, module + function, prefixes=True)(arguments)
-
-
-def _collect(options: Any) -> None:
-    check_outputs(options.out, options.json)
-    check_inputs(options.config)
-    with claimed(options.out):
-        _load("training.collection.__main__:run_collect")(options)
-
-
-def _in_module(name: str) -> Callable[[Sequence[str]], int]:
-    """Return a command whose module has `<Name>Options` and `run_<name>`."""
-    place = f"commands.{name}"
-    return _command(name, f"{place}:{name.title()}Options", f"{place}:run_{name}")
+    summary: str
+    """One line for the list of commands."""
+    example: str
+    """What to type first, for the help of the command."""
+    prefixes: bool = False
+    """Whether options of a nested dataclass are named after it: `--logs.guard-s`."""
 
 
 COMMANDS: Mapping[str, Command] = {
-    "demo": Command(
-        "stacked swaps with and without compensation of downwash",
-        _command("demo", "cli:DemoOptions", _run_demo),
-    ),
+    "demo": Command("stacked swaps with and without compensation of downwash", "--out demo"),
     "fly": Command(
-        "fly one episode and write metrics, films, replays and trajectories", _in_module("fly")
+        "fly one episode and write metrics, films, replays and trajectories",
+        "--layout stacked --team L2S --agent tracking --seed 1 --out flight",
     ),
-    "evaluate": Command("evaluate agents on many episodes", _in_module("evaluate")),
-    "benchmark": Command("evaluate every agent on every benchmark task", _in_module("benchmark")),
-    "grade": Command("grade submissions of a course", _in_module("grade")),
-    "assignment": Command("list or start the assignments of a course", _in_module("assignment")),
-    "collect": Command(
-        "collect flight logs in simulation",
-        _command("collect", "training.collection.__main__:CollectOptions", _collect),
+    "evaluate": Command(
+        "evaluate agents on many episodes",
+        "--layout random --agent swap-dagger straight-line --episodes 64 --json out.json",
     ),
+    "benchmark": Command("evaluate every agent on every benchmark task", "--out board --workers 2"),
+    "grade": Command(
+        "grade submissions of a course",
+        "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
+    ),
+    "assignment": Command(
+        "list or start the assignments of a course", "start controller my-controller"
+    ),
+    "collect": Command("collect flight logs in simulation", "--out flights --seed 0"),
     "train": Command(
         "train a policy with PPO, SAC, TD3 or DAgger",
-        _command(
-            "train", "training.rl.rl_config:RlConfig", "commands.train:run_train", prefixes=True
-        ),
+        "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
+        prefixes=True,
     ),
-    "fit": Command("fit a force model to flight logs; with --residual, what it leaves over", _fit),
+    "fit": Command(
+        "fit a force model to flight logs, or examine what one leaves over",
+        "--data flights --model deep-set --seed 0 --out runs/fit",
+        prefixes=True,
+    ),
+    "compile": Command("compile the kernels ahead of the first flight", "--no-progress"),
 }
-"""Every command by its name. To add one, write a function like `_run_demo` and name it here."""
-
-EXAMPLES: Mapping[str, str] = {
-    "demo": "--out demo",
-    "fly": "--layout stacked --team L2S --agent tracking --seed 1 --out flight",
-    "evaluate": "--layout random --agent swap-dagger straight-line --episodes 64 --json out.json",
-    "benchmark": "--out board --workers 2",
-    "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
-    "assignment": "start controller my-controller",
-    "collect": "--out flights --seed 0",
-    "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
-    "fit --residual": "--data flights --out runs/residual",
-    "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
-}
-"""What to type first, for the help of each command."""
+"""Every command by its name. To add one, write its module and name it here."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -212,9 +105,9 @@ def _run(given: Sequence[str]) -> int:
     where = f"{PROGRAM} {name}"
     try:
         with _terminable():
-            code = COMMANDS[name].run(rest)
+            failed = load_run(name)(read_options(name, rest))
         sys.stdout.flush()  # here it can be told that what reads it is gone, or a disk full
-        return code
+        return FAILED if failed else DONE
     except Misuse as error:
         return _complain(where, str(error), MISUSED)
     except (OSError, ImportError, ValueError, MemoryError) as error:
@@ -250,28 +143,77 @@ def _overview() -> str:
     head = [f"usage: {PROGRAM} COMMAND [options]", "", "commands:"]
     explains = f"Run `{PROGRAM} COMMAND --help` for the options of a command"
     version = f"`{PROGRAM} --version` prints the version."
-    example = f"Example: {PROGRAM} fly {EXAMPLES['fly']}"
+    example = f"Example: {PROGRAM} fly {COMMANDS['fly'].example}"
     return "\n".join([*head, *lines, "", f"{explains}; {version}", example])
 
 
-def _read(
-    name: str, options: type[Options], arguments: Sequence[str], prefixes: bool = False
-) -> Options:
-    """Read a command's options into their dataclass; bad ones are explained, exit code 2.
+def load_run(name: str) -> Any:
+    """The function of a command."""
+    return getattr(importlib.import_module(f"swarm_envs.commands.{name}"), f"run_{name}")
 
-    With `prefixes`, options of a nested dataclass are named after it: `--logs.guard-s`.
+
+def load_options(name: str) -> Any:
+    """The dataclass of a command's options, or the alternatives among which a word chooses."""
+    module = importlib.import_module(f"swarm_envs.commands.{name}")
+    return getattr(module, f"{name.title()}Options")
+
+
+def read_options(name: str, words: Sequence[str]) -> Any:
+    """Read a command's options into their dataclass.
+
+    Args:
+        name: the command.
+        words: the command line after its name.
+
+    Raises:
+        Misuse: the command does not take these words, or the dataclass refuses their values.
+        SystemExit: the help was asked for and printed.
     """
-    from swarm_envs.commands.mistakes import read_options
+    import tyro
 
-    description = _description(name, options)
-    return read_options(options, arguments, f"{PROGRAM} {name}", prefixes, description)
+    options, program = load_options(name), f"{PROGRAM} {name}"
+    given: dict[str, Any] = {"args": [*words], "prog": program}
+    given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
+    helps = not HELP.isdisjoint(words)
+    columns = max(NARROWEST, shutil.get_terminal_size().columns) if helps else WIDE
+    printed = io.StringIO()
+    try:
+        with _columns(columns), redirect_stderr(printed):
+            return tyro.cli(options, description=_description(name, options), **given)
+    except SystemExit as end:
+        if not end.code:
+            raise
+        said = _in_one_line(printed.getvalue())
+    except ValueError as error:
+        said = str(error)
+    raise Misuse(f"{said} (see `{program} --help`)")
 
 
-def _description(name: str, options: type) -> str:
+@contextmanager
+def _columns(number: int) -> Iterator[None]:
+    """Let tyro write lines of so many columns, whatever the terminal has."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(number)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS")
+        if before is not None:
+            os.environ["COLUMNS"] = before
+
+
+def _in_one_line(box: str) -> str:
+    """The reason that tyro gives in a box, without title, frame, and help text of the option."""
+    text = re.sub("[\u2500\u2502\u2570\u256f]|-{4,}", " ", "\n".join(box.splitlines()[1:]))
+    said = re.sub(r"^Error parsing \w+: ", "", " ".join(text.split()))  # the name of a dataclass
+    return re.split("Got errors:|Argument helptext:|For full helptext", said)[0].strip()
+
+
+def _description(name: str, options: Any) -> str:
     """What the help of a command begins with: each paragraph of the docstring, and an example."""
     paragraphs = (inspect.getdoc(options) or "").split("\n\n")
     joined = [" ".join(paragraph.splitlines()) for paragraph in paragraphs]
-    return "\n\n".join([*joined, f"Example: {PROGRAM} {name} {EXAMPLES[name]}"])
+    return "\n\n".join([*joined, f"Example: {PROGRAM} {name} {COMMANDS[name].example}"])
 
 
 def _complain(where: str, message: str, code: int) -> int:

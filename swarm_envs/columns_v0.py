@@ -32,30 +32,33 @@ terminated by success and truncated after 6 s in `stack` and 2 s in `sprint`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, Interval, OneOf, typed_options
-from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
+from swarm_envs.envs.options import AirTaskOptions, task_views
+from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.columns import COLUMN_LAYOUTS, ColumnsTask, column_team
 from swarm_envs.vehicles import Team
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class ColumnsOptions(AirTaskOptions):
     """Options of an environment with columns."""
 
-    num_drones: NumDrones | None = None  # type: ignore[assignment]  # None: the layout's
+    num_drones: int | None = None  # type: ignore[assignment]  # None: the layout's
     """N drones, if no team is given; None: 8 in `stack`, 6 in `sprint`."""
-    layout: Annotated[str, OneOf(tuple(COLUMN_LAYOUTS))] = "stack"
+    layout: str = "stack"
     """The layout: `stack` or `sprint`."""
-    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] | None = None
+    gap_m: tuple[float, float] | None = None
     """Range of the vertical distance between places, m; None: the layout's."""
-    payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] | None = None
+    payload_kg: tuple[float, float] | None = None
     """Range of the payload of half of each column's drones, kg; None: the layout's."""
 
     task_type = ColumnsTask
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        super().__post_init__()
+        check_name("layout", self.layout, COLUMN_LAYOUTS)
 
     @property
     def vehicles(self) -> Team:

@@ -33,29 +33,25 @@ truncated after 30 s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.physics.contact import ON_CONTACT
+from swarm_envs.envs.options import TaskOptions, task_views
 from swarm_envs.tasks.crowd import CrowdTask, Layout
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class CrowdOptions(TaskOptions):
     """Options of a crowd environment."""
 
-    num_drones: NumDrones = 16
+    num_drones: int = 16
     """N small drones, if no team is given."""
     layout: Layout = "forest"
     """Obstacles: `open`, `forest` or `buildings`; `obstacles` are added."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.5
+    spacing_m: float = 0.5
     """Smallest distance between two goals, and between two starts, m."""
-    reach_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (1.0, 3.0)
+    reach_m: tuple[float, float] = (1.0, 3.0)
     """Range of the distance of the next goal, if one is free there, m."""
 
-    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    on_contact: str = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     task_type = CrowdTask

@@ -33,18 +33,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
+from swarm_envs.envs.options import AirTaskOptions, task_views
 from swarm_envs.tasks.delivery import DeliveryTask, delivery_team
 from swarm_envs.vehicles import Team
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class DeliveryOptions(AirTaskOptions):
     """Options of a delivery environment."""
 
-    num_drones: NumDrones = 7
+    num_drones: int = 7
     """N drones, at most 9, if no team is given: three couriers, the others hover."""
 
     task_type = DeliveryTask

@@ -38,43 +38,50 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
-from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.formation import LABELS, LAYOUTS, STARTS, FormationTask, shapes_of
+from swarm_envs.envs.options import TaskOptions, task_views
+from swarm_envs.errors import check_name, check_type
+from swarm_envs.tasks.formation import LAYOUTS, FormationTask, shapes_of
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class FormationOptions(TaskOptions):
     """Options of a formation environment."""
 
-    num_drones: NumDrones = 9
+    num_drones: int = 9
     """N small drones, if no team is given."""
-    layout: Annotated[str, OneOf(tuple(LAYOUTS))] | None = None
+    layout: str | None = None
     """A mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
     `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`."""
     shapes: Sequence[str] | None = None
     """Names of the shapes, in order; None: `tour`'s."""
     letters: str | None = None
     """A text such as `"ARC"` to write, letter by letter, instead of `shapes`."""
-    labels: Annotated[str, OneOf(LABELS)] | None = None
+    labels: str | None = None
     """Who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
-    start: Annotated[str, OneOf(STARTS)] = "shape"
+    start: str = "shape"
     """Where drones start: on the first `shape`, or on the `ground`."""
-    spacing_m: Annotated[float, POSITIVE_M] | None = None
+    spacing_m: float | None = None
     """Smallest distance between two places of a shape, m; None: 0.5, or what fits."""
-    shape_s: Annotated[float, POSITIVE_S] | None = None
+    shape_s: float | None = None
     """Time for each shape, s; None: 6."""
-    travel_s: Annotated[float, POSITIVE_S] = 4.0
+    travel_s: float = 4.0
     """Time in which the reference gets there, s."""
-    turn_rad: Annotated[tuple[float, float], Interval(Range(unit="rad"))] | None = None
+    turn_rad: tuple[float, float] | None = None
     """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
     turned."""
 
     task_type: ClassVar[type[FormationTask]] = FormationTask
     """What `make_task` makes."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        super().__post_init__()
+        check_type("letters", self.letters, str | None)
+        check_type("shapes", self.shapes, Sequence | None)
+        if self.layout is not None:
+            check_name("layout", self.layout, LAYOUTS)
 
     def make_task(self) -> FormationTask:
         """Formations as these options say.

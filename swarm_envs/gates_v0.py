@@ -33,34 +33,35 @@ terminated by success and truncated after 30 s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed_options
-from swarm_envs.envs.config import WORLDS
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
+from swarm_envs.envs.options import TaskOptions, task_views
+from swarm_envs.errors import check_number
 from swarm_envs.hall import Hall
-from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.tasks.base import ByScore, Task
 from swarm_envs.tasks.gates import GatesTask
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class GatesOptions(TaskOptions):
     """Options of a gates environment."""
 
-    num_drones: NumDrones = 3
+    num_drones: int = 3
     """N small drones, if no team is given."""
-    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.3, 0.4)
+    gap_m: tuple[float, float] = (0.3, 0.4)
     """Range from which the vertical distance of neighbours in the column is drawn, m."""
-    radius_m: Annotated[float, POSITIVE_M] = 0.05
+    radius_m: float = 0.05
     """Largest distance of all drones from their places in a gate, m."""
-    world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
+    world: str | Hall = "hall"
     """`ideal`, `hall` or a custom `Hall`; see `EnvConfig`."""
-    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    on_contact: str = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     task_type = GatesTask
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        super().__post_init__()
+        check_number("radius_m", self.radius_m, above=0.0, unit="m")
 
     def make_task(self) -> Task:
         """Gates as these options say."""

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_S, Range, typed
+from swarm_envs.errors import check_number, check_numbers
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL
@@ -21,12 +20,9 @@ from swarm_envs.vehicles import GRAVITY, LARGE, SMALL
 __all__ = ["Hall"]
 
 _STEP = 1.0 / 240.0
-_Share = Annotated[float, Range(0.0, 1.0)]
-_Positive = Annotated[float, Range(0.0, 1.0, above=True)]
-Shares = tuple[_Share, _Share]  # Of the weight: of a small vehicle, and of a large one
+Shares = tuple[float, float]  # Of the weight: of a small vehicle, and of a large one
 
 
-@typed
 @dataclass(frozen=True)
 class Hall:
     """How far a hall with motion capture is from the ideal world: every number can be changed.
@@ -45,44 +41,70 @@ class Hall:
     fit to flights."""
     residual_wake: Shares = (0.088, 0.082)
     """The same where the modelled force is large. Source: fit to flights."""
-    residual_half: tuple[_Positive, _Positive] = (0.053, 0.028)
+    residual_half: tuple[float, float] = (0.053, 0.028)
     """Modelled force at which the standard deviation lies halfway between both. Source: fit to
     flights."""
     residual_alone: Shares = (0.011, 0.019)
     """The same where no other drone is in the interaction volume of the force model. Source: fit
     to flights of one drone."""
-    residual_time_s: Annotated[float, POSITIVE_S] = 0.14
+    residual_time_s: float = 0.14
     """Correlation time of that force, s, an Ornstein-Uhlenbeck process of each drone and axis.
     Source: fit to flights."""
-    residual_sideways: Annotated[float, NOT_NEGATIVE] = 0.27
+    residual_sideways: float = 0.27
     """Horizontal random force along each axis over the vertical one. Source: fit to flights."""
     offset: Shares = (0.018, 0.021)
     """Standard deviation of the constant vertical force of a drone in an episode: errors of mass
     and thrust at hover. Source: fit to flights."""
-    thrust_error: Annotated[float, Range(0.0, 0.2)] = 0.014
+    thrust_error: float = 0.014
     """Standard deviation of the factor on the force of a drone's rotors in an episode. Source:
     Table I of Neural-Swarm2: over half to one and a half times hover and 3.4 to 4.0 V, psi1 of the
     signal psi2 over the force asked for, of the small vehicle."""
 
-    frame_rate_hz: Annotated[float, Range(1.0, 240.0, unit="Hz")] = 100.0
+    frame_rate_hz: float = 100.0
     """Frames of motion capture a second. Source: Neural-Swarm2, Sec. VII-A."""
-    frame_delay_s: Annotated[float, Range(0.0, 0.05, unit="s")] = 0.010
+    frame_delay_s: float = 0.010
     """Age of a frame when the drone has it, s, over which it is taken to have flown straight on.
     Source: an assumption, one frame for cameras and radio."""
-    frame_loss: Annotated[float, Range(0.0, 1.0, below=True)] = 0.01
+    frame_loss: float = 0.01
     """Probability that a drone does not receive a frame. Source: an assumption."""
-    position_noise_m: Annotated[float, Range(0.0, 1.0, unit="m")] = 0.001
+    position_noise_m: float = 0.001
     """Standard deviation of a frame's position, each axis, m. Source: `locSrv.extPosStdDev` of
     Crazyswarm."""
-    attitude_noise_rad: Annotated[float, Range(0.0, 1.0, unit="rad")] = 0.0045
+    attitude_noise_rad: float = 0.0045
     """Standard deviation of a frame's attitude about each axis, rad. Source: `extQuatStdDev` of the
     Crazyflie's firmware."""
-    accelerometer_noise: Annotated[float, Range(0.0, 10.0, unit="m/s^2/sqrt(Hz)")] = 0.05
+    accelerometer_noise: float = 0.05
     """Noise density of the accelerations that predict the state, vibrations included,
     m/s^2/sqrt(Hz). Source: `procNoiseAcc_xy` of the firmware's filter, 0.5 m/s^2 at 100 Hz."""
-    gyro_noise: Annotated[float, Range(0.0, 1.0, unit="rad/s/sqrt(Hz)")] = 0.01
+    gyro_noise: float = 0.01
     """Noise density of the measured body rates, rad/s/sqrt(Hz). Source: `measNoiseGyro` of the
     firmware's filter, 0.1 rad/s at 100 Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("residual_quiet", "residual_wake", "residual_alone", "offset"):
+            check_numbers(name, getattr(self, name), 2, at_least=0.0, at_most=1.0)
+        check_numbers("residual_half", self.residual_half, 2, above=0.0, at_most=1.0)
+        check_number("residual_time_s", self.residual_time_s, above=0.0, unit="s")
+        check_number("residual_sideways", self.residual_sideways, at_least=0.0)
+        check_number("thrust_error", self.thrust_error, at_least=0.0, at_most=0.2)
+        check_number("frame_rate_hz", self.frame_rate_hz, at_least=1.0, at_most=240.0, unit="Hz")
+        check_number("frame_delay_s", self.frame_delay_s, at_least=0.0, at_most=0.05, unit="s")
+        check_number("frame_loss", self.frame_loss, at_least=0.0, below=1.0)
+        check_number("position_noise_m", self.position_noise_m, at_least=0.0, at_most=1.0, unit="m")
+        check_number(
+            "attitude_noise_rad", self.attitude_noise_rad, at_least=0.0, at_most=1.0, unit="rad"
+        )
+        check_number(
+            "accelerometer_noise",
+            self.accelerometer_noise,
+            at_least=0.0,
+            at_most=10.0,
+            unit="m/s^2/sqrt(Hz)",
+        )
+        check_number(
+            "gyro_noise", self.gyro_noise, at_least=0.0, at_most=1.0, unit="rad/s/sqrt(Hz)"
+        )
 
     @classmethod
     def of(cls, world: str | Hall) -> Hall | None:

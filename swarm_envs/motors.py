@@ -15,13 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import NOT_NEGATIVE, Range, typed
 from swarm_envs.compiled import part
+from swarm_envs.errors import check_number, check_type
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
@@ -62,7 +61,6 @@ def pwm_for_force(
     return a + b * f + c * v + d * f * f + e * f * v
 
 
-@typed
 @dataclass(frozen=True)
 class BatteryModel:
     """How batteries empty. The defaults are a Crazyflie's: six minutes of hover at 34 g.
@@ -71,12 +69,12 @@ class BatteryModel:
         ValueError: a value that no battery has; the message names it, the rule and the fix.
     """
 
-    capacity_ah: Annotated[float, Range(0.0, above=True, unit="Ah")] = 0.25
+    capacity_ah: float = 0.25
     """Capacity of the battery of `SMALL`, ampere-hours: what a Crazyflie 2.X is sold with. Other
     vehicles carry the same share of their mass, an assumption: theirs are not published."""
-    idle_current_a: Annotated[float, NOT_NEGATIVE] = 0.24
+    idle_current_a: float = 0.24
     """Current with the rotors at rest, A (Bitcraze, "PWM to thrust", at 0 % PWM)."""
-    current_per_newton: Annotated[float, NOT_NEGATIVE] = 7.0
+    current_per_newton: float = 7.0
     """Current for a newton of total thrust, A/N: a line through the rows of the same table up to
     37 g, which it meets within 0.1 A. Taken for every vehicle."""
     open_circuit_v: tuple[float, ...] = _LITHIUM_POLYMER_V
@@ -85,6 +83,10 @@ class BatteryModel:
 
     def __post_init__(self) -> None:
         """Refuse voltages that no battery has."""
+        check_number("capacity_ah", self.capacity_ah, above=0.0, unit="Ah")
+        for name in ("idle_current_a", "current_per_newton"):
+            check_number(name, getattr(self, name), at_least=0.0)
+        check_type("open_circuit_v", self.open_circuit_v, tuple | list)
         volts = np.array(self.open_circuit_v, dtype=np.float64)
         if volts.size < 2 or not (np.diff(volts) > 0.0).all() or not volts[0] > 0.0:
             raise ValueError(

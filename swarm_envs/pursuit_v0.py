@@ -31,31 +31,27 @@ truncated after 20 s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.physics.contact import ON_CONTACT
+from swarm_envs.envs.options import TaskOptions, task_views
 from swarm_envs.tasks.pursuit import Layout, PursuitTask
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class PursuitOptions(TaskOptions):
     """Options of a pursuit environment."""
 
-    num_drones: NumDrones = 8
+    num_drones: int = 8
     """N small drones, if no team is given."""
     layout: Layout = "moving"
     """Motion of goals: `moving`, `swap-goals` or `chase`."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.4
+    spacing_m: float = 0.4
     """Smallest distance between two goals, m."""
-    speed_m_s: Annotated[tuple[float, float], Interval(POSITIVE)] = (0.6, 1.2)
+    speed_m_s: tuple[float, float] = (0.6, 1.2)
     """Range from which the largest speed of moving goals is drawn, m/s."""
-    change_s: Annotated[float, POSITIVE_S] = 5.0
+    change_s: float = 5.0
     """Time between two swaps of goals, s."""
 
-    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    on_contact: str = "end_pair"
     """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     task_type = PursuitTask

@@ -33,18 +33,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
+from swarm_envs.envs.options import TaskOptions, task_views
 from swarm_envs.tasks.ring import RingLayout, RingTask, ring_team
 from swarm_envs.vehicles import Team
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class RingOptions(TaskOptions):
     """Options of a ring environment."""
 
-    num_drones: NumDrones = 5
+    num_drones: int = 5
     """N drones, if no team is given: the paper's teams for 5 and 16, else small ones."""
     rings: RingLayout | None = None
     """Sizes, speed and phases of the rings."""

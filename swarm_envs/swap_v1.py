@@ -45,17 +45,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
+from swarm_envs.envs.options import TaskOptions, task_views
 from swarm_envs.tasks.swap import CircleLayout, Layout, StackedLayout, SwapTask
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class SwapOptions(TaskOptions):
     """Options of a swap environment."""
 
-    num_drones: NumDrones = 4
+    num_drones: int = 4
     """N small drones, if no team is given."""
     layout: Layout = "random"
     """Where drones start: `random`, `stacked` or `circle`."""

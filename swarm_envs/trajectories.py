@@ -7,12 +7,12 @@ times gives (T, 3), and (N, 3) starts with one time give (N, 3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Range, typed
+from swarm_envs.errors import as_numbers, check_number
 from swarm_envs.state import FloatArray
 
 __all__ = ["Reference", "ramped_line", "rest_to_rest"]
@@ -37,7 +37,6 @@ def rest(position: FloatArray) -> Reference:
     return Reference(position, still, still, still)
 
 
-@typed
 def rest_to_rest(
     start: npt.ArrayLike, goal: npt.ArrayLike, duration: npt.ArrayLike, t: npt.ArrayLike
 ) -> Reference:
@@ -65,13 +64,12 @@ def rest_to_rest(
     return _along_line(start, goal, time, (value, first, second, third))
 
 
-@typed
 def ramped_line(
     start: npt.ArrayLike,
     goal: npt.ArrayLike,
     duration: npt.ArrayLike,
     t: npt.ArrayLike,
-    ramp: Annotated[float, Range(0.0, 0.5, above=True)] = 0.2,
+    ramp: float = 0.2,
 ) -> Reference:
     """Straight motion at constant speed, with quintic ramps of the speed at both ends.
 
@@ -88,6 +86,7 @@ def ramped_line(
         ValueError: a position does not end in three finite numbers, the duration is not positive
             and finite, or the ramp lies outside (0, 0.5].
     """
+    check_number("ramp", ramp, above=0.0, at_most=0.5)
     time = _positive("duration", duration)
     u = np.clip(_times(t) / time, 0.0, 1.0)
     full = 1.0 - ramp  # what the two halves of the warped time sum to
@@ -131,7 +130,7 @@ def _along_line(
 
 
 def _points(name: str, value: npt.ArrayLike) -> FloatArray:
-    array = np.asarray(value, dtype=np.float64)
+    array = as_numbers(name, value)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ValueError(f"{name} has shape {array.shape}, but must end in 3: x, y, z")
     if not np.isfinite(array).all():
@@ -140,14 +139,14 @@ def _points(name: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def _times(t: npt.ArrayLike) -> FloatArray:
-    array = np.asarray(t, dtype=np.float64)
+    array = as_numbers("t", t)
     if np.isnan(array).any():
         raise ValueError(f"t is {t!r}, but must hold no NaN")
     return array
 
 
 def _positive(name: str, value: npt.ArrayLike) -> FloatArray:
-    array = np.asarray(value, dtype=np.float64)
+    array = as_numbers(name, value)
     if not (np.isfinite(array) & (array > 0.0)).all():
         raise ValueError(f"{name} is {value!r}, but must be positive and finite")
     return array

@@ -13,10 +13,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated
 
-from swarm_envs.arguments import POSITIVE, NotEmpty, typed
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import check_number, check_numbers, check_type, unknown_name
 
 __all__ = [
     "GRAM_FORCE",
@@ -37,10 +35,6 @@ GRAM_FORCE = GRAVITY * 1e-3
 """Newton per gram-force: the papers give forces in grams."""
 
 
-Moment = Annotated[float, POSITIVE]  # A moment of inertia, kg m^2
-
-
-@typed
 @dataclass(frozen=True)
 class Vehicle:
     """One type of quadrotor. SI units; body frame x forward, y left, z up along thrust.
@@ -51,21 +45,21 @@ class Vehicle:
 
     token: str
     """How team strings write it: `S`, `L`, `S*`."""
-    mass: Annotated[float, POSITIVE]
+    mass: float
     """Mass m, kg."""
-    inertia: tuple[Moment, Moment, Moment]
+    inertia: tuple[float, float, float]
     """Principal moments of inertia, the diagonal of J, kg m^2."""
-    max_thrust: Annotated[float, POSITIVE]
+    max_thrust: float
     """Largest total thrust of the four rotors at a full battery, N."""
-    diameter: Annotated[float, POSITIVE]
+    diameter: float
     """Diameter of the collision sphere, m."""
-    arm: Annotated[float, POSITIVE]
+    arm: float
     """Distance from the centre to a rotor's axis, m."""
-    rotor_radius: Annotated[float, POSITIVE]
+    rotor_radius: float
     """Radius of one propeller, m."""
-    thrust_to_torque: Annotated[float, POSITIVE]
+    thrust_to_torque: float
     """Yaw torque per newton of rotor thrust, m."""
-    motor_rate: Annotated[float, POSITIVE]
+    motor_rate: float
     """First-order motor rate lambda of eq. (1c), 1/s: thrust follows its command with 1/lambda."""
     interaction_type: str
     """The name under which interaction models know its airframe: `S` or `L`."""
@@ -75,6 +69,24 @@ class Vehicle:
     """psi2 of Table I: coefficients of 1, f, v, f^2, f v; f in grams of one rotor."""
     pwm_to_max_force: tuple[float, float, float]
     """psi3 of Table I: coefficients of 1, p, v; gives the largest grams of one rotor."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in (
+            "mass",
+            "max_thrust",
+            "diameter",
+            "arm",
+            "rotor_radius",
+            "thrust_to_torque",
+            "motor_rate",
+        ):
+            check_number(name, getattr(self, name), above=0.0)
+        check_numbers("inertia", self.inertia, 3, above=0.0)
+        for name, count in (("pwm_to_force", 5), ("force_to_pwm", 5), ("pwm_to_max_force", 3)):
+            check_numbers(name, getattr(self, name), count)
+        for name in ("token", "interaction_type"):
+            check_type(name, getattr(self, name), str)
 
     @property
     def radius(self) -> float:
@@ -167,7 +179,7 @@ VEHICLES: dict[str, Vehicle] = {v.token: v for v in (SMALL, LARGE, SMALL_STRONG)
 
 _TOKEN = re.compile(r"[A-Z]\*?|.")
 
-Team = Annotated[tuple[Vehicle, ...], NotEmpty()]
+Team = tuple[Vehicle, ...]
 """The vehicles that fly together, at least one, in the order of the agents."""
 
 
@@ -199,10 +211,9 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
     return vehicles
 
 
-@typed
 def team_string(team: Sequence[Vehicle]) -> str:
     """Write a team as the string that `parse_team` reads: the inverse of it."""
-    return "".join(vehicle.token for vehicle in team)
+    return "".join(vehicle.token for vehicle in parse_team(team))
 
 
 @lru_cache(maxsize=256)

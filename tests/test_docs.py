@@ -22,12 +22,12 @@ from docs.extensions import figure_tables, state_tables
 from docs.extensions.api_pages import packages_of, page_of
 from docs.extensions.links import inward, without_empty_folders
 from docs.extensions.names import exports, modules, public_names, resolve
-from docs.extensions.option_tables import options_class, options_of
+from docs.extensions.option_tables import options_of
 from docs.extensions.state_tables import TABLES, state_table
 from docs.extensions.task_pages import MARK, task_page
 from swarm_envs import TASKS, make, task_family
 from swarm_envs.agents.registry import SHIPPED
-from swarm_envs.cli import COMMANDS, main
+from swarm_envs.cli import COMMANDS, load_options, main
 from swarm_envs.errors import unknown_name
 from tests.helpers.browsers import OVERFLOW, PATIENCE_MS, chromium
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
@@ -147,7 +147,7 @@ def test_the_options_of_a_command_are_those_it_explains(command, capsys, monkeyp
     for line in capsys.readouterr().out.splitlines():
         head = re.match(r"^\W{1,2}(--[a-z][\w.-]*)(?:(?: \S+)?, (--[a-z][\w.-]*))?", line)
         explained |= set(filter(None, head.groups())) if head else set()
-    options = list(options_of(*options_class(command)))
+    options = list(options_of(load_options(command), COMMANDS[command].prefixes))
     named = {n for o in options for n in o.name.split(", ") if n.startswith("--")}
     assert named == explained
     assert all(option.meaning for option in options)

@@ -6,15 +6,13 @@ import dataclasses
 import inspect
 import json
 import math
-import pickle
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from contextlib import nullcontext
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,7 +20,6 @@ from hypothesis import strategies as st
 from docs.extensions.option_tables import expand
 from swarm_envs import crowd_v0, formation_v1, gates_v0, make, pursuit_v0, ring_v1, swap_v1
 from swarm_envs.agents.safety import Safety
-from swarm_envs.arguments import Option, Range, WrongKind, kind_of, options_of, typed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import GilbertElliott, Jam, LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import UnitOutage
@@ -43,10 +40,11 @@ from swarm_envs.control.config import (
     PositionGains,
 )
 from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.options import TaskOptions, field_docstrings
 from swarm_envs.envs.randomization import Randomization
+from swarm_envs.errors import check_integer, check_interval, check_number
 from swarm_envs.hall import Hall
 from swarm_envs.motors import BatteryModel
-from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ByScore, Success, TrackingSuccess
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.tasks.formation import FormationTask
@@ -61,7 +59,7 @@ from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.rl.recipes import with_recipe
+from swarm_envs.training.rl.choosing import with_defaults
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import training_blueprint
 from swarm_envs.vehicles import SMALL, Vehicle
@@ -69,7 +67,8 @@ from swarm_envs.vehicles import SMALL, Vehicle
 TEAM = {"team": (SMALL,) * 5}
 SETTINGS: dict[type, dict[str, Any]] = {
     **dict.fromkeys((SwapTask, RingTask, FormationTask, CrowdTask), TEAM),
-    **dict.fromkeys((PursuitTask, GatesTask), TEAM),
+    PursuitTask: TEAM,
+    GatesTask: {"team": (SMALL,) * 3},
     ByScore: {"radius": 0.1, "least": 1.0},
     **{kind: {} for kind in (StackedLayout, CircleLayout, Success, TrackingSuccess)},
     **{kind: {} for kind in (Randomization, Hall, BatteryModel, ControllerConfig)},
@@ -89,7 +88,7 @@ SETTINGS: dict[type, dict[str, Any]] = {
     pursuit_v0.PursuitOptions: {},
     gates_v0.GatesOptions: {},
 }
-"""Classes of settings whose annotations hold every range, and what they must be given."""
+"""Classes of settings whose every field is explained, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
     **{kind: {} for kind in (MlrDmpcConfig, PlanningBounds, RefinementOptions, SearchConfig)},
     SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
@@ -99,62 +98,115 @@ OTHERS: dict[type, dict[str, Any]] = {
     FeedforwardConfig: {"out": Path("belief")},
     FitConfig: {"out": Path("fit"), "data": Path("data")},
 }
-"""Classes of settings that check some ranges themselves."""
-NUMBERS = st.one_of(st.floats(), st.integers(-5, 10**9), st.sampled_from([math.nan, math.inf]))
-ANYTHING = st.one_of(
-    *(NUMBERS, st.booleans(), st.none(), st.text(max_size=5), st.binary(max_size=5)),
-    *(st.tuples(NUMBERS, NUMBERS), st.lists(st.text(max_size=3), max_size=3), st.just({})),
-)
+"""Classes of settings that are not told about on a page of their own."""
+TRAINING = (SensorNoise, LogOptions, CollectionConfig, MotionRanges)
+ALL = {k: v for k, v in {**SETTINGS, **OTHERS}.items() if k not in TRAINING}
+NOT_AN_INTEGER = (True, 1.5, "1", math.nan, 1j, b"")
+NOT_A_NUMBER = (True, np.bool_(True), "1", math.nan, math.inf, -math.inf, 1j, 10**400)
+NOT_A_FLAG = (1, 0.0, "yes", ())
+NOT_SEVERAL_NUMBERS: tuple[Any, ...] = ("ab", 3, (math.nan, math.nan), (1.0,), {})
+CLASSES = {"ControllerConfig", "Hall", "BatteryModel", "RingLayout", "Success", "PositionGains"}
 
 
-@pytest.mark.parametrize("settings", [*SETTINGS, *OTHERS])
-@given(data=st.data(), value=ANYTHING)
-def test_bad_values_are_refused_by_name(settings, data, value):
-    option = data.draw(st.sampled_from(list(options_of(settings).values())))
-    given = {**SETTINGS, **OTHERS}[settings] | {option.name: value}
-    if option.kind.fits(value):
-        return
-    with pytest.raises(ValueError) as error:  # a TypeError too, where the type is wrong
-        settings(**given)
-    told = str(error.value)
-    assert option.name in told and f"{value!r:.80}" in told
-    assert isinstance(error.value, TypeError) == (not option.kind.has_type(value))
-    assert option.kind.words in told or all(repr(name) in told for name in option.kind.names)
+def refused_by(option: dataclasses.Field[Any]) -> list[Any]:
+    """Values that no option of such a type can have, whatever its range."""
+    words = set(re.findall(r"\w+", str(option.type)))
+    kinds = (("int", NOT_AN_INTEGER), ("float", NOT_A_NUMBER), ("bool", NOT_A_FLAG))
+    if words & {"Factor", "Shares"} or str(option.type).startswith("tuple[float"):
+        return [*NOT_SEVERAL_NUMBERS]
+    bad = [value for kind, values in kinds if words <= {kind, "None"} for value in values]
+    bad += [1.5, b""] if words & CLASSES or "Literal" in words else []
+    return bad
 
 
-@pytest.mark.parametrize("settings", OTHERS)
-def test_classes_that_check_ranges_themselves_refuse_by_name(settings):
-    for name in options_of(settings):
+def constructed(settings: type, **given: Any) -> Any:
+    """An object with these options; of a task's options, what the task is made from."""
+    made = settings(**{**ALL[settings], **given})
+    return made.blueprint() if isinstance(made, TaskOptions) else made
+
+
+@pytest.mark.parametrize("settings", ALL)
+def test_values_of_another_kind_are_refused_by_name(settings):
+    checked = 0
+    for option in fields(settings):
+        for value in refused_by(option):
+            with pytest.raises(ValueError) as error:
+                constructed(settings, **{option.name: value})
+            told = str(error.value)
+            assert option.name in told or option.name.rstrip("_m") in told, (option.name, told)
+            assert f"{value!r:.20}" in told or re.search("shape|nan", told), (
+                option.name,
+                value,
+                told,
+            )
+            checked += 1
+    assert checked or settings is FitConfig
+
+
+@pytest.mark.parametrize("settings", ALL)
+def test_numbers_are_taken_or_refused_by_name(settings):
+    for name in [option.name for option in fields(settings)]:
         for value in (math.nan, math.inf, -math.inf, -1, 0, 0.5, 5e-324, 1e300, 10**30, ""):
             try:
-                settings(**{**OTHERS[settings], name: value})
+                constructed(settings, **{name: value})
             except ValueError as error:
                 told = str(error)
                 words = (name, name.rstrip("s"), name.replace("_", " "), f"{value!r:.20}")
                 assert any(word in told for word in words)
+            except TypeError as error:
+                assert name in str(error)
 
 
 def test_every_option_says_what_it_is_and_allows_its_default():
     for settings in SETTINGS:
-        for option in options_of(settings).values():
-            assert re.match(r"\S.* .*\S", option.meaning), option
-            if option.default is not dataclasses.MISSING:
-                assert option.kind.fits(option.default), option
+        constructed(settings)
+        for meaning in field_docstrings(settings).values():
+            assert re.match(r"\S.* .*\S", meaning), settings
 
 
-def test_a_number_with_a_range_is_finite_and_no_truth_value():
-    bad = (math.nan, math.inf, -math.inf, -1, True, np.bool_(True), "1", 1j, -1e-300)
-    for settings in SETTINGS:
-        for option in options_of(settings).values():
-            if option.kind.words.startswith(("positive", "an integer")):
-                assert not any(map(option.kind.fits, bad)), option
+@given(
+    value=st.one_of(st.floats(), st.integers(), st.booleans(), st.text(), st.none(), st.binary()),
+    low=st.floats(-10.0, 10.0),
+    high=st.floats(-10.0, 10.0),
+)
+def test_a_number_is_taken_in_its_range_alone(value, low, high):
+    fits = isinstance(value, int | float) and not isinstance(value, bool)
+    fits = fits and low < value <= high
+    with nullcontext() if fits else pytest.raises(ValueError, match=r"x is .* but must be"):
+        check_number("x", value, above=low, at_most=high)
 
 
-def test_every_number_of_a_fit_has_a_range():
-    for settings in (FitConfig, LogOptions, MotionRanges, SensorNoise):
-        for option in options_of(settings).values():
-            if option.kind.has_type(1):
-                assert not option.kind.fits(-1), option.name
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "a finite number"),
+        ({"at_least": 0.0}, "finite and not negative"),
+        ({"above": 0.0, "unit": "m"}, "positive and finite, in m"),
+        ({"at_least": 1.0, "unit": "m"}, "a finite number of at least 1, in m"),
+        ({"above": -2.5}, "a finite number above -2.5"),
+        ({"at_least": -1.0, "below": 2.0}, r"a number in [-1, 2)"),
+        ({"above": 0.0, "at_most": 2.0}, r"a number in (0, 2]"),
+    ],
+)
+def test_a_refusal_names_the_ends_of_the_range(given, words):
+    with pytest.raises(ValueError, match=re.escape(f"x is nan, but must be {words}") + "$"):
+        check_number("x", math.nan, **given)
+    check_number("x", np.float32(1.5), **given)
+
+
+def test_an_interval_holds_two_numbers_in_order():
+    for bad in ((True, True), (2.0, 1.0), (0.0, 1.0), (1.0, 9.0), (1.0, "2"), 1.0, (1.0, 1.5, 2.0)):
+        with pytest.raises(ValueError, match=r"x is .*, but must be \(low, high\) with 0 < low"):
+            check_interval("x", bad, above=0.0, at_most=8.0)
+    check_interval("x", [1, np.float64(8.0)], above=0.0, at_most=8.0)
+
+
+def test_integers_beyond_every_float_are_refused_or_taken_without_overflow():
+    with pytest.raises(ValueError, match="x is 1000"):
+        check_number("x", 10**400, at_least=0.0)
+    check_number("x", 10**300, at_least=0.0)
+    assert check_integer("x", 10**400, at_least=0) == 10**400
+    assert check_integer("x", np.int64(3), at_least=3, at_most=3) == 3
 
 
 BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
@@ -194,10 +246,10 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
 @pytest.mark.parametrize(("settings", "name", "good", "bad"), BOUNDS)
 def test_ranges_end_where_they_should(settings, name, good, bad):
     for value in good:
-        settings(**{**SETTINGS[settings], name: value})
+        constructed(settings, **{name: value})
     for value in bad:
-        with pytest.raises(ValueError, match=rf"{name} is {re.escape(repr(value))}, but must be"):
-            settings(**{**SETTINGS[settings], name: value})
+        with pytest.raises(ValueError, match=rf"{name} (is )?{re.escape(repr(value))}"):
+            constructed(settings, **{name: value})
 
 
 COMMANDS: dict[type, dict[str, Any]] = {
@@ -208,14 +260,12 @@ COMMANDS: dict[type, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("options", COMMANDS)
-def test_commands_refuse_numbers_in_the_words_of_the_command_line(options):
-    table: dict[str, Option] = options_of(options)
-    counted = [name for name, option in table.items() if "at least" in option.kind.words]
-    assert "seed" in counted
-    for name in counted:
-        flag = f"--{name.replace('_', '-')}"
-        with pytest.raises(ValueError, match=f"{flag} is -1, but must be an integer of at least"):
-            options(**{**COMMANDS[options], name: -1})
+@pytest.mark.parametrize("name", ["seed", "episodes", "drones"])
+def test_commands_refuse_numbers_in_the_words_of_the_command_line(options, name):
+    if name not in {field.name for field in fields(options)}:
+        return
+    with pytest.raises(ValueError, match=f"--{name} is -1, but must be an integer of at least"):
+        options(**{**COMMANDS[options], name: -1})
 
 
 @pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1, crowd_v0, pursuit_v0, gates_v0])
@@ -224,13 +274,13 @@ def test_a_view_shows_every_option(module):
         parameters = inspect.signature(view).parameters
         assert all(p.kind is p.KEYWORD_ONLY for p in parameters.values())
         for name in parameters:
-            assert re.search(rf"^    {name}: ", view.__doc__, re.MULTILINE)
+            assert re.search(rf"^    {name} \(.*\): ", view.__doc__, re.MULTILINE)
 
 
 def test_the_page_of_the_tasks_shows_every_option():
     text = expand("<!-- option table: EnvConfig -->\n\n<!-- option table: SwapOptions -->")
-    assert "| `horizon_s` | positive and finite, in s, or None | `None` | Time limit: " in text
-    assert "| `num_drones` | an integer of at least 1 and at most 100,000 | `4` |" in text
+    assert "| `horizon_s` | `float \\| None` | `None` | Time limit: " in text
+    assert "| `num_drones` | `int` | `4` |" in text
 
 
 WORDS = [
@@ -291,7 +341,7 @@ def test_train_flies_them(tmp_path):
         on_contact="end_pair",
         obstacles="column=1.8:1.8:0.1",
     )
-    found = training_blueprint(with_recipe(config, "swap_v1"), "swap_v1", {"num_drones": 3})
+    found = training_blueprint(with_defaults(config, "swap_v1"), "swap_v1", {"num_drones": 3})
     assert found.config.hall is not None and found.config.on_contact == "end_pair"
     assert found.config.ranges == Randomization(mass=(0.95, 1.05))
     assert found.task.obstacles == (Column((1.8, 1.8), 0.1),)
@@ -313,131 +363,3 @@ def test_the_help_begins_with_what_matters_most(command, capsys):
     said = capsys.readouterr().out
     first = {"fit": ["data", "out"], "fly": ["task"], "evaluate": ["task"]}.get(command, ["out"])
     assert re.findall(r"--([a-z-]+)", said.split("--help")[-1])[: len(first)] == first
-
-
-if TYPE_CHECKING:
-    from nowhere import Unknown  # type: ignore[import-not-found]
-
-
-@typed
-def job(
-    count: int = 0,
-    share: float | None = None,
-    name: str = "",
-    mode: Literal["a", "b"] = "a",
-    yes: bool = True,
-    path: Path = Path(),
-    sizes: tuple[float, float] = (0.0, 1.0),
-    names: tuple[str, ...] = (),
-    shape: Sequence[int] = (),
-    points: npt.ArrayLike = 0.0,
-    array: FloatArray | None = None,
-    weights: Mapping[str, float] | None = None,
-    watch: Callable[[str], None] | None = None,
-    unknown: Unknown = None,
-    **others: Any,
-) -> dict[str, Any]:
-    return locals()
-
-
-GOOD: list[dict[str, Any]] = [
-    {"count": 3},
-    {"count": np.int64(3), "share": np.float32(0.5)},
-    {"share": 1, "names": ["a"], "sizes": [1, 2.5]},
-    {"share": float("nan")},
-    {"mode": "b", "yes": np.bool_(False), "shape": np.array([3, 4])},
-    {"points": [[0, 1], [2, 3]], "array": np.zeros(3), "weights": {"a": 1.0}},
-    {"watch": print, "unknown": object(), "whatever": None, "share": None},
-]
-BAD: list[tuple[str, Any, str]] = [
-    ("count", True, "an integer"),
-    ("count", 1.0, "an integer"),
-    ("count", "1", "an integer"),
-    ("share", "0.5", "a number or None"),
-    ("share", 1j, "a number or None"),
-    ("name", None, "text"),
-    ("mode", 1, "'a' or 'b'"),
-    ("yes", 1, "True or False"),
-    ("path", "here", "a pathlib.Path"),
-    ("sizes", (1.0,), "a tuple: a number, a number"),
-    ("names", "abc", "a sequence, each text"),
-    ("names", ("a", 1), "a sequence, each text"),
-    ("shape", 3, "a sequence, each an integer"),
-    ("points", "abc", "an array of numbers"),
-    ("points", [[1.0], [1.0, 2.0]], "an array of numbers"),
-    ("array", [None], "an array of numbers or None"),
-    ("weights", [("a", 1.0)], "a mapping or None"),
-    ("watch", "print", "a function or None"),
-]
-
-
-@pytest.mark.parametrize("given", GOOD)
-def test_what_fits_goes_through(given):
-    found = job(**given)
-    assert all(found[name] is value for name, value in given.items() if name in found)
-
-
-@pytest.mark.parametrize(("name", "value", "words"), BAD)
-def test_what_does_not_fit_is_named_with_its_value(name, value, words):
-    with pytest.raises(WrongKind) as error:
-        job(**{name: value})
-    assert str(error.value) == f"{name} is {value!r:.80}, but must be {words}"
-    assert isinstance(error.value, TypeError) and isinstance(error.value, ValueError)
-
-
-def test_text_that_is_none_of_those_that_may_be_is_told_the_nearest():
-    with pytest.raises(WrongKind, match=r"unknown mode 'c'; .*valid: 'a', 'b'"):
-        job(mode="c")  # type: ignore[arg-type]
-
-
-def test_arguments_by_place_are_looked_at_too():
-    with pytest.raises(WrongKind, match="share is 'x'"):
-        job(1, "x")  # type: ignore[arg-type]
-
-
-def test_what_goes_by_name_alone_is_not_taken_by_place():
-    @typed
-    def named(*, first: int = 0) -> int:
-        return first
-
-    with pytest.raises(TypeError, match="takes 0 positional arguments but 1 was given"):
-        named(1)  # type: ignore[call-arg]
-
-
-@typed
-@dataclass(frozen=True)
-class Settings:
-    size: float
-    name: str = "a"
-
-
-def test_a_class_stays_what_it_was():
-    one = Settings(2, name="b")
-    assert one == pickle.loads(pickle.dumps(one))  # noqa: S301  # our own
-    assert [f.name for f in fields(Settings)] == ["size", "name"]
-    assert list(inspect.signature(Settings).parameters) == ["size", "name"]
-    with pytest.raises(WrongKind, match="size is None, but must be a number"):
-        Settings(None)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="missing 1 required positional argument: 'size'"):
-        Settings()  # type: ignore[call-arg]
-
-
-@pytest.mark.parametrize(
-    ("rule", "words"),
-    [
-        (Range(), "a finite number"),
-        (Range(0.0), "finite and not negative"),
-        (Range(1.0, unit="m"), "a finite number of at least 1, in m"),
-        (Range(-2.5, above=True), "a finite number above -2.5"),
-        (Range(-1.0, 2.0, below=True), "a number in [-1, 2)"),
-    ],
-)
-def test_a_range_names_its_ends(rule, words):
-    assert kind_of(Annotated[float, rule]).words == words
-
-
-def test_integers_beyond_every_float_are_refused_or_taken_without_overflow():
-    huge = 10**400
-    number, integer = kind_of(Annotated[float, Range(0.0)]), kind_of(Annotated[int, Range(0)])
-    assert not number.fits(huge) and number.fits(10**300)
-    assert integer.fits(huge)

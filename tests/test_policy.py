@@ -205,11 +205,14 @@ def rewrite(path: Path, **changes: object) -> None:
         ({"action": "ctbr"}, "do not lead from 81 features to the 4 numbers"),
         ({"num_neighbors": 3}, "do not lead from 106 features"),
         ({"drones": 0}, "drones is 0"),
-        ({"drones": 10**9}, "drones is 1000000000, but must be at most 10,000"),
+        (
+            {"drones": 10**9},
+            "drones is 1000000000, but must be an integer of at least",
+        ),
         ({"decision_rate": 10**9}, "decision_rate is 1000000000, but must be 240 over an integer"),
         ({"num_neighbors": 10**9}, "num_neighbors is 1000000000"),
         ({"provenance": "deep"}, "is damaged"),
-        ({"safety": {"margin_m": -1}}, "Safety.margin_m is -1, but must be"),
+        ({"safety": {"margin_m": -1}}, "margin_m is -1, but must be"),
         ({"weights_sha256": "0" * 64}, "are not those that were written"),
     ],
 )

@@ -20,7 +20,7 @@ from examples.tune_agents import (
     tune_agent,
     with_numbers,
 )
-from swarm_envs import crowd_v0, swap_v1
+from swarm_envs import crowd_v0, make, swap_v1
 from swarm_envs.agents import Safety, SafetyFilter, fly_episode, load
 from swarm_envs.agents.avoiding import CruiseAgent, RoundaboutAgent
 from swarm_envs.agents.barrier import (
@@ -294,7 +294,7 @@ def test_no_accepted_velocity_brings_drones_nearer_that_are_too_near():
 def test_too_many_straight_ways_through_one_place_are_refused(name, most):
     agent = load(name)
     for drones, layout in ((16, "random"), (most, "circle")):
-        env = swap_v1.parallel_env(num_drones=drones, layout=layout, **agent.requires)
+        env = make("swap_v1", num_drones=drones, layout=layout, **agent.requires)
         env.reset(seed=0)
         agent.reset(env, 0)
     env = swap_v1.parallel_env(num_drones=most + 1, layout="circle", **agent.requires)

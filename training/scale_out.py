@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import multiprocessing
 import os
 import re
@@ -19,7 +18,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from swarm_envs.arguments import Count, typed
+from swarm_envs.errors import check_integer
 
 __all__ = ["ScaleOptions", "WorkerDied", "run_jobs"]
 
@@ -36,19 +35,19 @@ class WorkerDied(RuntimeError):
     """A worker died while it did a job, and again when the job was repeated."""
 
 
-@functools.partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class ScaleOptions:
     """Options for parallel evaluation; the results are the same."""
 
-    workers: Count = 1
+    workers: int = 1
     """number of local processes"""
     ray: str | None = None
     """run on a Ray cluster: `auto` for the running one, `local` for a new one on this machine (with
     --workers processors, if more than 1), or an address, such as 10.0.0.1:6379"""
 
     def __post_init__(self) -> None:
-        """Check what the annotations cannot say."""
+        """Refuse addresses that are none, and workers that the cluster counts."""
+        check_integer("--workers", self.workers, at_least=1)
         if self.ray not in (None, "local", "auto") and not _ADDRESS.fullmatch(self.ray):
             raise ValueError(
                 f"--ray is {self.ray!r}, but must be 'auto', 'local', or host:port such as "

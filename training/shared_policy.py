@@ -14,13 +14,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from swarm_envs.agents.features import feature_sizes, features_of
-from swarm_envs.arguments import check_value
 from swarm_envs.envs.config import check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import split_teams
 from swarm_envs.envs.observation import Float32Array, observation_space, shaper
 from swarm_envs.envs.options import Blueprint, batch_of
-from swarm_envs.errors import check_integer
+from swarm_envs.errors import check_bool, check_integer
 from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["SharedPolicyVecEnv"]
@@ -83,7 +82,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 f"num_envs is {num_envs!r}, but must be a number, or one for each of "
                 f"{len(blueprints)} teams"
             )
-        check_value("features", features, bool)
+        check_bool("features", features)
         observed = blueprints[0].config.observation
         if features and observed != "flat":
             raise ValueError(

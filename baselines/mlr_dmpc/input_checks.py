@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.errors import check_integer
+from swarm_envs.errors import as_numbers, check_integer
 from swarm_envs.state import FloatArray
 
 
@@ -15,7 +15,7 @@ def checked_points(
     what: str, points: FloatArray, config: MlrDmpcConfig, count: int | None = None
 ) -> FloatArray:
     """Points (N, 3) that drones can hover at together."""
-    array = np.array(points, dtype=np.float64)
+    array = as_numbers(what, points).copy()
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         raise ValueError(f"{what} have shape {array.shape}, but must be (N, 3) in metres")
     if count is not None and len(array) != count:

@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 
 from swarm_envs.agents.scripted import SetpointAgent
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import LossModel
@@ -23,6 +22,7 @@ from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
@@ -35,7 +35,6 @@ _ROOM = 1.2
 """Distance of starts and of goals over that of references: at the limit no drone gets past."""
 
 
-@typed
 class MlrDmpcAgent(SetpointAgent):
     """Flies to goals at rest by distributed MPC over a radio that may lose messages.
 
@@ -61,6 +60,10 @@ class MlrDmpcAgent(SetpointAgent):
         controller: ControllerConfig | None = None,
         config: MlrDmpcConfig | None = None,
     ) -> None:
+        if compute_units is not None:
+            check_integer("compute_units", compute_units)
+        check_name("trigger", trigger, ("WT", "HT", "RR", "DT"))
+        check_name("recovery", str(recovery), ("True", "False", "paper"))
         self._given = MlrDmpcConfig() if config is None else config
         super().__init__(
             {

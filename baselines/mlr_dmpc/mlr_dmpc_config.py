@@ -9,23 +9,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, POSITIVE_S, Count, Range, typed
+from swarm_envs.errors import check_array, check_integer, check_name, check_number, check_numbers
 from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcConfig"]
 
 Corner = tuple[float, float, float]  # A point, by axis: x, y, z
-_Factor = Annotated[float, POSITIVE]
 _MOST_TURNED = 4
 _MOST_SAMPLES = 1000
 """Samples of a round: matrices of the optimisation have a row for each in the horizon."""
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class MlrDmpcConfig:
     """Parameters of the optimisation (Sec. 4.2.3, Appendix B) and of its rounds (Sec. 3.1).
@@ -34,86 +32,121 @@ class MlrDmpcConfig:
         ValueError: a value is out of range, or a time is no multiple of what it is sampled by.
     """
 
-    round_s: Annotated[float, POSITIVE_S] = 0.2
+    round_s: float = 0.2
     """Duration of a round (T), s."""
-    horizon_rounds: Annotated[int, Range(3)] = 15
+    horizon_rounds: int = 15
     """Rounds that a plan covers (H); it ends at rest."""
-    input_sampling_s: Annotated[float, POSITIVE_S] = 0.2
+    input_sampling_s: float = 0.2
     """For how long each jerk lasts (T_s), s."""
-    state_sampling_s: Annotated[float, POSITIVE_S] = 0.2
+    state_sampling_s: float = 0.2
     """Between the instants at which bounds of the state hold (T_b), s."""
-    collision_sampling_s: Annotated[float, POSITIVE_S] = 0.025
+    collision_sampling_s: float = 0.025
     """Between the instants at which plans are checked for distance (T_c), s. Published: 0.1, which
     would ask for 0.14 m more at samples; see `sampled_distance_m`."""
-    position_weight: Annotated[float, POSITIVE] = 1.0
+    position_weight: float = 1.0
     """Of the squared distance to the target at the end of the plan, 1/m^2."""
-    path_weight: Annotated[float, NOT_NEGATIVE] = 0.3
+    path_weight: float = 0.3
     """Of the squared distance to the target on the way there, at each input sample, 1/m^2. The
     published simulation has 0 (eq. (13) a sum), and takes the whole horizon for the last metre."""
-    velocity_weight: Annotated[float, NOT_NEGATIVE] = 1e-4
+    velocity_weight: float = 1e-4
     """Of the squared velocity, at each input sample."""
-    acceleration_weight: Annotated[float, NOT_NEGATIVE] = 0.005
+    acceleration_weight: float = 0.005
     """Of the squared acceleration, at each input sample."""
-    jerk_weight: Annotated[float, POSITIVE] = 0.001
+    jerk_weight: float = 0.001
     """Of the squared jerk, at each input sample."""
-    speed_limit: Annotated[float, POSITIVE] = 2.0
+    speed_limit: float = 2.0
     """By axis, m/s."""
-    acceleration_limit: Annotated[float, POSITIVE] = 5.0
+    acceleration_limit: float = 5.0
     """By axis, m/s^2."""
-    jerk_limit: Annotated[float, POSITIVE] = 5.0
+    jerk_limit: float = 5.0
     """By axis, m/s^3."""
     box: tuple[Corner, Corner] = ((-2.0, -2.0, 0.3), (2.0, 2.0, 3.0))
     """Lower and upper corner of where drones may fly, m."""
-    distance_m: Annotated[float, POSITIVE_M] = 0.25
+    distance_m: float = 0.25
     """Least scaled distance between references, at any time, m."""
-    scaling: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 6.0)
+    scaling: tuple[float, float, float] = (1.0, 1.0, 6.0)
     """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
-    soft_m: Annotated[float, NOT_NEGATIVE] = 0.7
+    soft_m: float = 0.7
     """Largest soft margin (epsilon) at the end of a plan, m. Published: 0.3; with that, sixteen
     drones take half as long again to change places on a circle."""
-    soft_weight: Annotated[float, NOT_NEGATIVE] = 0.5
+    soft_weight: float = 0.5
     """Weight of a neighbour straight ahead or behind."""
-    soft_turn: Annotated[float, NOT_NEGATIVE] = 2.0
+    soft_turn: float = 2.0
     """A neighbour at angle phi to the left weighs exp(soft_turn sin phi) as much."""
-    soft_near_m: Annotated[float, NOT_NEGATIVE] = 1.2
+    soft_near_m: float = 1.2
     """Closer to the target than this, m, soft margins weigh next to nothing. Published: 0.8, too
     near for the larger margins: they would hold a drone off its target."""
-    soft_near_factor: Annotated[float, NOT_NEGATIVE] = 1e-7
+    soft_near_factor: float = 1e-7
     """What they weigh there, as a share."""
-    deadlock_speed: Annotated[float, POSITIVE] = 0.15
+    deadlock_speed: float = 0.15
     """A faster drone is in no deadlock, m/s."""
-    deadlock_m: Annotated[float, NOT_NEGATIVE] = 0.1
+    deadlock_m: float = 0.1
     """Nor is one whose plan ends this near its target, m."""
-    contact_factor: Annotated[float, Range(1.0)] = 1.1
+    contact_factor: float = 1.1
     """Drones within this many times `sampled_distance_m` touch."""
-    deadlock_residual: Annotated[float, NOT_NEGATIVE] = 0.1
+    deadlock_residual: float = 0.1
     """Share of the pull to the target that contacts need not balance."""
-    detour_range_m: Annotated[float, POSITIVE_M] = 0.6
+    detour_range_m: float = 0.6
     """Nearer than this, m, drones make room for one in a deadlock."""
-    detour_step_m: Annotated[float, POSITIVE_M] = 0.5
+    detour_step_m: float = 0.5
     """How far they go, m."""
-    detour_noise_m: Annotated[float, NOT_NEGATIVE] = 0.1
+    detour_noise_m: float = 0.1
     """Standard deviation of where to, by axis, m."""
-    detour_rounds: Count = 10
+    detour_rounds: int = 10
     """For how many rounds they make room."""
-    detour_pause_rounds: Annotated[int, Range(0)] = 5
+    detour_pause_rounds: int = 5
     """For how many more rounds they then continue."""
     planes: Literal["fixed", "relinearised"] = "relinearised"
     """Where a plan keeps clear of drones that are not planned in the same round: `relinearised`
     around its own solution, again until that stays (Lemma 3 asks for the distance alone), or
     `fixed` behind planes between what both fly, as published. The former arrives sooner, but takes
     longer to solve, and what is lost stops more plans: no promise holds (Lemma 9)."""
-    turn_rad: Annotated[float, NOT_NEGATIVE] = 0.4
+    turn_rad: float = 0.4
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
     from above, rad: two that meet head on then pass on the right. This is for two drones; see
     `for_swarm`. Published: 0."""
-    turn_share: Annotated[float, Range(0.0, 1.0, below=True)] = 0.5
+    turn_share: float = 0.5
     """Nor by more than this share of the angle at which the gap along the normal would be too
     small; below 1."""
-    arrival_m: Annotated[float, POSITIVE_M] = 0.05
+    arrival_m: float = 0.05
     """A drone has arrived when it is this close to its target, m."""
 
     def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("round_s", "input_sampling_s", "state_sampling_s", "collision_sampling_s"):
+            check_number(name, getattr(self, name), above=0.0, unit="s")
+        check_integer("horizon_rounds", self.horizon_rounds, at_least=3)
+        for name in (
+            "position_weight",
+            "jerk_weight",
+            "speed_limit",
+            "acceleration_limit",
+            "jerk_limit",
+            "deadlock_speed",
+        ):
+            check_number(name, getattr(self, name), above=0.0)
+        for name in (
+            "path_weight",
+            "velocity_weight",
+            "acceleration_weight",
+            "soft_m",
+            "soft_weight",
+            "soft_turn",
+            "soft_near_m",
+            "soft_near_factor",
+            "deadlock_m",
+            "deadlock_residual",
+            "detour_noise_m",
+            "turn_rad",
+        ):
+            check_number(name, getattr(self, name), at_least=0.0)
+        for name in ("distance_m", "detour_range_m", "detour_step_m", "arrival_m"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
+        check_number("contact_factor", self.contact_factor, at_least=1.0)
+        check_integer("detour_rounds", self.detour_rounds, at_least=1)
+        check_integer("detour_pause_rounds", self.detour_pause_rounds, at_least=0)
+        check_name("planes", self.planes, ("fixed", "relinearised"))
+        check_number("turn_share", self.turn_share, at_least=0.0, below=1.0)
         for name in ("input_sampling_s", "state_sampling_s", "collision_sampling_s"):
             ratio = self.round_s / getattr(self, name)
             count = round(min(ratio, 2.0 * _MOST_SAMPLES))
@@ -122,9 +155,10 @@ class MlrDmpcConfig:
                     f"{name} is {getattr(self, name)!r} s, but must divide round_s, "
                     f"{self.round_s!r} s, into at most {_MOST_SAMPLES} parts"
                 )
-        lower, upper = np.array(self.box)
-        if not (np.isfinite(self.box).all() and (lower < upper).all()):
-            raise ValueError(f"box is {self.box}, but its corners must be lower and upper, finite")
+        check_numbers("scaling", self.scaling, 3, above=0.0)
+        lower, upper = check_array("box", self.box, (2, 3))
+        if not (lower < upper).all():
+            raise ValueError(f"box is {self.box}, but its corners must be lower and upper")
 
     def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
         """The parameters with which N drones fly: planes are turned by (2 / N)^2 of `turn_rad`.

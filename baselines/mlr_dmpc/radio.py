@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.mlr_dmpc.messages import DroneStates
+from swarm_envs.errors import check_bool, check_integer, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["Jam", "LossModel"]
 
 Who = str | tuple[str, ...]  # `all`, `drones`, `units`, `drone 3`, `unit 0`, or several of these
 
-_Share = Annotated[float, Range(0.0, 1.0)]
-_Round = Annotated[int, Range(0)]
 _UINT = npt.NDArray[np.uint64]
 _MESSAGE, _OUTAGE, _TURN, _BURST = range(4)
 
@@ -30,7 +28,6 @@ def _names(who: Who) -> tuple[str, ...]:
     return (who,) if isinstance(who, str) else who
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class Jam:
     """Rounds in which what some send does not reach some others.
@@ -39,9 +36,9 @@ class Jam:
         ValueError: the rounds are not in order, or a name is unknown.
     """
 
-    first_round: _Round
+    first_round: int
     """First round that is jammed."""
-    last_round: _Round
+    last_round: int
     """Last round that is jammed."""
     senders: Who = "all"
     """Whose messages are lost."""
@@ -51,20 +48,25 @@ class Jam:
     """Whether the receivers' messages to the senders are lost as well."""
 
     def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("first_round", "last_round"):
+            check_integer(name, getattr(self, name), at_least=0)
+        check_bool("both_ways", self.both_ways)
+        for name in ("senders", "receivers"):
+            check_type(name, getattr(self, name), str | tuple)
         if self.first_round > self.last_round:
             raise ValueError(
                 f"a jam from round {self.first_round} to {self.last_round}: rounds must be in order"
             )
         for field in ("senders", "receivers"):
             for name in _names(getattr(self, field)):
-                if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", name):
+                if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", str(name)):
                     raise ValueError(
                         f"{field} has {name!r}, which names no drone: write all, drones, units, "
                         "'drone 3' or 'unit 0'"
                     )
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class GilbertElliott:
     """A channel by receiver that is good or bad, and turns at random between rounds.
@@ -73,15 +75,19 @@ class GilbertElliott:
         ValueError: a probability is outside [0, 1].
     """
 
-    turns_bad: _Share
+    turns_bad: float
     """Probability that a good channel is bad in the next round."""
-    turns_good: _Share
+    turns_good: float
     """Probability that a bad channel is good in the next round."""
-    loss_when_bad: _Share = 1.0
+    loss_when_bad: float = 1.0
     """Share of messages that a bad channel loses."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("turns_bad", "turns_good", "loss_when_bad"):
+            check_number(name, getattr(self, name), at_least=0.0, at_most=1.0)
 
-@typed
+
 @dataclass(frozen=True, kw_only=True)
 class LossModel:
     """A message arrives if none of these loses it; what one sends to oneself always arrives.
@@ -90,16 +96,25 @@ class LossModel:
         ValueError: a probability is outside [0, 1].
     """
 
-    unit_loss: _Share = 0.0
+    unit_loss: float = 0.0
     """Probability that a compute unit misses a message."""
-    drone_loss: _Share = 0.0
+    drone_loss: float = 0.0
     """Probability that a drone misses a message."""
-    outage: _Share = 0.0
+    outage: float = 0.0
     """Probability that a receiver misses a whole round."""
     bursts: GilbertElliott | None = None
     """Channel of each receiver."""
     jams: tuple[Jam, ...] = ()
     """Windows in which messages are lost for certain."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("unit_loss", "drone_loss", "outage"):
+            check_number(name, getattr(self, name), at_least=0.0, at_most=1.0)
+        check_type("bursts", self.bursts, GilbertElliott | None)
+        check_type("jams", self.jams, tuple)
+        for jam in self.jams:
+            check_type("one of jams", jam, Jam)
 
     @classmethod
     def of(cls, loss: float | str | LossModel) -> LossModel:

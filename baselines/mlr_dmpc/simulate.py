@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.input_checks import checked_points
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import RoundLog
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound, Unreachable
 from swarm_envs.baselines.mlr_dmpc.trajectory import closest_distances, end_position
+from swarm_envs.errors import check_number
 from swarm_envs.state import FloatArray
 
 
@@ -71,7 +71,6 @@ _DAY_S = 86_400
 _TOLERANCE = 1e-6
 
 
-@typed
 def simulate(
     starts: FloatArray,
     targets: Targets,
@@ -102,9 +101,8 @@ def simulate(
         ValueError: see `MlrDmpcSwarm`; also a duration that is not positive or longer than a day,
             or moving targets that are at some round outside the box or too close to each other.
     """
+    check_number("duration_s", duration_s, above=0.0, at_most=_DAY_S, unit="s")
     config = config or MlrDmpcConfig()
-    if not 0.0 < duration_s <= _DAY_S:
-        raise ValueError(f"duration_s is {duration_s!r}, but must be above 0 and at most {_DAY_S}")
     rounds = max(round(duration_s / config.round_s), 1)
     count = len(checked_points("starts", starts, config))
     if callable(targets):

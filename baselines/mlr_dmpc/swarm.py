@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from swarm_envs.arguments import Count, Range, Seed, typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach
 from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
 from swarm_envs.baselines.mlr_dmpc.input_checks import checked_indices, checked_points
@@ -19,6 +18,7 @@ from swarm_envs.baselines.mlr_dmpc.radio import LossModel, LossProcess, RoundLog
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, end_position, hover
 from swarm_envs.baselines.mlr_dmpc.unit_planner import Obstacles, PlanningOptions
 from swarm_envs.compiled import announce_compilation
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcSwarm"]
@@ -28,17 +28,23 @@ _DEAF_PLANS = 20
 _SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class UnitOutage:
     """Rounds in which a compute unit is dead. It comes back knowing nothing."""
 
-    unit: Annotated[int, Range(0)]
+    unit: int
     """Index of the unit."""
-    first_round: Annotated[int, Range(0)]
+    first_round: int
     """First round without it."""
-    last_round: Annotated[int, Range(0)] | None = None
+    last_round: int | None = None
     """Last round without it; None: it stays dead."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("unit", "first_round"):
+            check_integer(name, getattr(self, name), at_least=0)
+        if self.last_round is not None:
+            check_integer("last_round", self.last_round, at_least=0)
 
     def covers(self, round_: int) -> bool:
         """Whether the unit is dead in a round."""
@@ -81,7 +87,6 @@ class Unreachable(NamedTuple):
         )
 
 
-@typed
 class MlrDmpcSwarm:
     """A swarm under MLR-DMPC.
 
@@ -114,11 +119,11 @@ class MlrDmpcSwarm:
         targets: FloatArray,
         *,
         config: MlrDmpcConfig | None = None,
-        compute_units: Count = 3,
+        compute_units: int = 3,
         trigger: Literal["WT", "HT", "RR", "DT"] = "WT",
         loss: float | str | LossModel = 0.0,
         recovery: bool | Literal["paper"] = True,
-        seed: Seed = 0,
+        seed: int = 0,
         solver: Literal["daqp", "osqp"] = "daqp",
         measure: Literal["end", "next"] = "end",
         informed: bool = True,
@@ -127,6 +132,12 @@ class MlrDmpcSwarm:
         leaves: Mapping[int, int] | None = None,
         obstacles: Obstacles | None = None,
     ) -> None:
+        check_integer("compute_units", compute_units, at_least=1)
+        check_name("trigger", trigger, ("WT", "HT", "RR", "DT"))
+        check_integer("seed", seed, at_least=0)
+        check_name("solver", solver, ("daqp", "osqp"))
+        check_name("measure", measure, ("end", "next"))
+        check_name("recovery", str(recovery), ("True", "False", "paper"))
         given = config or MlrDmpcConfig()
         starts = checked_points("starts", starts, given)
         self.config = given.for_swarm(len(starts))

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from swarm_envs.agents.scripted import DetourAgent, PlannedAgent, SetpointAgent
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import (
@@ -28,6 +27,7 @@ from swarm_envs.baselines.neural_swarm.planner.problem import (
 )
 from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.envs.view import View
+from swarm_envs.errors import check_integer, check_type
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
@@ -46,7 +46,6 @@ _CLEARANCE = 1.6  # over the sum of radii where starts and goals allow it: below
 _HOVER_SHARE = 1.2  # force bound over the force when hovering, where that is above the paper's
 
 
-@typed
 def load_belief(truth: str = "learned") -> InteractionModel:
     """The deep set of the compensated controller and the planner: fitted to simulated flights.
 
@@ -75,7 +74,6 @@ def _load_shipped(name: str) -> InteractionModel:
         return load(Path(path))
 
 
-@typed
 class TrackingAgent(SetpointAgent):
     """Follows the task's reference with the tracking loop of Neural-Swarm2.
 
@@ -85,6 +83,8 @@ class TrackingAgent(SetpointAgent):
     """
 
     def __init__(self, controller: ControllerConfig | None = None, decision_rate: int = 48) -> None:
+        check_type("controller", controller, ControllerConfig | None)
+        check_integer("decision_rate", decision_rate)
         given = controller or ControllerConfig()
         super().__init__(
             {"action": "setpoint", "decision_rate": decision_rate, "controller": given}
@@ -117,7 +117,6 @@ def compensated_detour(belief: InteractionModel | None = None) -> DetourAgent:
     return DetourAgent(ControllerConfig(feedforward=belief or load_belief()))
 
 
-@typed
 class PlanAgent(PlannedAgent[SwarmPlan]):
     """Plans at every change of goals, with its own model of the forces, and flies the plan.
 
@@ -127,6 +126,7 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
     """
 
     def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
+        check_integer("decision_rate", decision_rate)
         self._model = belief or load_belief()
         tracking = TrackingAgent.compensated(self._model, decision_rate)
         super().__init__(tracking.requires)

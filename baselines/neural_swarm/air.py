@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import POSITIVE, POSITIVE_S, Range, typed
 from swarm_envs.baselines.neural_swarm.agent import TrackingAgent, load_belief
 from swarm_envs.control.config import ControllerConfig, Indi, PositionGains
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.errors import check_bool, check_number
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference, rest_to_rest
 from swarm_envs.vehicles import Team
@@ -29,31 +28,39 @@ _INTEGRAL_LIMIT = 3.0  # Holds the largest force of these tasks, m
 _PEAK = 7.5132  # Largest acceleration from rest to rest over a distance of 1 m in 1 s, m/s^2
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class AirNumbers:
     """Every number of an agent of these tasks, and what it knows."""
 
-    position: Annotated[float, POSITIVE]
+    position: float
     """As of `PositionGains`, 1/s."""
-    velocity: Annotated[float, POSITIVE]
+    velocity: float
     """As of `PositionGains`, 1/s."""
-    integral: Annotated[float, POSITIVE]
+    integral: float
     """As of `PositionGains`, 1/s."""
-    attitude: Annotated[float, POSITIVE] = 20.0
+    attitude: float = 20.0
     """`attitude_tilt` of `ControllerConfig`, 1/s. Where it is softer, noise costs less thrust."""
-    rate: Annotated[float, POSITIVE] = 25.0
+    rate: float = 25.0
     """`rate_tilt` of `ControllerConfig`, 1/s."""
-    cutoff_hz: Annotated[float, Range(0.0, 20.0, unit="Hz")] = 0.0
+    cutoff_hz: float = 0.0
     """Of `Indi`, which estimates the force in flight; 0 for no estimate."""
-    acceleration: Annotated[float, POSITIVE] = 4.6
+    acceleration: float = 4.6
     """Largest acceleration on the way to a goal, m/s^2."""
-    travel_s: Annotated[float, POSITIVE_S] = 1.6
+    travel_s: float = 1.6
     """Time of the way to a place that any may take, s."""
     believes: bool = False
     """Whether it feeds `load_belief()` forward."""
     chooses: bool = False
     """Whether those with little thrust to spare go on top, where any may take any place."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("position", "velocity", "integral", "attitude", "rate", "acceleration"):
+            check_number(name, getattr(self, name), above=0.0)
+        check_number("cutoff_hz", self.cutoff_hz, at_least=0.0, at_most=20.0, unit="Hz")
+        check_number("travel_s", self.travel_s, above=0.0, unit="s")
+        for name in ("believes", "chooses"):
+            check_bool(name, getattr(self, name))
 
     def controller(self) -> ControllerConfig:
         """The tracking loop with these numbers."""

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from swarm_envs.arguments import Seed, typed
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     PAPER_SWAP,
@@ -34,6 +33,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
     versions,
 )
 from swarm_envs.control.config import ControllerConfig
+from swarm_envs.errors import check_integer, check_number
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.viewing.comparison import Comparison, plot_comparisons
@@ -52,10 +52,9 @@ VIDEO_TEAM, VIDEO_S, VIDEO_FPS = "L2S", 5.0, 24
 _HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
 
 
-@typed
 def run_demo(
     out: Path,
-    seed: Seed = 0,
+    seed: int = 0,
     swaps: int = 6,
     video: bool = True,
     progress: bool = True,
@@ -82,6 +81,9 @@ def run_demo(
         ValueError: `seed` or `swaps` is impossible.
         OSError: the folder cannot be written.
     """
+    check_integer("seed", seed, at_least=0)
+    check_integer("swaps", swaps)
+    check_number("video_s", video_s)
     if not 1 <= swaps <= 1000:
         raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
     out.mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@ A vertex (x, y, z) of a grid of shape (m1, m2, m3) has the number (x m2 + y) m3 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Seed, typed
 from swarm_envs.baselines.rth3d.cuts import cut_bound, passing_bound
 from swarm_envs.baselines.rth3d.ways import FAR, neighbor_table, shortest_ways
-from swarm_envs.errors import check_name
+from swarm_envs.errors import as_numbers, check_integer, check_name
 from swarm_envs.state import BoolArray
 
 __all__ = ["Coordinates", "Shape", "check_shape"]
@@ -44,7 +43,6 @@ class NoPlanExists(PlanNotFound, ValueError):
     """The instance has no plan: proven, whatever the method."""
 
 
-@typed
 @dataclass(frozen=True, eq=False)
 class GridInstance:
     """Who starts where and must get where, on which grid. Made by `check_instance`."""
@@ -137,7 +135,7 @@ def check_shape(shape: Sequence[int]) -> Shape:
     Raises:
         ValueError: not two or three integers of at least 1, or too many vertices to number.
     """
-    sides = tuple(shape)
+    sides = () if isinstance(shape, str) or not isinstance(shape, Iterable) else tuple(shape)
     valid = all(isinstance(m, int | np.integer) and not isinstance(m, bool) for m in sides)
     if len(sides) not in (2, 3) or not valid or min(sides) < 1:
         raise ValueError(f"shape is {shape!r}, but must be two or three integers of at least 1")
@@ -158,6 +156,7 @@ def check_obstacles(obstacles: npt.ArrayLike | None, shape: Shape) -> BoolArray:
     """
     if obstacles is None:
         return np.zeros(shape, dtype=np.bool_)
+    as_numbers("obstacles", obstacles)
     found = np.asarray(obstacles)
     if found.dtype != np.bool_:
         raise ValueError(f"obstacles are of type {found.dtype}, but must be booleans")
@@ -229,6 +228,7 @@ def check_places(
     Raises:
         ValueError: naming the first for which it is not so, and why.
     """
+    as_numbers(name, given)
     found = np.asarray(given)
     if found.ndim != 2 or found.shape[1] not in (2, 3) or (found.shape[1] == 2 and shape[2] > 1):
         raise ValueError(f"{name} have shape {found.shape}, but must be (n, 3), one row a robot")
@@ -288,9 +288,9 @@ class _Draw(NamedTuple):
     obstacles: BoolArray
 
 
-@typed
 def building_columns(shape: Shape) -> BoolArray:
     """The tall buildings of Fig. 1: a column at every (3i + 1, 3j + 1)."""
+    shape = check_shape(shape)
     found = np.zeros(shape, dtype=np.bool_)
     found[1::3, 1::3, :] = True
     return found
@@ -412,9 +412,8 @@ FAMILIES: Mapping[str, Family] = {
 """Every family by its name."""
 
 
-@typed
 def make_instance(
-    family: str, shape: Shape, count: int | None = None, seed: Seed = 0
+    family: str, shape: Shape, count: int | None = None, seed: int = 0
 ) -> GridInstance:
     """Draw an instance.
 
@@ -428,6 +427,9 @@ def make_instance(
     Raises:
         ValueError: an unknown family, a shape that it cannot have, or a count it cannot hold.
     """
+    if count is not None:
+        check_integer("count", count)
+    check_integer("seed", seed, at_least=0)
     kind = FAMILIES[check_name("family", family, FAMILIES)]
     sides = check_shape(shape)
     if any(side % kind.sides for side in sides):

@@ -7,13 +7,12 @@ matched so that the squared ways sum to the least, and the flight is checked bef
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from swarm_envs.agents.scripted import PlannedAgent
-from swarm_envs.arguments import POSITIVE_M, Range, typed
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth
@@ -21,6 +20,7 @@ from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
 from swarm_envs.baselines.rth3d.grid_planning import plan
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.view import View
+from swarm_envs.errors import check_number, check_numbers
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
@@ -29,7 +29,6 @@ from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 __all__ = ["GridAgent"]
 
 MOST_SMOOTHED = 1000  # More drones than this fly the unsmoothed splines
-_Metres = Annotated[float, POSITIVE_M]
 _SPACING_M = 0.4  # horizontal spacing where drones are small enough
 _OBSTACLE_M = 0.1  # distance to obstacles beside the radius, m, where the grid leaves as much
 
@@ -63,7 +62,6 @@ class Lattice:
         return np.asarray(cells[linear_sum_assignment(square)[1]])
 
 
-@typed
 class GridAgent(PlannedAgent[SplineFlight]):
     """Plans every set of goals on a grid and flies the plan.
 
@@ -82,11 +80,14 @@ class GridAgent(PlannedAgent[SplineFlight]):
 
     def __init__(
         self,
-        spacing: tuple[_Metres, _Metres, _Metres] | None = None,
+        spacing: tuple[float, float, float] | None = None,
         method: str = "auto",
         controller: ControllerConfig | None = None,
-        share: Annotated[float, Range(0.0, 1.0, above=True)] = 0.7,
+        share: float = 0.7,
     ) -> None:
+        if spacing is not None:
+            check_numbers("spacing", spacing, 3, above=0.0)
+        check_number("share", share, above=0.0, at_most=1.0)
         super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
         self._spacing, self._method, self._share = spacing, method, share
 

@@ -12,12 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import POSITIVE_S, Count, Seed, typed
 from swarm_envs.baselines.rth3d.balancing import FlowTooLarge, balance
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
@@ -56,7 +55,7 @@ from swarm_envs.baselines.rth3d.rubik import (
 from swarm_envs.baselines.rth3d.unlabelled import assign, unlabelled_bound
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.compiled import announce_compilation
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_integer, check_name, check_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,17 +290,16 @@ METHODS: Mapping[str, Solver] = {
 """Every method by its name."""
 
 
-@typed
 def plan(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
     method: str = "auto",
-    seed: Seed = 0,
-    time_limit: Annotated[float, POSITIVE_S] | None = None,
+    seed: int = 0,
+    time_limit: float | None = None,
     watch: Callable[[str], None] | None = None,
-    configurations: Count | None = None,
+    configurations: int | None = None,
     labels: bool = True,
     objective: Literal["makespan", "sum_of_costs"] = "makespan",
 ) -> GridPlan:
@@ -345,6 +343,12 @@ def plan(
         PlanTimeout: the time ended before there was a valid plan.
         PlanNotFound: none was found, though there may be one.
     """
+    check_integer("seed", seed, at_least=0)
+    if time_limit is not None:
+        check_number("time_limit", time_limit, above=0.0, unit="s")
+    if configurations is not None:
+        check_integer("configurations", configurations, at_least=1)
+    check_name("objective", objective, ("makespan", "sum_of_costs"))
     instance = check_instance(starts, goals, shape, obstacles)
     check_name("method", method, METHODS)
     if time_limit is not None:

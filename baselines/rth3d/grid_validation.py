@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import (
     Array,
@@ -169,7 +168,6 @@ def _broken(rule: int, robot: int, step: int) -> ValidationReport:
     return ValidationReport(ok=False, reason=reason, time=step, robot=robot)
 
 
-@typed
 def validate(
     paths: npt.ArrayLike,
     starts: npt.ArrayLike,

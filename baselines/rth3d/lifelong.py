@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Range, Seed, typed
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import (
     Coordinates,
@@ -20,6 +18,7 @@ from swarm_envs.baselines.rth3d.grid import (
 )
 from swarm_envs.baselines.rth3d.grid_validation import check_paths
 from swarm_envs.baselines.rth3d.pibt import NO_LIMIT, Pibt
+from swarm_envs.errors import check_integer
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +36,13 @@ class LifelongPlan:
         return float(self.reached.sum()) / max(len(self.paths) - 1, 1)
 
 
-@typed
 def plan_lifelong(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,
     shape: Sequence[int],
-    steps: Annotated[int, Range(1, 1_000_000)],
+    steps: int,
     obstacles: npt.ArrayLike | None = None,
-    seed: Seed = 0,
+    seed: int = 0,
 ) -> LifelongPlan:
     """Plan paths of robots that each have a sequence of goals.
 
@@ -67,6 +65,8 @@ def plan_lifelong(
         ValueError: starts, goals or obstacles are not as they must be; the message says why.
         NoPlanExists: obstacles cut a robot off from a goal.
     """
+    check_integer("steps", steps, at_least=1, at_most=1_000_000)
+    check_integer("seed", seed, at_least=0)
     instance = check_instance(starts, starts, shape, obstacles)
     targets = _checked_goals(goals, instance)
     pibt = Pibt(replace(instance, goals=targets[:, 0]), steps)

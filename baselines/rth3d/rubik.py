@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
@@ -130,7 +129,6 @@ def choose_highways(instance: GridInstance) -> Highways:
     return min(able, key=lambda h: (h.length, -h.capacity, h.shape[2]))
 
 
-@typed
 def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) -> float:
     """Largest density, robots per vertex, that RTH3D supports on a grid.
 

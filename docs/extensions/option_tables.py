@@ -12,17 +12,14 @@ import inspect
 import re
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
-from unittest import mock
 
-from swarm_envs import arguments
-from swarm_envs.arguments import field_docstrings
 from swarm_envs.assignments import ASSIGNMENTS
-from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
+from swarm_envs.cli import COMMANDS, PROGRAM, load_options
 from swarm_envs.columns_v0 import ColumnsOptions
-from swarm_envs.commands import mistakes
 from swarm_envs.crowd_v0 import CrowdOptions
 from swarm_envs.delivery_v0 import DeliveryOptions
 from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.options import default_of, field_docstrings
 from swarm_envs.formation_v1 import FormationOptions
 from swarm_envs.gates_v0 import GatesOptions
 from swarm_envs.hall import Hall
@@ -43,14 +40,6 @@ SETTINGS: dict[str, type] = {
 """The settings whose options a page may ask for."""
 
 
-class Asked(Exception):
-    """Raised in place of reading a command line: carries what would have been read."""
-
-    def __init__(self, options: type, prefixes: bool) -> None:
-        super().__init__(options)
-        self.options, self.prefixes = options, prefixes
-
-
 @dataclasses.dataclass(frozen=True)
 class Option:
     """A line of a table."""
@@ -61,24 +50,6 @@ class Option:
     """Empty if it must be given."""
     meaning: str
     """From the field's docstring."""
-
-
-def options_class(command: str) -> tuple[type, bool]:
-    """The dataclass that a command reads, and whether nested options bear a prefix.
-
-    Raises:
-        LookupError: the command reads no options.
-    """
-
-    def ask(options: type, words: Any, program: str, prefixes: bool, description: str) -> None:
-        raise Asked(options, prefixes)
-
-    with mock.patch.object(mistakes, "read_options", ask):
-        try:
-            COMMANDS[command].run(())
-        except Asked as asked:
-            return asked.options, asked.prefixes
-    raise LookupError(f"{command} reads no options")
 
 
 def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
@@ -108,11 +79,8 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
 
 
 def _default(field: dataclasses.Field[Any]) -> str:
-    if field.default is not dataclasses.MISSING:
-        value = field.default
-    elif field.default_factory is not dataclasses.MISSING:
-        value = field.default_factory()
-    else:
+    value = default_of(field)
+    if value is dataclasses.MISSING:
         return "must be given"
     if value is None:
         return "not given"
@@ -126,25 +94,26 @@ def settings_table(name: str) -> str:
     Raises:
         KeyError: there are no such settings.
     """
-    settings, shared = SETTINGS[name], arguments.options_of(EnvConfig)
-    every = settings is EnvConfig
-    names = [n for n in arguments.options_of(settings) if every or n not in shared]
-    return options_table(settings, names)
+    settings, shared = SETTINGS[name], {field.name for field in dataclasses.fields(EnvConfig)}
+    names = [field.name for field in dataclasses.fields(settings)]
+    return options_table(settings, [n for n in names if settings is EnvConfig or n not in shared])
 
 
 def options_table(settings: type, names: Sequence[str]) -> str:
     """The named options of settings in Markdown."""
-    table = arguments.options_of(settings)
+    fields = {field.name: field for field in dataclasses.fields(settings)}
+    meanings = field_docstrings(settings)
     rows = [
-        f"| `{name}` | {table[name].kind.words} | {_default_of(table[name])} "
-        f"| {_cell(table[name].meaning)} |"
+        f"| `{name}` | {_cell(str(fields[name].type), code=True)} | {_default_of(fields[name])} "
+        f"| {_cell(meanings[name])} |"
         for name in dict.fromkeys(names)
     ]
-    return "\n".join(["| option | must be | default | |", "|---|---|---|---|", *rows])
+    return "\n".join(["| option | type | default | |", "|---|---|---|---|", *rows])
 
 
-def _default_of(option: arguments.Option) -> str:
-    return "" if option.default is dataclasses.MISSING else f"`{option.default!r}`"
+def _default_of(option: dataclasses.Field[Any]) -> str:
+    default = default_of(option)
+    return "" if default is dataclasses.MISSING else f"`{default!r}`"
 
 
 def assignment_table() -> str:
@@ -168,7 +137,7 @@ def expand(text: str) -> str:
 
 def section(command: str) -> str:
     """One command in Markdown: what it does, and its options."""
-    cls, prefixes = options_class(command)
+    cls, prefixes = load_options(command), COMMANDS[command].prefixes
     rows = [
         f"| {' '.join(f'`{part}`' for part in option.name.split(', '))} "
         f"| {_cell(option.default, code=True)} | {_cell(option.meaning)} |"
@@ -176,7 +145,7 @@ def section(command: str) -> str:
     ]
     title = f"{PROGRAM} {command}"
     head = ["| option | default | |", "|---|---|---|"]
-    example = f"    {title} {EXAMPLES[command]}"
+    example = f"    {title} {COMMANDS[command].example}"
     said = [f"## {title}", "", inspect.getdoc(cls) or "", "", example, ""]
     return "\n".join([*said, *head, *rows])
 

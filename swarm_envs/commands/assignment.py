@@ -12,11 +12,10 @@ import tyro
 
 from swarm_envs import assignments
 from swarm_envs.assignments import ASSIGNMENTS
-from swarm_envs.commands.checks import Misuse, command_options
+from swarm_envs.commands.checks import Misuse
 from swarm_envs.errors import unknown_name
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
 class AssignmentOptions:
     """List the assignments of the course, or begin one in a new folder.

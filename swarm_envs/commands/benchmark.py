@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from swarm_envs.arguments import Count, Seed
-from swarm_envs.commands.checks import as_misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import as_misuse, check_file, check_folder
+from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json, written_whole
 from swarm_envs.training.scale_out import ScaleOptions
 from swarm_envs.training.scoreboard.agents import choose_agents
@@ -23,7 +23,6 @@ from swarm_envs.training.scoreboard.summary import (
 from swarm_envs.training.scoreboard.tasks import SEED, choose_tasks
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions:
     """Evaluate every agent on every benchmark task that it supports; write a table and plots.
@@ -39,12 +38,12 @@ class BenchmarkOptions:
     `evaluate`, path/to/file.py:Class"""
     task: list[str] = field(default_factory=lambda: ["*"])
     """task ids, such as `swap-circle-4-v2`, or patterns (quoted)"""
-    episodes: Count | None = None
+    episodes: int | None = None
     """number of episodes per agent and task; default: depends on the task and the speed of the
     agent"""
     quick: bool = False
     """fly a sixteenth of the episodes"""
-    seed: Seed = SEED
+    seed: int = SEED
     """random seed of the episodes; scores of other seeds are not comparable"""
     json: Path | None = None
     """also write all metrics of every agent and task, with intervals, to this file"""
@@ -52,7 +51,10 @@ class BenchmarkOptions:
     """parallel evaluation"""
 
     def __post_init__(self) -> None:
-        """Refuse two numbers of episodes."""
+        """Refuse numbers that are none, and two numbers of episodes."""
+        check_integer("--seed", self.seed, at_least=0)
+        if self.episodes is not None:
+            check_integer("--episodes", self.episodes, at_least=1)
         if self.episodes is not None and self.quick:
             raise ValueError("--quick and --episodes both say how many are flown; give one")
 

@@ -8,16 +8,14 @@ from collections.abc import Mapping
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from swarm_envs import __version__, make
-from swarm_envs.arguments import Count, Divides, Seed
 from swarm_envs.commands.checks import (
     Misuse,
     as_misuse,
     check_file,
     check_folder,
-    command_options,
 )
 from swarm_envs.commands.fly import (
     EpisodeOptions,
@@ -28,6 +26,7 @@ from swarm_envs.commands.fly import (
     prepare,
     team_text,
 )
+from swarm_envs.errors import check_divisor, check_integer
 from swarm_envs.files import claimed, write_json
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.scale_out import ScaleOptions
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     Made = tuple[Agent, SwarmParallelEnv] | BaseException
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(EpisodeOptions):
     """Evaluate agents on many episodes with the same seeds, and report rates and means.
@@ -54,13 +52,13 @@ class EvaluateOptions(EpisodeOptions):
     agent: list[str] = field(default_factory=list)
     """agents, as of `fly`: names, folders of trained policies, path/to/file.py:Class or :function;
     the suffix +filter adds a safety filter (default: the best for the task in the benchmark)"""
-    episodes: Count = 256
+    episodes: int = 256
     """number of episodes per agent"""
-    seed: Seed = 0
+    seed: int = 0
     """random seed from which the seeds of the episodes are drawn, the same for every agent"""
     physics: str = "batch"
     """`batch` or `bullet`"""
-    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
+    force_rate: int = 240
     """force evaluations per second: 240 over an integer"""
     out: Path | None = None
     """output folder for report.json, and for the results of every episode in episodes/"""
@@ -72,6 +70,9 @@ class EvaluateOptions(EpisodeOptions):
     def __post_init__(self) -> None:
         """Refuse names that would be flown twice, and two numbers of drones."""
         super().__post_init__()
+        check_integer("--episodes", self.episodes, at_least=1)
+        check_integer("--seed", self.seed, at_least=0)
+        check_divisor("--force-rate", self.force_rate, PHYSICS_RATE)
         if len(set(self.agent)) < len(self.agent):
             raise ValueError(f"--agent is {self.agent}; name each once")
 

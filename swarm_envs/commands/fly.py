@@ -7,22 +7,20 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from swarm_envs import TASKS, __version__, make, task_family
-from swarm_envs.arguments import POSITIVE_S, Seed, options_of
 from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
     as_misuse,
-    command_options,
     output_files,
 )
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.setting import AirOptions, NumDrones, NumObserved
-from swarm_envs.errors import check_name, unknown_name
+from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, AirOptions
+from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.tasks.obstacles import parse_obstacles
 from swarm_envs.vehicles import Team, parse_team, team_string
@@ -50,14 +48,14 @@ class EpisodeFields:
     `swap_v1`"""
     layout: str | None = None
     """layout of the task, such as `random` or `stacked`; default: the task's"""
-    drones: NumDrones | None = None
+    drones: int | None = None
     """number of drones if no team is given; default: 4 in swap, ring and formation, otherwise the
     task's"""
     physics: str | None = None
     """`bullet` or `batch`; default: Bullet if it is installed"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, `deep-set`, or a weights file"""
-    horizon_s: Annotated[float, POSITIVE_S] | None = None
+    horizon_s: float | None = None
     """time limit, s; default: the task's"""
 
 
@@ -68,11 +66,17 @@ class EpisodeOptions(AirOptions, EpisodeFields):
     team: str | None = None
     """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `S*`
     small with strong motors. The 2 of `L2S` only separates them: S passes below L"""
-    neighbors: NumObserved | None = None
+    neighbors: int | None = None
     """K, the number of observed neighbors"""
 
     def __post_init__(self) -> None:
         """Refuse two numbers of drones, a layout of another task, and texts that say nothing."""
+        if self.drones is not None:
+            check_integer("--drones", self.drones, at_least=1, at_most=MOST_DRONES)
+        if self.neighbors is not None:
+            check_integer("--neighbors", self.neighbors, at_least=0, at_most=MOST_OBSERVED)
+        if self.horizon_s is not None:
+            check_number("--horizon-s", self.horizon_s, above=0.0, unit="s")
         Randomization.of(self.randomization)
         if self.obstacles is not None:
             parse_obstacles(self.obstacles)
@@ -97,7 +101,6 @@ class EpisodeOptions(AirOptions, EpisodeFields):
         return {name: value for name, value in given.items() if value is not None} | self.air()
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(EpisodeOptions):
     """Fly one episode, print its metrics, and write the requested files.
@@ -115,7 +118,7 @@ class FlyOptions(EpisodeOptions):
     delivery-dagger, ring-dagger, swap-ppo. Also the folder of a trained policy,
     path/to/file.py:Class, or path/to/file.py:function, which maps observation rows to actions. The
     suffix +filter, the last one, adds a safety filter"""
-    seed: Seed = 0
+    seed: int = 0
     """random seed of the episode and the agent"""
     out: Path | None = None
     """output folder for flight.json, trajectory.parquet (.npz without pyarrow), replay.html and,
@@ -128,6 +131,11 @@ class FlyOptions(EpisodeOptions):
     """write positions, forces, rewards and more, .parquet or .npz"""
     json: Path | None = None
     """write metrics and events, .json"""
+
+    def __post_init__(self) -> None:
+        """Refuse a seed that is none, and what no episode has."""
+        super().__post_init__()
+        check_integer("--seed", self.seed, at_least=0)
 
 
 def run_fly(options: FlyOptions) -> None:
@@ -221,8 +229,7 @@ def check_layout(task: str, layout: str) -> None:
     from swarm_envs.envs.options import options_type
 
     def layouts(name: str) -> tuple[str, ...]:
-        option = options_of(options_type(name)).get("layout")
-        return option.kind.names if option else ()
+        return options_type(name).task_type.layouts
 
     valid, family = layouts(task), task_family(task)
     if layout in valid:

@@ -6,24 +6,25 @@ import importlib.util
 import inspect
 import shlex
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from swarm_envs.commands.checks import as_misuse, check_inputs, check_outputs, need_torch
 from swarm_envs.commands.fly import find_task
 from swarm_envs.errors import unknown_name
+from swarm_envs.training.rl.rl_config import RlConfig
 
-if TYPE_CHECKING:
-    from swarm_envs.training.rl.rl_config import RlConfig
+TrainOptions = RlConfig
+"""Options of the command."""
 
 
 def check_training(config: RlConfig) -> str:
     """The versioned name of the task, if the options make a run."""
     check_outputs(config.out, config.json, (".json",))
-    from swarm_envs.training.rl.recipes import with_recipe
+    from swarm_envs.training.rl.choosing import with_defaults
 
     with as_misuse():
         task = find_task(config.task)
-        with_recipe(config, task)
+        with_defaults(config, task)
     return task
 
 

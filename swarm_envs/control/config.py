@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, Range, typed
+from swarm_envs.errors import check_bool, check_number, check_type
 
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
@@ -29,7 +29,6 @@ drone in the world `"hall"` cannot know (of a large one 2.7 % as a force, 1.4 % 
 STEP = 1.0 / 240.0  # Length of one controller step, which is one physics step, s
 
 
-@typed
 @dataclass(frozen=True)
 class PositionGains:
     """Gains of the position loop, 1/s, the same in x, y and z (Neural-Swarm2, eqs. 18 and 19).
@@ -38,12 +37,17 @@ class PositionGains:
         ValueError: a gain is not positive and finite; its message names the gain.
     """
 
-    position: Annotated[float, POSITIVE]
+    position: float
     """Lambda_p: velocity asked for per metre of position error."""
-    velocity: Annotated[float, POSITIVE]
+    velocity: float
     """K_v / m: acceleration per velocity error."""
-    integral: Annotated[float, POSITIVE]
+    integral: float
     """Gamma_v: rate at which the velocity error is integrated."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("position", "velocity", "integral"):
+            check_number(name, getattr(self, name), above=0.0)
 
 
 SOFT = PositionGains(position=1.0, velocity=2.0, integral=0.5)
@@ -59,11 +63,9 @@ GAINS: dict[str, PositionGains] = {"soft": SOFT, "mid": MID, "stiff": STIFF}
 
 LOW_PASS, LAST_LAYER = 1, 2
 """Kinds of adaptation, as kernels tell them apart; 0 is none."""
-_Bandwidth = Annotated[float, Range(0.0, 20.0, above=True, unit="Hz")]
-_Drift = Annotated[float, NOT_NEGATIVE]
+_FASTEST_HZ = 20.0  # The highest frequency that adaptation follows; see docs/adaptation.md
 
 
-@typed
 @dataclass(frozen=True)
 class MomentumObserver:
     """Adaptation by a momentum observer of the force that the controller does not know.
@@ -76,8 +78,12 @@ class MomentumObserver:
         ValueError: the bandwidth is out of its range; see docs/adaptation.md for its reason.
     """
 
-    bandwidth_hz: _Bandwidth = 3.0
+    bandwidth_hz: float = 3.0
     """Frequency at which the estimate has fallen by 3 dB, Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("bandwidth_hz", self.bandwidth_hz, above=0.0, at_most=_FASTEST_HZ, unit="Hz")
 
     def over(self, dt: float) -> dict[str, object]:
         """The fields of `swarm_envs.tables.SETTINGS` that it gives, for steps of dt, s."""
@@ -85,7 +91,6 @@ class MomentumObserver:
         return {"adaptation": LOW_PASS, "residual_filter": [kept, 0.0, 0.0, 0.0]}
 
 
-@typed
 @dataclass(frozen=True)
 class Indi:
     """Adaptation by incremental nonlinear dynamic inversion (INDI) of the velocity's dynamics.
@@ -101,15 +106,18 @@ class Indi:
         ValueError: the cut-off is out of its range; see docs/adaptation.md for its reason.
     """
 
-    cutoff_hz: _Bandwidth = 4.0
+    cutoff_hz: float = 4.0
     """Frequency at which the low-pass has fallen by 3 dB, Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("cutoff_hz", self.cutoff_hz, above=0.0, at_most=_FASTEST_HZ, unit="Hz")
 
     def over(self, dt: float) -> dict[str, object]:
         """The fields of `swarm_envs.tables.SETTINGS` that it gives, for steps of dt, s."""
         return {"adaptation": LOW_PASS, "residual_filter": butterworth(self.cutoff_hz, dt)}
 
 
-@typed
 @dataclass(frozen=True)
 class NeuralFly:
     """Adaptation of the last layer, as in Neural-Fly (O'Connell et al., Science Robotics, 2022).
@@ -123,20 +131,28 @@ class NeuralFly:
         ValueError: a number is negative or not finite, or the noise is zero.
     """
 
-    measurement_noise: Annotated[float, POSITIVE] = 0.1
+    measurement_noise: float = 0.1
     """Square root of R, m/s^2 per sqrt(Hz): noise of the accelerations that are learned from."""
-    force_drift: _Drift = 2.0
+    force_drift: float = 2.0
     """Square root of Q of the constant, m/s^2 per sqrt(s). Over `measurement_noise` it is the
     bandwidth of the constant, rad/s."""
-    scale_drift: _Drift = 0.5
+    scale_drift: float = 0.5
     """The same of the factor of the model's force, 1 per sqrt(s)."""
-    drag_drift: _Drift = 0.5
+    drag_drift: float = 0.5
     """The same of the drag, 1/s per sqrt(s)."""
-    forgetting_rate: Annotated[float, POSITIVE] = 0.1
+    forgetting_rate: float = 0.1
     """Lambda, 1/s: how fast coefficients return to zero where nothing is learned. Were it zero,
     their covariance would grow for ever in hover, where neither model nor drag can be seen."""
-    cutoff_hz: _Bandwidth = 10.0
+    cutoff_hz: float = 10.0
     """Cut-off of the second-order Butterworth low-pass of what is learned from, Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("measurement_noise", "forgetting_rate"):
+            check_number(name, getattr(self, name), above=0.0)
+        for name in ("force_drift", "scale_drift", "drag_drift"):
+            check_number(name, getattr(self, name), at_least=0.0)
+        check_number("cutoff_hz", self.cutoff_hz, above=0.0, at_most=_FASTEST_HZ, unit="Hz")
 
     def over(self, dt: float) -> dict[str, object]:
         """The fields of `swarm_envs.tables.SETTINGS` that it gives, for steps of dt, s."""
@@ -150,7 +166,6 @@ class NeuralFly:
         }
 
 
-@typed
 @dataclass(frozen=True)
 class ControllerConfig:
     """Configuration of the tracking controller of Neural-Swarm2, Sec. VI.
@@ -159,8 +174,9 @@ class ControllerConfig:
     torque is small. With `lag_compensation` off, both lead terms of eq. (22) are left out.
 
     Raises:
-        ValueError: a number is not positive and finite, or a fraction is not below one.
-        TypeError: the gains are not `PositionGains`.
+        ValueError: a number is not positive and finite, a fraction is not below one, or the gains
+            are not `PositionGains`.
+        TypeError: the feedforward is no model.
     """
 
     gains: PositionGains = MID
@@ -173,37 +189,58 @@ class ControllerConfig:
     """What estimates the force that `feedforward` does not explain, and compensates it as well;
     None for nothing."""
 
-    attitude_tilt: Annotated[float, POSITIVE] = 20.0
+    attitude_tilt: float = 20.0
     """Lambda_q in roll and pitch, 1/s: rate asked for per unit of the error quaternion's vector."""
-    attitude_yaw: Annotated[float, POSITIVE] = 6.0
+    attitude_yaw: float = 6.0
     """Lambda_q in yaw, 1/s."""
-    rate_tilt: Annotated[float, POSITIVE] = 25.0
+    rate_tilt: float = 25.0
     """K_omega / J in roll and pitch, 1/s."""
-    rate_yaw: Annotated[float, POSITIVE] = 6.0
+    rate_yaw: float = 6.0
     """K_omega / J in yaw, 1/s."""
-    rate_integral_tilt: Annotated[float, POSITIVE] = 20.0
+    rate_integral_tilt: float = 20.0
     """Gamma_omega / J in roll and pitch, 1/s^2."""
-    rate_integral_yaw: Annotated[float, POSITIVE] = 6.0
+    rate_integral_yaw: float = 6.0
     """Gamma_omega / J in yaw, 1/s^2."""
 
-    thrust_rate_cutoff_hz: Annotated[float, POSITIVE] = 20.0
+    thrust_rate_cutoff_hz: float = 20.0
     """Cut-off of the low-pass on the derivative of the desired thrust, Hz."""
-    rate_error_cutoff_hz: Annotated[float, POSITIVE] = 40.0
+    rate_error_cutoff_hz: float = 40.0
     """Cut-off of the low-pass on the derivative of the body-rate error, Hz."""
-    desired_rate_cutoff_hz: Annotated[float, POSITIVE] = 10.0
+    desired_rate_cutoff_hz: float = 10.0
     """Cut-off of the low-pass on the desired body rate, Hz."""
 
-    velocity_integral_limit: Annotated[float, POSITIVE] = INTEGRAL_LIMIT
+    velocity_integral_limit: float = INTEGRAL_LIMIT
     """Largest |integral of the velocity error| per axis, m: anti-windup. It gives at most
     (K_v / m) Gamma_v m limit of force: with the default gains 3.0 g for a small drone and 6.0 g for
     a large one, which holds the errors of mass and thrust of the world `"hall"`."""
-    rate_integral_limit: Annotated[float, POSITIVE] = 0.2
+    rate_integral_limit: float = 0.2
     """Largest |integral of the body-rate error| per axis, rad: anti-windup."""
-    min_vertical_thrust_fraction: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.2
+    min_vertical_thrust_fraction: float = 0.2
     """Lower limit of the desired force's vertical part, as a fraction of the weight: a drone that
     may never pull less than its weight cannot descend."""
 
     def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_type("gains", self.gains, PositionGains)
+        check_bool("lag_compensation", self.lag_compensation)
+        check_type("adaptation", self.adaptation, MomentumObserver | Indi | NeuralFly | None)
+        for name in (
+            "attitude_tilt",
+            "attitude_yaw",
+            "rate_tilt",
+            "rate_yaw",
+            "rate_integral_tilt",
+            "rate_integral_yaw",
+            "thrust_rate_cutoff_hz",
+            "rate_error_cutoff_hz",
+            "desired_rate_cutoff_hz",
+            "velocity_integral_limit",
+            "rate_integral_limit",
+        ):
+            check_number(name, getattr(self, name), above=0.0)
+        check_number(
+            "min_vertical_thrust_fraction", self.min_vertical_thrust_fraction, above=0.0, below=1.0
+        )
         model = self.feedforward
         if model is not None and not callable(getattr(model, "forces", None)):
             raise TypeError(

@@ -6,18 +6,25 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import POSITIVE_S, Divides, OneOf, Range, check_value, typed_options
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
-from swarm_envs.envs.setting import NumObserved
-from swarm_envs.errors import check_array, check_integer, check_name
+from swarm_envs.envs.setting import MOST_OBSERVED
+from swarm_envs.errors import (
+    check_array,
+    check_bool,
+    check_divisor,
+    check_integer,
+    check_name,
+    check_number,
+    check_type,
+)
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions.base import PRECISIONS
@@ -39,7 +46,6 @@ MANY_DRONES = 1024  # From so many drones in all environments together on, more 
 MOST_THREADS = 1024  # Of `threads`: each is the system's
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
     """Options of the environments of every task. Raises ValueError for invalid values.
@@ -47,22 +53,22 @@ class EnvConfig:
     Each task adds options of its own.
     """
 
-    physics: Annotated[str, OneOf(ENGINES)] | None = None
+    physics: str | None = None
     """`bullet`, `batch` (the compiled engine), or None: Bullet if it is installed and
     `deterministic` is False, else the compiled engine."""
     interactions: str | Path | InteractionModel = "learned"
     """The interaction force model: `none`, `wake`, `learned`, the path of a safetensors file, or a
     model."""
-    action: Annotated[str, OneOf(tuple(ACTIONS))] = "acceleration"
+    action: str = "acceleration"
     """The action mode: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
     clip_actions: bool = False
     """Whether actions outside [-1, 1] are clipped, as Gaussian policies need, instead of refused.
     Actions that are not finite are always refused."""
-    decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
+    decision_rate: int = 48
     """Actions per second: 240 over an integer."""
-    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
+    force_rate: int = 240
     """Evaluations of the interaction force per second: 240 over an integer."""
-    precision: Annotated[str, OneOf(PRECISIONS)] = "float64"
+    precision: str = "float64"
     """Precision of the force model's networks: `float64`, or `float32` for training (the error is
     about 1e-4 g). Everything else is float64."""
     interaction_torque: bool = False
@@ -70,14 +76,14 @@ class EnvConfig:
     vertical force at its position (docs/forces.md)."""
     controller: ControllerConfig | None = None
     """The tracking controller between actions and rotors; None for the default."""
-    num_neighbors: NumObserved = 3
+    num_neighbors: int = 3
     """K, the number of observed neighbours."""
-    threads: Annotated[int, Range(1, MOST_THREADS)] | None = None
+    threads: int | None = None
     """Threads of the compiled engine, which do not change the result; None for one, or for all
     cores from 1,024 drones on."""
-    observation: Annotated[str, OneOf(FORMS)] = "flat"
+    observation: str = "flat"
     """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
-    num_obstacles: NumObserved | None = None
+    num_obstacles: int | None = None
     """M, the number of observed obstacles, nearest first; None: 3 if the task has obstacles, else
     0."""
     observe_load: bool = False
@@ -89,15 +95,15 @@ class EnvConfig:
     observe_setpoint: bool = False
     """Include the velocity and acceleration of the controller's set-point in observations: they
     are exact where the drone's own velocity is noisy."""
-    horizon_s: Annotated[float, POSITIVE_S] | None = None
+    horizon_s: float | None = None
     """Time limit: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
-    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team"
+    on_contact: str = "end_team"
     """Effect of a contact with a drone, the floor, a wall or an obstacle. `end_team`: ends the
     episode of the whole team. `end_pair`: ends the episodes of the drones in contact; the others
     continue. `bounce`: drones bounce off and continue; only tumbling ends a drone's episode."""
-    world: Annotated[str, OneOf(WORLDS)] | Hall = "ideal"
+    world: str | Hall = "ideal"
     """`ideal`: controllers receive the true state, and forces and rotors follow their models.
     `hall`: a motion-capture hall with random forces and a state estimate. Or a
     `swarm_envs.hall.Hall` with other parameters."""
@@ -116,10 +122,44 @@ class EnvConfig:
     violations. Other types have no bound."""
 
     def __post_init__(self) -> None:
-        """Check what the annotations cannot say."""
+        """Refuse values that an option cannot have, and options that contradict each other."""
+        if self.physics is not None:
+            check_name("physics", self.physics, ENGINES)
+        check_type("interactions", self.interactions, str | Path | InteractionModel)
+        check_name("action", self.action, ACTIONS)
+        for name in (
+            "clip_actions",
+            "interaction_torque",
+            "observe_load",
+            "observe_setpoint",
+            "end_on_success",
+            "deterministic",
+        ):
+            check_bool(name, getattr(self, name))
+        for name in ("decision_rate", "force_rate"):
+            check_divisor(name, getattr(self, name), PHYSICS_RATE)
+        check_name("precision", self.precision, PRECISIONS)
+        check_type(
+            "controller", self.controller, ControllerConfig | str | None
+        )  # TaskOptions' name
+        check_integer("num_neighbors", self.num_neighbors, at_least=0, at_most=MOST_OBSERVED)
+        if self.threads is not None:
+            check_integer("threads", self.threads, at_least=1, at_most=MOST_THREADS)
+        check_name("observation", self.observation, FORMS)
+        if self.num_obstacles is not None:
+            check_integer("num_obstacles", self.num_obstacles, at_least=0, at_most=MOST_OBSERVED)
+        check_type("observe_force", self.observe_force, str | Path | InteractionModel | None)
+        if self.horizon_s is not None:
+            check_number("horizon_s", self.horizon_s, above=0.0, unit="s")
+        check_name("on_contact", self.on_contact, ON_CONTACT)
+        check_type("battery", self.battery, BatteryModel | None)
+        check_type("randomization", self.randomization, Randomization | str | None)
+        check_type("world", self.world, Hall | str)
+        if isinstance(self.world, str):
+            check_name("world", self.world, WORLDS)
+        check_type("force_bounds_g", self.force_bounds_g, Mapping)
         for token, bound in self.force_bounds_g.items():
-            name = f"force_bounds_g[{token!r}]"
-            check_value(name, bound, Annotated[float, Range(0.0, above=True, unit="gram-force")])
+            check_number(f"force_bounds_g[{token!r}]", bound, above=0.0, unit="gram-force")
         if self.observe_setpoint and ACTIONS[self.action].level != SETPOINTS:
             raise ValueError(
                 f"observe_setpoint is True, but with action={self.action!r} there is no set-point "
@@ -222,12 +262,12 @@ def check_reset_options(
         (N, 3) m, was given.
 
     Raises:
-        TypeError: the options are no mapping.
-        ValueError: an option is unknown, an array of wrong shape or not finite, or a team unknown.
+        ValueError: the options are no mapping, an option is unknown, an array of wrong shape or
+            not finite, or a team unknown.
     """
     if options is None:
         return None, {}
-    check_value("options", options, Mapping[str, Any])
+    check_type("options", options, Mapping)
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:
         check_name("reset option", name, _RESET_OPTIONS)

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import ast
+import functools
 import importlib
 import inspect
+import itertools
 import textwrap
 from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
-from typing import Annotated, Any, ClassVar, NamedTuple, ParamSpec
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from typing import Any, ClassVar, NamedTuple, ParamSpec, cast
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
-from swarm_envs.arguments import OneOf, Option, options_of
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.config import WORLDS, EnvConfig
+from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
-from swarm_envs.envs.setting import NumDrones, NumObserved
-from swarm_envs.errors import check_name
+from swarm_envs.envs.setting import MOST_DRONES
+from swarm_envs.errors import check_integer, check_name, check_type, nearest
 from swarm_envs.hall import Hall
-from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.tasks.rewards import reward_meanings
@@ -30,7 +31,6 @@ from swarm_envs.vehicles import Team, Vehicle, parse_team
 __all__ = [
     "AirTaskOptions",
     "Blueprint",
-    "NumDrones",
     "TaskOptions",
     "batch_of",
     "blueprint_of",
@@ -56,7 +56,7 @@ class Blueprint(NamedTuple):
 class TaskOptions(EnvConfig, ABC):
     """Options of a task's environment: those of every one, `EnvConfig`, and the task's own."""
 
-    num_drones: NumDrones
+    num_drones: int
     """N small drones, if no team is given."""
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
@@ -65,7 +65,7 @@ class TaskOptions(EnvConfig, ABC):
     `buildings=2:2,column=1:1:0.15`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
-    render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
+    render_mode: str | None = None
     """`rgb_array` (pictures), `human` (a page in the browser) or None."""
     controller: ControllerConfig | str | None = None  # type: ignore[assignment]  # or its name
     """The tracking controller between actions and rotors, or the shipped agent that requires it,
@@ -73,6 +73,16 @@ class TaskOptions(EnvConfig, ABC):
 
     task_type: ClassVar[type[Task]]
     """What `make_task` makes: a dataclass."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        super().__post_init__()
+        if self.num_drones is not None:  # of which `vehicles` says whether it may be
+            check_integer("num_drones", self.num_drones, at_least=1, at_most=MOST_DRONES)
+        check_type("reward_weights", self.reward_weights, Mapping | None)
+        check_type("obstacles", self.obstacles, Sequence)
+        if self.render_mode is not None:
+            check_name("render_mode", self.render_mode, RENDER_MODES)
 
     def make_task(self) -> Task:
         """The task that is flown.
@@ -109,7 +119,9 @@ class TaskOptions(EnvConfig, ABC):
     @property
     def vehicles(self) -> Team:
         """The team: as given, else `num_drones` small ones."""
-        return parse_team("S" * self.num_drones if self.team is None else self.team)
+        if self.team is not None:
+            return parse_team(self.team)
+        return parse_team("S" * check_integer("num_drones", self.num_drones, at_least=1))
 
     def blueprint(self) -> Blueprint:
         """What an environment with these options is made from.
@@ -129,14 +141,14 @@ class TaskOptions(EnvConfig, ABC):
 class AirTaskOptions(TaskOptions):
     """Options of a task about downwash: those of every task, with other defaults."""
 
-    num_neighbors: NumObserved = 7
+    num_neighbors: int = 7
     """K, how many neighbours a drone observes."""
     observe_load: bool = True
     """Whether observations include thrust margin, mass and charge of the drone and of its
     neighbors."""
-    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    on_contact: str = "end_pair"
     """Effect of a contact: see `EnvConfig`."""
-    world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
+    world: str | Hall = "hall"
     """`hall`, `ideal` or a custom `swarm_envs.hall.Hall`; see `EnvConfig`."""
 
 
@@ -146,11 +158,16 @@ def task_views(
     Callable[P, Blueprint], Callable[P, SwarmParallelEnv], Callable[P, AECEnv[str, Any, Any]]
 ]:
     """The functions of a task whose options are of a class: `blueprint`, `parallel_env`, `env`."""
+    names, owner = inspect.signature(options).parameters, getattr(options, "__name__", "options")
 
     def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
         """Make what every interface to the task is made from."""
         if args:
             raise TypeError(f"options have names, such as num_drones=4, but got {args[0]!r:.80}")
+        for name in given:
+            if name not in names:
+                said = f"{owner}() got an unexpected keyword argument {name!r}"
+                raise TypeError(f"{said}; {nearest(name, names)}")
         return options(*args, **given).blueprint()
 
     def parallel_env(*args: P.args, **given: P.kwargs) -> SwarmParallelEnv:
@@ -168,8 +185,8 @@ def task_views(
 
 _RAISES = """\
 Raises:
-    TypeError: an option does not exist (the message names the nearest), or has a wrong type.
-    ValueError: an option has an impossible value, or contradicts another.
+    TypeError: an option does not exist (the message names the nearest).
+    ValueError: an option has a wrong type or an impossible value, or contradicts another.
     ImportError: `physics="bullet"` without pybullet."""
 
 
@@ -180,7 +197,8 @@ def _document(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> None
     and would make the signature unreadable.
     """
     made: Any = view
-    table = options_of(options)  # type: ignore[arg-type]  # a class
+    settings = cast(type[TaskOptions], options)
+    table, meanings = {f.name: f for f in fields(settings)}, field_docstrings(settings)
     shared = [field.name for field in fields(EnvConfig)]
     names = [*(name for name in table if name not in shared), *shared]
     parameters = inspect.signature(options).parameters
@@ -189,7 +207,7 @@ def _document(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> None
         return_annotation=view.__annotations__["return"],
     )
     made.__module__, made.__qualname__ = options.__module__, view.__name__
-    entries = [_entry(table[name]) for name in names]
+    entries = [_entry(table[name], meanings[name]) for name in names]
     parts = [made.__doc__, *_reward_list(options), "", "Args:", *entries, "", _RAISES]
     made.__doc__ = "\n".join(parts)
 
@@ -205,11 +223,42 @@ def _reward_list(options: object) -> list[str]:
     return ["", "Reward terms, with their default weights:", "", *lines] if lines else []
 
 
-def _entry(option: Option) -> str:
-    text = f"{option.name}: {option.meaning} Must be {option.kind.words}."
-    if option.default is not MISSING:
-        text += f" Default: {option.default!r}."
+def _entry(option: Field[Any], meaning: str) -> str:
+    text = f"{option.name} ({option.type}): {meaning}"
+    if (default := default_of(option)) is not MISSING:
+        text += f" Default: {default!r}."
     return textwrap.fill(text, 100, initial_indent=" " * 4, subsequent_indent=" " * 8)
+
+
+def default_of(option: Field[Any]) -> Any:
+    """The value that an option has if it is not given; `dataclasses.MISSING` if it must be."""
+    return option.default if option.default_factory is MISSING else option.default_factory()
+
+
+def field_docstrings(settings: type) -> dict[str, str]:
+    """The docstring below each field of a dataclass on one line, its base classes' included.
+
+    They are empty where the source is not there.
+    """
+    found = {field.name: "" for field in fields(settings)}
+    for base in reversed(settings.__mro__):
+        if is_dataclass(base):
+            found |= _own_docstrings(base)
+    return found
+
+
+@functools.cache
+def _own_docstrings(settings: type) -> dict[str, str]:
+    try:
+        source = textwrap.dedent(inspect.getsource(settings))
+    except OSError:
+        return {}
+    body = cast(ast.ClassDef, ast.parse(source).body[0]).body
+    return {
+        ast.unparse(node.target): " ".join(ast.literal_eval(after.value).split())
+        for node, after in itertools.pairwise(body)
+        if isinstance(node, ast.AnnAssign) and isinstance(after, ast.Expr)
+    }
 
 
 def options_type(task: str) -> type[TaskOptions]:

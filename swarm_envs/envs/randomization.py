@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_S, Interval, Range, parse_pairs, typed
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_interval, check_name, check_number, parse_pairs
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
 from swarm_envs.vehicles import GRAVITY, Team
 
 __all__ = ["Randomization"]
 
-Factor = Annotated[tuple[float, float], Interval()]
+Factor = tuple[float, float]
 """Lowest and highest of a factor that is drawn evenly."""
 SAME: Factor = (1.0, 1.0)  # The range of a factor that changes nothing
 
@@ -30,7 +29,6 @@ FACTORS = {
 _LEAST_THRUST_TO_WEIGHT = 1.1
 
 
-@typed
 @dataclass(frozen=True)
 class Randomization:
     """Domain randomization, sampled at every reset from the environment's generator.
@@ -57,26 +55,39 @@ class Randomization:
     hall: Factor = SAME
     """factor of the random force, force offsets and thrust errors of `world="hall"`, one for a
     whole environment"""
-    battery: Annotated[tuple[float, float], Interval(Range(0.0, 1.0, above=True))] = SAME
+    battery: tuple[float, float] = SAME
     """charge at the start, each drone's own; needs batteries that empty"""
-    gust_acceleration: Annotated[float, NOT_NEGATIVE] = 0.0
+    gust_acceleration: float = 0.0
     """gusts: standard deviation of each component of the acceleration they give, m/s^2; all drones
     of an environment feel the same"""
-    gust_time_s: Annotated[float, POSITIVE_S] = 1.0
+    gust_time_s: float = 1.0
     """gusts: time over which they change, s"""
-    position_noise_m: Annotated[float, NOT_NEGATIVE] = 0.0
+    position_noise_m: float = 0.0
     """noise of observed positions, m"""
-    velocity_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    velocity_noise: float = 0.0
     """noise of observed velocities, m/s"""
-    attitude_noise_rad: Annotated[float, NOT_NEGATIVE] = 0.0
+    attitude_noise_rad: float = 0.0
     """noise of observed attitudes, rad"""
-    body_rate_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    body_rate_noise: float = 0.0
     """noise of observed body rates, rad/s"""
-    noise_scale: Annotated[tuple[float, float], Interval(Range(0.0))] = SAME
+    noise_scale: tuple[float, float] = SAME
     """factor of all noise, one for a whole environment"""
 
     def __post_init__(self) -> None:
         """Refuse a factor of noise where there is none."""
+        for name in ("mass", "inertia", "motor_rate", "thrust", "force_scale", "hall"):
+            check_interval(name, getattr(self, name), above=0.0)
+        check_interval("battery", self.battery, above=0.0, at_most=1.0)
+        for name in (
+            "gust_acceleration",
+            "position_noise_m",
+            "velocity_noise",
+            "attitude_noise_rad",
+            "body_rate_noise",
+        ):
+            check_number(name, getattr(self, name), at_least=0.0)
+        check_number("gust_time_s", self.gust_time_s, above=0.0, unit="s")
+        check_interval("noise_scale", self.noise_scale, at_least=0.0)
         if self.noise_scale != SAME and not self.noisy:
             raise ValueError(
                 f"noise_scale is {self.noise_scale}, but there is no noise to scale; give a "

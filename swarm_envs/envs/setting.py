@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from swarm_envs.arguments import Range
+__all__ = ["MOST_DRONES", "MOST_OBSERVED", "AirOptions"]
 
-__all__ = ["AirOptions", "NumDrones"]
-
-NumDrones = Annotated[int, Range(1, 100_000)]
-"""How many drones fly: a batch of environments shares the memory."""
-NumObserved = Annotated[int, Range(0, 10_000)]
-"""K or M: an observation has room for all of them in every episode."""
+MOST_DRONES = 100_000
+"""How many drones may fly: a batch of environments shares the memory."""
+MOST_OBSERVED = 10_000
+"""The most for K or M: an observation has room for all of them in every episode."""
 
 
 @dataclass(frozen=True, kw_only=True)

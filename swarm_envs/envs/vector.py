@@ -10,14 +10,13 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from swarm_envs.arguments import check_value
 from swarm_envs.envs.config import EnvConfig, check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, split_teams
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import warn_without_mode
-from swarm_envs.errors import check_integer, check_name
+from swarm_envs.errors import check_bool, check_integer, check_name, check_type
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
 
@@ -71,7 +70,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self.mode = AutoresetMode(autoreset_mode)
         self.core = SwarmCore(task, config, num_envs)
         self.num_teams, drones = num_envs, self.core.num_drones
-        check_value("per_agent", per_agent, bool)
+        check_bool("per_agent", per_agent)
         self.per_agent = per_agent
         self.num_envs = num_envs * drones if per_agent else num_envs
         self.metadata = {"autoreset_mode": self.mode, "render_modes": ["human"]}
@@ -108,7 +107,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         if self.closed:
             raise RuntimeError("reset() was called on a closed environment; make a new one")
         given = {} if options is None else options
-        check_value("options", given, Mapping[str, Any])
+        check_type("options", given, Mapping)
         given = dict(given)
         mask = given.pop("reset_mask", None)
         self.core.reset(self._seeds(seed), mask, given)

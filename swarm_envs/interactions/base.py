@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_name, unknown_name
+from swarm_envs.errors import check_name, check_type, unknown_name
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, check_states, types_array
 from swarm_envs.interactions.packed import PackedField, packed
@@ -28,7 +27,6 @@ MODELS = ("none", "wake", "learned", "deep-set")  # The models that ship, by nam
 PRECISIONS = ("float64", "float32")  # Arithmetic in which networks can be evaluated
 
 
-@typed
 @dataclass(frozen=True, eq=False)
 class InteractionModel:
     """Forces f_a that air puts on drones beyond rotor thrust and gravity. Get one with `load`.
@@ -114,7 +112,6 @@ class InteractionModel:
         return out
 
 
-@typed
 def load(name: str | Path | InteractionModel) -> InteractionModel:
     """Load an interaction model.
 
@@ -130,6 +127,7 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
     """
     if isinstance(name, InteractionModel):
         return name
+    check_type("name", name, str | Path)
     text = str(name)
     if text == "none":
         types = tuple(sorted({vehicle.interaction_type for vehicle in VEHICLES.values()}))

@@ -11,15 +11,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Divides, OneOf, Range, typed
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig, gains
-from swarm_envs.errors import check_array
+from swarm_envs.errors import check_array, check_divisor, check_integer, check_name
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.packed import scratch_for
@@ -99,16 +97,15 @@ class Physics:
     name: str
     """The engine's name, as environments report it."""
 
-    @typed
     def __init__(
         self,
         team: str | Sequence[Vehicle],
-        num_envs: Annotated[int, Range(1, MOST_ENVIRONMENTS)] = 1,
+        num_envs: int = 1,
         interactions: str | Path | InteractionModel = "learned",
         *,
         arena: npt.ArrayLike | None = None,
         battery: BatteryModel | None = None,
-        force_rate: Annotated[int, Divides(PHYSICS_RATE)] = PHYSICS_RATE,
+        force_rate: int = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
         hall: Hall | None = None,
         interaction_torque: bool = False,
@@ -118,8 +115,12 @@ class Physics:
         threads: int = 1,
         num_stages: int = 1,
         force_bounds_g: Mapping[str, float] = FORCE_BOUNDS_G,
-        on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team",
+        on_contact: str = "end_team",
     ) -> None:
+        check_integer("num_envs", num_envs, at_least=1, at_most=MOST_ENVIRONMENTS)
+        check_divisor("force_rate", force_rate, PHYSICS_RATE)
+        check_integer("threads", threads, at_least=1)
+        check_name("on_contact", on_contact, ON_CONTACT)
         self.team = parse_team(team)
         self.teams = [self.team] * num_envs
         self.num_envs = num_envs

@@ -6,21 +6,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, typed
-from swarm_envs.errors import check_array
+from swarm_envs.errors import check_array, check_bool, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
+from swarm_envs.tasks.learning import Learning
 from swarm_envs.tasks.motion import ACCELERATION_LIMIT, SPEED_LIMIT, WRITERS, Motion, reference_of
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.trajectories import Reference
-from swarm_envs.vehicles import Team
+from swarm_envs.vehicles import Team, parse_team
 
 __all__ = [
     "ACCELERATION_LIMIT",
@@ -95,40 +95,53 @@ NEAR_MISS = 1.5
 _DRAWS = 200  # How often an episode is sampled again until it is free of obstacles
 
 
-@typed
 @dataclass(frozen=True)
 class Success:
     """When a team has done a stage of its task: every drone near its goal, for a while."""
 
-    radius: Annotated[float, POSITIVE_M] = 0.10
+    radius: float = 0.10
     """How near a drone must be to its goal, m."""
-    hold_s: Annotated[float, NOT_NEGATIVE] = 0.5
+    hold_s: float = 0.5
     """For how long all must stay there, s, as seen at decisions."""
     named: bool = True
     """Whether each drone has a goal of its own. If not, a drone that comes to another's goal
     exchanges goals with it, unless either stands at its own: any may take any."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("radius", self.radius, above=0.0, unit="m")
+        check_number("hold_s", self.hold_s, at_least=0.0)
+        check_bool("named", self.named)
 
-@typed
+
 @dataclass(frozen=True)
 class TrackingSuccess:
     """Success at the time limit: no crash, and never far from the reference."""
 
-    worst_error: Annotated[float, POSITIVE_M] = 0.15
+    worst_error: float = 0.15
     """Every drone must always have been nearer to its reference than this, m."""
-    settle_s: Annotated[float, NOT_NEGATIVE] = 2.0
+    settle_s: float = 2.0
     """Errors count from this time on, s."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("worst_error", self.worst_error, above=0.0, unit="m")
+        check_number("settle_s", self.settle_s, at_least=0.0)
 
-@typed
+
 @dataclass(frozen=True)
 class ByScore:
     """A task that continues until the time limit: success is a sufficient score without a crash."""
 
-    radius: Annotated[float, POSITIVE_M]
+    radius: float
     """How near a drone must be to its goal, m."""
-    least: Annotated[float, NOT_NEGATIVE]
+    least: float
     """The score, in the task's own unit, from which the episode is a success."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("radius", self.radius, above=0.0, unit="m")
+        check_number("least", self.least, at_least=0.0)
 
 
 Given = FloatArray | None
@@ -154,12 +167,16 @@ class Task(_Flown, ABC):
     """Versioned name, such as `swap_v1`."""
     success: Success | TrackingSuccess | ByScore
     """When the team has done a stage, or the task."""
+    layouts: tuple[str, ...] = ()
+    """The names that the task's option `layout` can have, if it has one."""
     default_weights: Mapping[str, float] = {}
     """Weight of each reward term, unless others are given."""
     reward_names: tuple[str, ...] = REWARD_NAMES
     """Names of the T reward terms."""
     goals_are: str = ""
     """What goals are, in a task that takes none."""
+    learning: Learning | None = None
+    """How the task is learned; None if it has nothing that training could use."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None] = staticmethod(
         write_terms
     )
@@ -173,7 +190,9 @@ class Task(_Flown, ABC):
     (E, S, N, 3) of every stage or row, m; and one record (1,) of the rules."""
 
     def __post_init__(self) -> None:
-        """Complete the weights of rewards; refuse those of unknown terms."""
+        """Read the team; complete the weights of rewards, and refuse those of unknown terms."""
+        object.__setattr__(self, "team", parse_team(self.team))
+        check_type("obstacles", self.obstacles, tuple | list)
         if not self.reward_weights:
             object.__setattr__(self, "reward_weights", dict(self.default_weights))
         check_reward_weights(self.reward_weights, self.reward_names)

@@ -17,14 +17,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, POSITIVE_S, Interval, typed
+from swarm_envs.errors import check_interval, check_number, check_type
 from swarm_envs.state import IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
+from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
@@ -66,36 +67,49 @@ def in_columns(num_drones: int) -> list[IntArray]:
     return np.array_split(np.arange(num_drones), 2)
 
 
-@typed
 @dataclass(frozen=True)
 class ColumnsTask(Task):
     """Gather in two columns. The defaults are those of `stack`; see the module."""
 
     team: Team
     """The drones; the first half of them, rounded up, start at the first column."""
-    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.36, 0.42)
+    gap_m: tuple[float, float] = (0.36, 0.42)
     """Range of the vertical distance between places, m."""
-    payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] = (0.008, 0.011)
+    payload_kg: tuple[float, float] = (0.008, 0.011)
     """Range of what half of each column's drones carry, kg; in an episode all of them the same."""
-    lowest_m: Annotated[float, POSITIVE_M] = 0.4
+    lowest_m: float = 0.4
     """Height of the lowest places, m."""
-    apart_m: Annotated[float, POSITIVE_M] = 1.5
+    apart_m: float = 1.5
     """Distance between the columns, m."""
-    beside_m: Annotated[float, POSITIVE_M] = 0.6
+    beside_m: float = 0.6
     """Distance from their column at which drones start, m."""
-    travel_s: Annotated[float, POSITIVE_S] = 2.5
+    travel_s: float = 2.5
     """Time in which the reference gets there, s."""
     success: Success = Success(0.06, 1.0, named=False)
     """When the team has gathered."""
-    episode_s: Annotated[float, POSITIVE_S] = 6.0
+    episode_s: float = 6.0
     """Time limit, s."""
 
     name = "columns_v0"
+    layouts = tuple(COLUMN_LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "the places of the columns"
+    learning = in_time(
+        {
+            "stack": {"layout": "stack", "gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)},
+            **{name: {"layout": name} for name in COLUMN_LAYOUTS if name != "stack"},
+        }
+    )  # The gaps and payloads of `stack` are those of the default and of the benchmark
 
     def __post_init__(self) -> None:
         """Refuse teams and gaps of which no columns can be made."""
+        check_interval("gap_m", self.gap_m, above=0.0, unit="m")
+        check_interval("payload_kg", self.payload_kg, at_least=0.0)
+        for name in ("lowest_m", "apart_m", "beside_m"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
+        for name in ("travel_s", "episode_s"):
+            check_number(name, getattr(self, name), above=0.0, unit="s")
+        check_type("success", self.success, Success)
         super().__post_init__()
         size, widest = len(in_columns(len(self.team))[0]), max(v.radius for v in self.team)
         if self.gap_m[0] <= 2.0 * widest:

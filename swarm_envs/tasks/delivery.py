@@ -9,14 +9,14 @@ correction is of no use. Goals of the others are where they hover.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, Range, typed
+from swarm_envs.errors import check_integer, check_interval, check_number, check_type
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.columns import RAMP
+from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
@@ -31,27 +31,27 @@ _OUTSIDE, _START_HEIGHT_M = 1.4, 0.5
 
 def delivery_team(num_drones: int) -> Team:
     """Three couriers `S*`, then `L` above docks."""
+    check_integer("num_drones", num_drones, at_least=1)
     return parse_team("S*" * min(num_drones, DOCKS) + "L" * (num_drones - DOCKS))
 
 
-@typed
 @dataclass(frozen=True)
 class DeliveryTask(Task):
     """Dock below others, again and again. See the module."""
 
     team: Team
     """Three couriers, or fewer; then those that hover, two above each dock, at most six."""
-    radius_m: Annotated[float, POSITIVE_M] = 0.8
+    radius_m: float = 0.8
     """Radius of the circle of docks, m."""
-    height_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.093, 0.103)
+    height_m: tuple[float, float] = (0.093, 0.103)
     """Range of the height of docked couriers, m: a small one touches the floor at 0.06 m."""
-    above_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.28, 0.36)
+    above_m: tuple[float, float] = (0.28, 0.36)
     """Range of the height of the first drone that hovers above a dock, over the courier, m."""
-    stages: Annotated[int, Range(1, 100)] = 3
+    stages: int = 3
     """How often couriers dock."""
-    stage_s: Annotated[float, POSITIVE_S] = 2.2
+    stage_s: float = 2.2
     """Time for each stage, s."""
-    travel_s: Annotated[float, POSITIVE_S] = 1.1
+    travel_s: float = 1.1
     """Time in which the reference gets to a dock, s."""
     success: Success = Success(0.02, 0.4)
     """When all have docked, and those that hover are where they should be."""
@@ -59,9 +59,17 @@ class DeliveryTask(Task):
     name = "delivery_v0"
     default_weights = REWARD_WEIGHTS
     goals_are = "the docks"
+    learning = in_time({"docks": {}})
 
     def __post_init__(self) -> None:
         """Refuse teams for which there are no docks, and ways that take longer than a stage."""
+        check_number("radius_m", self.radius_m, above=0.0, unit="m")
+        for name in ("height_m", "above_m"):
+            check_interval(name, getattr(self, name), above=0.0, unit="m")
+        check_integer("stages", self.stages, at_least=1, at_most=100)
+        for name in ("stage_s", "travel_s"):
+            check_number(name, getattr(self, name), above=0.0, unit="s")
+        check_type("success", self.success, Success)
         super().__post_init__()
         if len(self.team) > 3 * DOCKS:
             raise ValueError(

@@ -20,14 +20,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed
+from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
+from swarm_envs.tasks.learning import Learning
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement
 from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
@@ -56,35 +57,52 @@ CLOSEST = 2.0 * math.sqrt(2.0)
 _RAMP = 0.5
 
 
-@typed
 @dataclass(frozen=True)
 class FormationTask(Task):
     """Fly one shape after another. See the module for who goes where."""
 
     shapes: tuple[str, ...] = SHAPES
     """Names of the shapes, in order; `letter:A` and the like write."""
-    labels: Annotated[str, OneOf(LABELS)] = "nearest"
+    labels: str = "nearest"
     """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
-    start: Annotated[str, OneOf(STARTS)] = "shape"
+    start: str = "shape"
     """Where drones start: on the first `shape`, or on the `ground`."""
-    spacing_m: Annotated[float, POSITIVE_M] | None = None
+    spacing_m: float | None = None
     """Smallest distance between two places of a shape, m; None: 0.5, or less where shapes of so
     many drones would not fit the arena."""
-    shape_s: Annotated[float, POSITIVE_S] = 6.0
+    shape_s: float = 6.0
     """Time for each shape, s."""
-    travel_s: Annotated[float, POSITIVE_S] = 4.0
+    travel_s: float = 4.0
     """Time in which the reference gets there, s."""
-    turn_rad: Annotated[tuple[float, float], Interval(Range(unit="rad"))] = (0.0, 2 * math.pi)
+    turn_rad: tuple[float, float] = (0.0, 2 * math.pi)
     """Range from which the turn of all shapes about the vertical is drawn, rad."""
     success: Success = Success()
     """When the team has reached a shape."""
 
     name = "formation_v1"
+    layouts = tuple(LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "those of shapes=(...)"
+    learning = Learning(
+        layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
+        evaluated={"shuffle": ("shuffle", "cube", "tour")},
+        reward_weights={"at_goal": 2.0},
+        curriculum=lambda task, layout: FormationCurriculum(
+            team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+        ),
+    )
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other, and shapes that do not fit the arena."""
+        check_type("shapes", self.shapes, tuple | list)
+        check_name("labels", self.labels, LABELS)
+        check_name("start", self.start, STARTS)
+        if self.spacing_m is not None:
+            check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
+        for name in ("shape_s", "travel_s"):
+            check_number(name, getattr(self, name), above=0.0, unit="s")
+        check_interval("turn_rad", self.turn_rad, unit="rad")
+        check_type("success", self.success, Success)
         super().__post_init__()
         if self.travel_s > self.shape_s:
             raise ValueError(
@@ -212,3 +230,49 @@ def shapes_of(letters: str) -> tuple[str, ...]:
         ValueError: a character is missing in the font.
     """
     return tuple(LETTER + character for character in letters.upper())
+
+
+NEAREST_SHARE = 0.2
+"""Share of the curriculum in which places are matched to drones, as with labels='nearest'."""
+STRETCH = (0.8, 1.0)
+"""Range from which the spacing of both shapes of the curriculum is drawn, over the task's own."""
+
+
+@dataclass(frozen=True)
+class FormationCurriculum(FormationTask):
+    """One change of shape, from any of `shapes` to any, the same included; no reference.
+
+    Any shape follows any other at several spacings, and places are mostly drawn rather than
+    matched, so that straight ways cross; what also has to be learned is that a drone below others
+    sinks.
+    """
+
+    @property
+    def num_stages(self) -> int:
+        """One: training episodes are short."""
+        return 1
+
+    @property
+    def motion(self) -> Motion:
+        """Rest at the places."""
+        return Motion(REST)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw two shapes, their turn and spacing, who starts where and who goes where."""
+        count, n = len(self.places), len(self.team)
+        stretch, angle = rng.uniform(*STRETCH), rng.uniform(*self.turn_rad)
+        middle = (self.arena[0] + self.arena[1]) / 2
+        c, s = np.cos(angle), np.sin(angle)
+        turn = stretch * np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        before, after = (
+            middle + (self.places[k] - middle) @ turn for k in rng.integers(count, size=2)
+        )
+        matched = rng.random() < NEAREST_SHARE
+        here = before[rng.permutation(n)] if start is None else start
+        order = nearest_places(here, after) if matched else rng.permutation(n)
+        return Placement(here, after[order][None] if goal is None else goal[None])

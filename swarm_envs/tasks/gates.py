@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE_M, Interval, typed
 from swarm_envs.compiled import kernel
+from swarm_envs.errors import check_interval, check_type
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Placement, Task
+from swarm_envs.tasks.learning import RATES, Learning, metric
 from swarm_envs.tasks.motion import OWN_GOALS, Motion
 from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, send_to
@@ -73,14 +73,13 @@ def pass_gates(
         environment.score = environment.goals_reached / size / minutes
 
 
-@typed
 @dataclass(frozen=True)
 class GatesTask(Task):
     """Fly a slalom in vertical formation, there and back."""
 
-    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.3, 0.4)
+    gap_m: tuple[float, float] = (0.3, 0.4)
     """Range from which the vertical distance of neighbours in the column is drawn, m."""
-    lowest_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.4, 0.8)
+    lowest_m: tuple[float, float] = (0.4, 0.8)
     """Range from which the height of the lowest is drawn, for each gate, m."""
     success: ByScore = ByScore(radius=0.05, least=0.0)
     """How near to their places all must be at once; success is to have passed every gate."""
@@ -92,9 +91,20 @@ class GatesTask(Task):
     """Time limit, s."""
     score_names = ("gates_per_min", "places_passed")
     advance = staticmethod(pass_gates)
+    learning = Learning(
+        layouts={"slalom": {}},
+        horizon_s=None,
+        observe_load=True,
+        has_obstacles=True,
+        measures={**RATES, "gates_per_min": metric("gates_per_min")},
+        cost={"gates_per_min": -1.0 / 80.0},
+    )
 
     def __post_init__(self) -> None:
         """Add the posts; refuse columns that do not fit, and weights of unknown terms."""
+        for name in ("gap_m", "lowest_m"):
+            check_interval(name, getattr(self, name), above=0.0, unit="m")
+        check_type("success", self.success, ByScore)
         super().__post_init__()
         top = self.lowest_m[1] + self.gap_m[1] * (len(self.team) - 1)
         if top > _CEILING:

@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import POSITIVE_M, parse_pairs, typed
-from swarm_envs.errors import check_array, check_integer, check_name
+from swarm_envs.errors import (
+    check_array,
+    check_integer,
+    check_name,
+    check_number,
+    check_type,
+    parse_pairs,
+)
 from swarm_envs.physics.contact import BOX, COLUMN, ROW, distances, no_obstacles
 from swarm_envs.state import FloatArray
 
@@ -53,20 +58,21 @@ class Box:
         return (BOX, *map(float, self.low), *map(float, self.high))
 
 
-@typed
 @dataclass(frozen=True)
 class Column:
     """An upright cylinder that stands on the floor. Raises ValueError for impossible sizes."""
 
     center: tuple[float, float]
     """Where it stands (x, y), m."""
-    radius: Annotated[float, POSITIVE_M]
+    radius: float
     """Its radius, m."""
-    height: Annotated[float, POSITIVE_M] = 10.0
+    height: float = 10.0
     """Its height, m; by default higher than any arena."""
 
     def __post_init__(self) -> None:
         """Refuse a place that is none."""
+        for name in ("radius", "height"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
         check_array("Column.center", self.center, (2,))
 
     @property
@@ -163,6 +169,7 @@ def obstacle_rows(obstacles: Sequence[Obstacle]) -> FloatArray:
     Raises:
         TypeError: one is neither a `Box` nor a `Column`.
     """
+    check_type("obstacles", obstacles, Sequence)
     for obstacle in obstacles:
         if not isinstance(obstacle, Box | Column):
             raise TypeError(

@@ -10,26 +10,27 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
 from swarm_envs.compiled import kernel
+from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Orbit, Placement, Task
+from swarm_envs.tasks.learning import scored
 from swarm_envs.tasks.motion import PURSUIT, REST, Motion
 from swarm_envs.tasks.placing import derangement, draw_apart, drawing_box
 from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score
 
 __all__ = ["PURSUIT_LAYOUTS", "REWARD_WEIGHTS", "Layout", "PursuitTask"]
 
-PURSUIT_LAYOUTS = ("moving", "swap-goals", "chase")
+Layout = Literal["moving", "swap-goals", "chase"]
+"""The name of a layout."""
+PURSUIT_LAYOUTS: tuple[str, ...] = get_args(Layout)
 """What goals do, by name."""
-Layout = Annotated[str, OneOf(PURSUIT_LAYOUTS)]
-"""One of them."""
 _ACROSS, _UPWARDS = 0.8, 0.2
 """Half axes of the centre's way, m."""
 _LOWEST, _HIGHEST = 0.5, 2.0
@@ -69,31 +70,37 @@ def score_pursuit(
         end_by_score(environments[e], drones[e], rules)
 
 
-@typed
 @dataclass(frozen=True)
 class PursuitTask(Task):
     """Stay at goals that do not stay. See the module for the layouts."""
 
     layout: Layout = "moving"
     """`moving`, `swap-goals` or `chase`."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.4
+    spacing_m: float = 0.4
     """Smallest distance between two goals, m."""
-    speed_m_s: Annotated[tuple[float, float], Interval(POSITIVE)] = (0.6, 1.2)
+    speed_m_s: tuple[float, float] = (0.6, 1.2)
     """Range from which the largest speed of moving goals is drawn, m/s."""
-    change_s: Annotated[float, POSITIVE_S] = 5.0
+    change_s: float = 5.0
     """Time after which goals are swapped, s."""
     success: ByScore | None = None  # type: ignore[assignment]  # set below
     """How near a goal counts, and the share of time there that is a success; None: the layout's."""
 
     name = "pursuit_v0"
+    layouts = PURSUIT_LAYOUTS
     default_weights = REWARD_WEIGHTS
     episode_s = 20.0
     """Time limit, s."""
     score_names = ("share_on_goal",)
     advance = staticmethod(score_pursuit)
+    learning = scored(PURSUIT_LAYOUTS, "share_on_goal", 1.0)
 
     def __post_init__(self) -> None:
         """Refuse weights of unknown terms, and set the layout's success."""
+        check_name("layout", self.layout, PURSUIT_LAYOUTS)
+        check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
+        check_interval("speed_m_s", self.speed_m_s, above=0.0)
+        check_number("change_s", self.change_s, above=0.0, unit="s")
+        check_type("success", self.success, ByScore | None)
         super().__post_init__()
         if self.success is None:
             object.__setattr__(self, "success", ByScore(_RADIUS, _LEAST[self.layout]))

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from swarm_envs.compiled import kernel
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_name, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.motion import SPEED_LIMIT
@@ -74,10 +74,10 @@ def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> 
     Raises:
         ValueError: naming the term, and the nearest that exists.
     """
+    check_type("reward_weights", weights, Mapping)
     for term, weight in weights.items():
         check_name("reward term", term, names)
-        if not math.isfinite(weight):
-            raise ValueError(f"the weight of {term!r} is {weight}, but must be finite")
+        check_number(f"the weight of {term!r}", weight)
 
 
 @kernel

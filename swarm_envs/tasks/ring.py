@@ -22,14 +22,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import FINITE, POSITIVE_M, POSITIVE_S, Interval, Range, check_value, typed
+from swarm_envs.errors import check_integer, check_interval, check_number, check_numbers, check_type
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Given, Orbit, Placement, Task, TrackingSuccess
+from swarm_envs.tasks.learning import RATES, Learning, Metrics
 from swarm_envs.tasks.motion import ORBITS, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
@@ -42,25 +42,33 @@ GAP = 0.4  # Smallest distance between the rings of two groups, m
 _SPARE = 0.05  # Distance that drones keep on their rings beyond the sum of radii, m
 
 
-@typed
 @dataclass(frozen=True)
 class RingLayout:
     """Sizes, speed and phases of one set of rings. Raises ValueError for what cannot be."""
 
-    horizontal_m: tuple[Annotated[float, POSITIVE_M], Annotated[float, POSITIVE_M]]
+    horizontal_m: tuple[float, float]
     """Half axes of the level ellipse along x and y, m."""
-    vertical_m: Annotated[float, POSITIVE_M]
+    vertical_m: float
     """Radius of the upright circles, m."""
-    speed_m_s: Annotated[float, Range(0.0, above=True, unit="m/s")]
+    speed_m_s: float
     """Mean speed along every ring, m/s."""
-    height_m: Annotated[float, POSITIVE_M] = 1.2
+    height_m: float = 1.2
     """Height of the level ellipse, m; of the lowest one, if there are several groups."""
-    phases_rad: tuple[Annotated[float, FINITE], Annotated[float, FINITE]] = (0.0, 0.0)
+    phases_rad: tuple[float, float] = (0.0, 0.0)
     """Angle at which the first drone of the level ellipse starts, from the tip on the side of x,
     and that of the first drone of each upright circle, from its lowest point, rad."""
-    lead_s: Annotated[tuple[float, float], Interval(Range(0.0, unit="s"))] = (0.0, 60.0)
+    lead_s: tuple[float, float] = (0.0, 60.0)
     """Range of flight time by which the start is ahead of those phases, drawn once an episode for
     all drones together, so that phases stay locked, s; equal ends fix it."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_numbers("horizontal_m", self.horizontal_m, 2, above=0.0)
+        check_numbers("phases_rad", self.phases_rad, 2)
+        for name in ("vertical_m", "height_m"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
+        check_number("speed_m_s", self.speed_m_s, above=0.0, unit="m/s")
+        check_interval("lead_s", self.lead_s, at_least=0.0, unit="s")
 
 
 FIVE = RingLayout((0.55, 0.55), 0.55, 0.65)
@@ -204,11 +212,21 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
 
 def ring_team(num_drones: int) -> Team:
     """The team that flies if none is named: the paper's for 5 and 16 drones, else small ones."""
+    check_integer("num_drones", num_drones, at_least=1)
     teams = {5: "S*S*S*LL", 16: "LSSLSS" + 10 * "S*"}
     return parse_team(teams.get(num_drones, num_drones * "S"))
 
 
-@typed
+LOST_M = 0.15
+"""Height error with which an episode counts that was lost: what ends a ring's success, m."""
+
+
+def worst_height_error_m(metrics: Metrics) -> float:
+    """Return the largest vertical distance of any drone to its reference; `LOST_M` if lost."""
+    error = metrics["worst_height_error_m"]
+    return LOST_M if error is None or not metrics["success"] else float(error)
+
+
 @dataclass(frozen=True)
 class RingTask(Task):
     """Keep to a reference on intertwined rings. See the module for teams and rings."""
@@ -217,17 +235,27 @@ class RingTask(Task):
     """Sizes, speed and phases; None: those of the paper for 5 or 16 drones, whichever fits."""
     success: TrackingSuccess = TrackingSuccess()
     """When the team has done its task. Its `settle_s` is also the time of the smooth start-up."""
-    scored_s: Annotated[float, POSITIVE_S] = 10.0
+    scored_s: float = 10.0
     """Seconds flown after the start-up."""
 
     name = "ring_v1"
     default_weights = REWARD_WEIGHTS
     goals_are = "where the reference is"
+    learning = Learning(
+        layouts={"rings": {}},
+        horizon_s=5.0,
+        reward_weights={"progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
+        measures={**RATES, "worst_height_error_m": worst_height_error_m},
+        cost={"worst_height_error_m": 1.0 / LOST_M},
+    )
 
     def __post_init__(self) -> None:
         """Refuse rings that do not fit, on which drones would collide, or that are too fast."""
+        check_type("rings", self.rings, RingLayout | None)
+        check_type("success", self.success, TrackingSuccess)
+        check_number("scored_s", self.scored_s, above=0.0, unit="s")
         super().__post_init__()
-        check_value("settle_s", self.success.settle_s, Annotated[float, POSITIVE_S])
+        check_number("settle_s", self.success.settle_s, above=0.0, unit="s")
         check_speed(self.orbit, self.team)
         self._check_arena()
 

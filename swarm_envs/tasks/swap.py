@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Annotated
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
+from swarm_envs.errors import check_interval, check_name, check_number, check_type
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
+from swarm_envs.tasks.learning import Learning, Parts
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.placing import (
     OBSTACLE_MARGIN,
@@ -38,9 +39,10 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
 
-LAYOUTS = ("stacked", "circle", "random")  # Every layout by name
-Layout = Annotated[str, OneOf(LAYOUTS)]
-"""One of them."""
+Layout = Literal["stacked", "circle", "random"]
+"""The name of a layout."""
+LAYOUTS: tuple[str, ...] = get_args(Layout)
+"""Every layout by name."""
 _RAMP = 0.2  # Share of a stacked swap in which the speed grows, and in which it falls
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
@@ -58,32 +60,42 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
 stage of a formation more than its 6 s there, so that lingering does not pay."""
 
 
-@typed
 @dataclass(frozen=True)
 class StackedLayout:
     """Ranges from which a stacked swap is drawn; equal ends fix a value."""
 
-    radius_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.5, 0.75)
+    radius_m: tuple[float, float] = (0.5, 0.75)
     """Radius of the circle on which drones stand, seen from above, m."""
-    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.2, 0.3)
+    gap_m: tuple[float, float] = (0.2, 0.3)
     """Vertical distance between neighbouring planes, m."""
-    lowest_m: Annotated[float, POSITIVE_M] = 0.8
+    lowest_m: float = 0.8
     """Height of the lowest plane, m."""
-    duration_s: Annotated[tuple[float, float], Interval(POSITIVE_S)] = (3.0, 4.0)
+    duration_s: tuple[float, float] = (3.0, 4.0)
     """Time from one side to the other, s."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("radius_m", "gap_m"):
+            check_interval(name, getattr(self, name), above=0.0, unit="m")
+        check_number("lowest_m", self.lowest_m, above=0.0, unit="m")
+        check_interval("duration_s", self.duration_s, above=0.0, unit="s")
 
-@typed
+
 @dataclass(frozen=True)
 class CircleLayout:
     """What the circle layout is made of; its turn about the vertical is drawn."""
 
-    radius_m: Annotated[float, POSITIVE_M] = 1.5
+    radius_m: float = 1.5
     """Radius of the circle, m; it grows where neighbours would stand closer than `spacing_m`."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.3
+    spacing_m: float = 0.3
     """Smallest distance between neighbours on the circle, m."""
-    height_m: Annotated[float, POSITIVE_M] = 1.0
+    height_m: float = 1.0
     """Height of starts and goals, m."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("radius_m", "spacing_m", "height_m"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
 
     def radius_for(self, num_drones: int) -> float:
         """Radius at which that many drones keep their spacing, m."""
@@ -92,7 +104,33 @@ class CircleLayout:
         return max(self.radius_m, self.spacing_m / (2.0 * math.sin(math.pi / num_drones)))
 
 
-@typed
+CIRCLE_SHARE, CROWDED_SHARE = 0.25, 0.5
+"""Shares of episodes on a circle, and in a small cube; the rest are those of the random layout."""
+CROWDED_SIDE_M = (0.9, 1.6)
+"""Side of the cube for four drones, m, from which it is drawn; it grows with N^(1/3)."""
+PAIRS_SHARE = 0.5  # Share of crowded episodes in which drones change places in pairs
+
+
+def hard_swaps(task: SwapTask, layout: str) -> SwapTask:
+    """Return the task in which a swap is learned: in the layout `random`, with hard starts."""
+    if layout != "random":
+        return task
+    return SwapCurriculum(
+        team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+    )
+
+
+def kinds_of_swaps(task: SwapTask, layout: str) -> Parts:
+    """Return random swaps, crowded ones and circles apart: a teacher may be for one alone."""
+    if not isinstance(task, SwapCurriculum):
+        return {layout: (1.0, task)}
+    return {
+        "random": (0.6, replace(task, circle_share=0.0, crowded_share=0.0)),
+        "crowded": (0.25, replace(task, circle_share=0.0, crowded_share=1.0)),
+        "circle": (0.15, replace(task, circle_share=1.0, crowded_share=0.0)),
+    }
+
+
 @dataclass(frozen=True)
 class SwapTask(Task):
     """Swap places. See the module for the layouts."""
@@ -105,7 +143,7 @@ class SwapTask(Task):
     """What the stacked layout is drawn from."""
     circle: CircleLayout = CircleLayout()
     """What the circle layout is made of."""
-    spacing_m: Annotated[float, POSITIVE_M] = 0.5
+    spacing_m: float = 0.5
     """Smallest distance between starts in the random layout, m."""
     heights_m: tuple[float, float] = (0.5, 2.0)
     """Lowest and highest start in the random layout, m; the highest grows with the arena."""
@@ -113,12 +151,26 @@ class SwapTask(Task):
     """When the team has swapped."""
 
     name = "swap_v1"
+    layouts = LAYOUTS
     default_weights = REWARD_WEIGHTS
+    learning = Learning(
+        layouts={name: {"layout": name} for name in ("random", "circle")},
+        evaluated={"random": ("random", "circle")},
+        reward_weights={"at_goal": 2.0},
+        curriculum=hard_swaps,
+        parts=kinds_of_swaps,
+    )
     episode_s = 8.0
     """Time limit, s."""
 
     def __post_init__(self) -> None:
         """Refuse layouts that do not fit the team, and weights of unknown terms."""
+        check_name("layout", self.layout, LAYOUTS)
+        check_type("stacked", self.stacked, StackedLayout)
+        check_type("circle", self.circle, CircleLayout)
+        check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
+        check_interval("heights_m", self.heights_m, above=0.0, unit="m")
+        check_type("success", self.success, Success)
         if self.layout == "stacked":
             self._check_stack()
         if self.layout == "circle":
@@ -221,3 +273,59 @@ def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -
 def _opposite(points: FloatArray) -> FloatArray:
     """The points (n, 3) on the other side of the vertical axis."""
     return points * np.array([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class SwapCurriculum(SwapTask):
+    """A random swap whose episodes are at times on a circle, and at times crowded.
+
+    Nearly all failures of a policy that swaps are collisions soon after the start, mostly with a
+    drone that heads for the other's place. Starts drawn in a small cube, half of them as pairs that
+    change places, have many of these.
+    """
+
+    circle_share: float = CIRCLE_SHARE  # Of the episodes on a circle
+    crowded_share: float = CROWDED_SHARE  # Of the episodes in a small cube
+
+    @cached_property
+    def _circle(self) -> SwapTask:
+        options = {field.name: getattr(self, field.name) for field in fields(SwapTask)}
+        return SwapTask(**{**options, "layout": "circle"})
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw an episode; a start or goal that is given makes it one of the random layout.
+
+        Raises:
+            RuntimeError: no room for the drones was found within a bounded number of draws.
+        """
+        kind = rng.random()
+        if start is not None or goal is not None or len(self.team) < 2:
+            return super().draw(rng, start, goal)
+        if kind < self.circle_share:
+            return self._circle.draw(rng)
+        if kind < self.circle_share + self.crowded_share:
+            return self._draw_crowded(rng)
+        return super().draw(rng)
+
+    def _draw_crowded(self, rng: np.random.Generator) -> Placement:
+        n, (_, _, arena) = len(self.team), self._kept
+        side = rng.uniform(*CROWDED_SIDE_M) * (n / 4.0) ** (1.0 / 3.0)
+        low, high = arena[0] + WALL_MARGIN, arena[1] - WALL_MARGIN
+        size = np.minimum(side, high - low)
+        corner = low + (high - low - size) * rng.random(3)
+        start = draw_apart(rng, corner, corner + size, n, 0.35)
+        paired = rng.random() < PAIRS_SHARE and n % 2 == 0
+        order = _pairs(rng, n) if paired else derangement(rng, n)
+        return Placement(start, start[order][None])
+
+
+def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """A permutation (n,), n even, in which each changes places with one other."""
+    order, shuffled = np.empty(n, dtype=np.int64), rng.permutation(n)
+    order[shuffled[0::2]], order[shuffled[1::2]] = shuffled[1::2], shuffled[0::2]
+    return order

@@ -12,12 +12,12 @@ import weakref
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Range, typed_options
+from swarm_envs.errors import check_integer, check_number
 from swarm_envs.physics.bullet import build_body
 from swarm_envs.state import BoolArray, FloatArray, SwarmState
 from swarm_envs.vehicles import Vehicle, parse_team
@@ -182,10 +182,9 @@ def _floor(points: FloatArray, footprint: FloatArray, distance: FloatArray) -> F
 
 
 _BACKGROUND = -1  # What Bullet's segmentation says where it drew nothing
-_PIXELS = Range(16, 4096)
+_PIXELS = {"at_least": 16, "at_most": 4096}  # of a picture, along each side
 
 
-@typed_options
 class Camera:
     """Draws pictures of a team from states of any engine, in a Bullet client of its own.
 
@@ -208,13 +207,18 @@ class Camera:
     def __init__(
         self,
         team: str | Sequence[Vehicle],
-        width: Annotated[int, _PIXELS] = 640,
-        height: Annotated[int, _PIXELS] = 400,
+        width: int = 640,
+        height: int = 400,
         *,
-        azimuth_deg: Annotated[float, Range(-360.0, 360.0)] = -60.0,
-        elevation_deg: Annotated[float, Range(0.0, 89.0)] = 16.0,
-        field_of_view_deg: Annotated[float, Range(5.0, 120.0)] = 35.0,
+        azimuth_deg: float = -60.0,
+        elevation_deg: float = 16.0,
+        field_of_view_deg: float = 35.0,
     ) -> None:
+        check_integer("width", width, **_PIXELS)
+        check_integer("height", height, **_PIXELS)
+        check_number("azimuth_deg", azimuth_deg, at_least=-360.0, at_most=360.0)
+        check_number("elevation_deg", elevation_deg, at_least=0.0, at_most=89.0)
+        check_number("field_of_view_deg", field_of_view_deg, at_least=5.0, at_most=120.0)
         self.team = parse_team(team)
         self.width, self.height = width, height
         self._angles = azimuth_deg, elevation_deg, field_of_view_deg

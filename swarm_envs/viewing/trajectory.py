@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import check_type, unknown_name
 from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.vehicles import Vehicle
 from swarm_envs.viewing.record import About, Recording, Solid
@@ -63,13 +62,13 @@ def check_trajectory_path(path: Path) -> None:
         ValueError: the name ends in something else.
         ImportError: pyarrow is missing; the message says how to get it.
     """
+    check_type("path", path, Path)
     if path.suffix.lower() not in _SUFFIXES:
         raise ValueError(unknown_name("suffix", path.suffix, _SUFFIXES, f"of {str(path)!r}"))
     if path.suffix.lower() == ".parquet":
         _arrow()
 
 
-@typed
 def write_trajectory(path: Path, recording: Recording) -> None:
     """Write an episode, whole or not at all.
 
@@ -94,7 +93,6 @@ def write_trajectory(path: Path, recording: Recording) -> None:
             _write_parquet(partial, recording)
 
 
-@typed
 def read_trajectory(path: Path) -> Recording:
     """Read an episode that `write_trajectory` wrote.
 

@@ -276,11 +276,15 @@ def test_setpoints_that_cannot_be_observed():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"num_drone": 2}, TypeError, "unknown option 'num_drone'; did you mean 'num_drones'"),
+        (
+            {"num_drone": 2},
+            TypeError,
+            "unexpected keyword argument 'num_drone'; did you mean 'num_drones'",
+        ),
         ({"layout": "cricle"}, ValueError, "unknown layout 'cricle'; did you mean 'circle'"),
         ({"team": "SX"}, ValueError, "unknown vehicle token 'X'"),
         ({"num_drones": 0}, ValueError, "num_drones is 0, but must be an integer of at least 1"),
-        ({"deterministic": "yes"}, TypeError, "deterministic is 'yes', but must be True or False"),
+        ({"deterministic": "yes"}, ValueError, "deterministic is 'yes', but must be True or False"),
         ({"render_mode": "rgb"}, ValueError, "rgb"),
     ],
 )
@@ -299,8 +303,11 @@ def test_options_have_names():
     [
         ({"interactions": "learnd"}, r"unknown interaction model 'learnd'; did you mean 'learned'"),
         ({"reward_weights": {"sucess": 1}}, "unknown reward term 'sucess'; did you mean 'success'"),
-        ({"reward_weights": {"crash": float("nan")}}, r"'crash' is nan, but must be finite"),
-        ({"reward_weights": 3}, "reward_weights is 3, but must be a mapping"),
+        (
+            {"reward_weights": {"crash": float("nan")}},
+            r"'crash' is nan, but must be a finite number",
+        ),
+        ({"reward_weights": 3}, "reward_weights is 3, but must be a Mapping"),
         ({"team": "S" * 12, "layout": "stacked"}, r"12 drones stacked .* use fewer drones or"),
         ({"force_bounds_g": {"S": 0.0}}, r"force_bounds_g\['S'\] is 0.0, but must be positive"),
     ],

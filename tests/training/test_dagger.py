@@ -26,10 +26,10 @@ from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.training.rl import teachers
+from swarm_envs.training.rl.choosing import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.dagger import Dagger
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
-from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
 from swarm_envs.training.rl.runs import make_setting
 

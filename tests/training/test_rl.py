@@ -22,7 +22,7 @@ from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.training.rl import dagger, sb3
-from swarm_envs.training.rl.recipes import choosing_seeds
+from swarm_envs.training.rl.choosing import choosing_seeds
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
 from swarm_envs.training.rl.runs import make_setting
 from tests.helpers.interrupts import calls_of
@@ -173,9 +173,9 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
         ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
         ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),
-        ("--drones 4 0", "--drones is (4, 0)"),
+        ("--drones 4 0", "--drones is 0"),
         ("--algo pop", "unknown --algo 'pop'; did you mean 'ppo'?"),
-        ("--set-hidden 0", "--set-hidden is '0', but must be a sequence, each an integer"),
+        ("--set-hidden 0", "--set-hidden is 0, but must be an integer of at least 1"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(options, why, tmp_path, refused):

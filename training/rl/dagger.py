@@ -34,9 +34,9 @@ from swarm_envs.envs.options import Blueprint
 from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.provenance import check_same, scalar_writer
+from swarm_envs.training.rl.choosing import learning_of
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
-from swarm_envs.training.rl.recipes import recipe_of
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
 
@@ -127,7 +127,7 @@ class Dagger:
         counts: list[int] = []
         taught: list[tuple[str, int]] = []
         for blueprint in self.setting.blueprints:
-            found = recipe_of(blueprint.task.name).parts(blueprint.task, self.config)
+            found = learning_of(blueprint.task.name).parts(blueprint.task, str(self.config.layout))
             given = [max(1, round(portion * share)) for portion, _ in found.values()]
             counts += [share - sum(given[1:]), *given[1:]]
             parts += [blueprint._replace(task=task) for _, task in found.values()]

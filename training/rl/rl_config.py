@@ -4,27 +4,40 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
-from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
 from swarm_envs.envs.setting import AirOptions
-from swarm_envs.errors import check_name
+from swarm_envs.errors import (
+    check_bool,
+    check_divisor,
+    check_integer,
+    check_name,
+    check_number,
+    check_numbers,
+)
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
 __all__ = ["RlConfig"]
 
-Share = Annotated[float, Range(0.0, 1.0)]  # A number from 0 to 1
-Rate = Annotated[float, Range(1e-7, 1.0)]  # A small positive number
+Encoder = Literal["mlp", "deep-set"]
+Action = Literal["acceleration", "velocity", "ctbr", "rotors"]
 DAGGER = "dagger"  # The algorithm of `--dagger.*`; others are Stable-Baselines3's
+_COUNTS = (
+    *("steps", "environments", "threads", "num_neighbors"),
+    *("checkpoint_rollouts", "evaluations", "evaluation_episodes"),
+)
+"""Options that are positive integers."""
 ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # those that need no import path
 
 
-@partial(typed, owner="--dagger.")
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 @dataclass(frozen=True)
 class DaggerConfig:
     """Options of `--algo dagger`: the teachers, and the gradient steps."""
@@ -33,27 +46,38 @@ class DaggerConfig:
     """the teachers: names or files of agents, which may be privileged, each optionally after a
     layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`; the last that
     fits a team teaches it"""
-    train_freq: Count = 10
+    train_freq: int = 10
     """decisions of each drone between two rounds of gradient steps"""
-    gradient_steps: Count = 12
+    gradient_steps: int = 12
     """gradient steps of a round; each takes a batch from all that is remembered"""
-    batch_size: Count = 1024
+    batch_size: int = 1024
     """decisions per gradient step"""
-    learning_rate: Rate = 2e-3
+    learning_rate: float = 2e-3
     """learning rate of Adam at the start; it falls as a cosine"""
-    last_rate: Rate = 0.02
+    last_rate: float = 0.02
     """final learning rate, as a share of the initial one"""
-    buffer_size: Count = 400_000
+    buffer_size: int = 400_000
     """size of the replay buffer in decisions of single drones; checkpoints contain it"""
-    guided: Share = 0.125
+    guided: float = 0.125
     """share of the run during which the teacher flies too; its share of the decisions falls from 1
     to 0"""
-    noise: Share = 0.1
+    noise: float = 0.1
     """standard deviation of noise on the actions of a third of the environments"""
-    avoiding: Annotated[float, Range(0.0, 100.0)] = 3.0
+    avoiding: float = 3.0
     """weight of decisions in which other drones change the teacher's action; others have 1"""
-    huber: Annotated[float, Range(1e-3, 10.0)] = 0.1
+    huber: float = 0.1
     """error of an action from which on the loss grows linearly"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing is learned."""
+        for name in ("train_freq", "gradient_steps", "batch_size", "buffer_size"):
+            check_integer(_option(f"dagger.{name}"), getattr(self, name), at_least=1)
+        for name in ("learning_rate", "last_rate"):
+            check_number(_option(f"dagger.{name}"), getattr(self, name), at_least=1e-7, at_most=1.0)
+        for name in ("guided", "noise"):
+            check_number(_option(f"dagger.{name}"), getattr(self, name), at_least=0.0, at_most=1.0)
+        check_number("--dagger.avoiding", self.avoiding, at_least=0.0, at_most=100.0)
+        check_number("--dagger.huber", self.huber, at_least=1e-3, at_most=10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +98,7 @@ class RunOptions:
     agent where the policy itself has flown; one policy flies all drones"""
     start: str | None = None
     """a trained policy, by name, file or folder, from which DAgger begins"""
-    drones: Count | tuple[Count, ...] = 4
+    drones: int | tuple[int, ...] = 4
     """number of drones; of several numbers, such as `4 8`, each has an equal share of the
     environments; the policy will fly in teams from the smallest to the largest"""
     fewest: int | None = None
@@ -83,16 +107,15 @@ class RunOptions:
     """largest team in which the policy will fly; that of its training if not given"""
     team: tuple[str, ...] = ()
     """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
-    steps: Count = 3_000_000
+    steps: int = 3_000_000
     """decisions of single drones, rounded up to whole rollouts"""
-    seed: Seed = 0
+    seed: int = 0
     """random seed of initial weights, episodes and exploration; the same seed gives the same
     policy"""
     json: Path | None = None
     """write the report to this file too"""
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class RlConfig(AirOptions, RunOptions):
     """Train one policy for all drones by Stable-Baselines3, or by DAgger from a teacher.
@@ -104,29 +127,29 @@ class RlConfig(AirOptions, RunOptions):
     set: tuple[str, ...] = ()
     """arguments of the algorithm of Stable-Baselines3, as NAME=VALUE, such as `learning_rate=3e-4
     n_steps=64`, in place of the defaults that docs/rl.md lists"""
-    environments: Count = 128
+    environments: int = 128
     """teams that fly at once, of all sizes together"""
-    threads: Count = 2
+    threads: int = 2
     """threads of the environments, which do not change the policy"""
-    encoder: Literal["mlp", "deep-set"] = "mlp"
+    encoder: Encoder = "mlp"
     """how neighbors are encoded: `mlp`, one after another, nearest first; `deep-set`, each with
     the drone's own features through a small network, then pooled"""
-    hidden: tuple[Count, ...] = (64, 64)
+    hidden: tuple[int, ...] = (64, 64)
     """widths of the hidden layers of the actor"""
-    set_hidden: tuple[Count, ...] = (32, 32)
+    set_hidden: tuple[int, ...] = (32, 32)
     """widths of the network to which a deep set gives each neighbor"""
-    horizon_s: Annotated[float, Range(0.2, 1000.0, unit="s")] | None = None
+    horizon_s: float | None = None
     """time limit of an episode in training, s; default: the task's"""
-    action: Literal["acceleration", "velocity", "ctbr", "rotors"] = "acceleration"
+    action: Action = "acceleration"
     """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust
     and body rates (`ctbr`), or each of the `rotors`; it will fly with this one alone"""
-    decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 10
+    decision_rate: int = 10
     """decisions per second, in training and in flight"""
-    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
+    force_rate: int = 48
     """evaluations of the interaction force per second in training"""
-    num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
+    num_neighbors: Annotated[int, tyro.conf.arg(aliases=["--neighbors"])] = 3
     """K, the number of observed neighbors"""
-    num_obstacles: Annotated[int, Range(0)] | None = None
+    num_obstacles: int | None = None
     """M, the number of observed obstacles; default: 3 where there are any"""
     observe_load: bool | None = None
     """observe thrust margins, masses and charges; default: the task's"""
@@ -140,14 +163,14 @@ class RlConfig(AirOptions, RunOptions):
     `air-aware`; the default controller if not given"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    proximity: tuple[Annotated[float, NOT_NEGATIVE], Annotated[float, NOT_NEGATIVE]] = (4.0, 2.0)
+    proximity: tuple[float, float] = (4.0, 2.0)
     """cost of being near another drone, before and after 37 % of the steps; too much for too long,
     and drones hover next to their goals"""
-    checkpoint_rollouts: Count = 100
+    checkpoint_rollouts: int = 100
     """rollouts between two checkpoints of DAgger"""
-    evaluations: Count = 5
+    evaluations: int = 5
     """number of evaluations, evenly spread; the last one is at the end"""
-    evaluation_episodes: Count = 256
+    evaluation_episodes: int = 256
     """episodes of an evaluation, on each layout, on seeds that are the same in every run and never
     trained on; the policy that does best on them is kept"""
     progress: bool = True
@@ -156,13 +179,35 @@ class RlConfig(AirOptions, RunOptions):
     """only with `--algo dagger`"""
 
     def __post_init__(self) -> None:
-        """Refuse options that do not fit each other."""
+        """Refuse numbers out of range, and options that do not fit each other."""
+        self._check_numbers()
         self._check_teams()
-        for name in ("hidden", "set_hidden"):
-            if not getattr(self, name):
-                raise ValueError(f"{_option(name)} is (), but must be one or more widths")
         self._check_belongs()
         self._check_sizes()
+
+    def _check_numbers(self) -> None:
+        for name in _COUNTS:
+            check_integer(_option(name), getattr(self, name), at_least=1)
+        check_integer("--seed", self.seed, at_least=0)
+        if self.num_obstacles is not None:
+            check_integer("--num-obstacles", self.num_obstacles, at_least=0)
+        for name in ("decision_rate", "force_rate"):
+            check_divisor(_option(name), getattr(self, name), PHYSICS_RATE)
+        if self.horizon_s is not None:
+            check_number("--horizon-s", self.horizon_s, at_least=0.2, at_most=1000.0, unit="s")
+        check_numbers("--proximity", self.proximity, 2, at_least=0.0)
+        for count in self._counts:
+            check_integer("--drones", count, at_least=1)
+        for name in ("hidden", "set_hidden"):
+            widths = getattr(self, name)
+            if not isinstance(widths, tuple) or not widths:
+                raise ValueError(f"{_option(name)} is {widths!r}, but must be one or more widths")
+            for width in widths:
+                check_integer(_option(name), width, at_least=1)
+        check_name("--encoder", self.encoder, get_args(Encoder))
+        check_name("--action", self.action, get_args(Action))
+        for name in ("observe_force", "observe_setpoint", "progress"):
+            check_bool(_option(name), getattr(self, name))
 
     def _check_teams(self) -> None:
         given = {*self._counts}
@@ -240,7 +285,3 @@ class RlConfig(AirOptions, RunOptions):
     def rollouts(self) -> int:
         """Rollouts of a run of DAgger."""
         return math.ceil(self.steps / (self.decisions * self.dagger.train_freq))
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"

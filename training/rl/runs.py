@@ -12,7 +12,12 @@ from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, senses, write_policy
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.training.provenance import check_same, json_ready
-from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy, recipe_of, with_recipe
+from swarm_envs.training.rl.choosing import (
+    choosing_seeds,
+    evaluate_policy,
+    learning_of,
+    with_defaults,
+)
 from swarm_envs.training.rl.rl_config import RlConfig
 
 __all__ = ["finished_report", "train_policy"]
@@ -56,7 +61,7 @@ def make_setting(config: RlConfig, task: str) -> Setting:
     Raises:
         ValueError: an option has an impossible value.
     """
-    config = with_recipe(config, task)
+    config = with_defaults(config, task)
     blueprints = [training_blueprint(config, task, team) for team in config.teams]
     present = {vehicle.token for found in blueprints for vehicle in found.task.team}
     flown = tuple(token for token in TYPES if token in present)
@@ -70,12 +75,12 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     Raises:
         ValueError: an option has an impossible value.
     """
-    recipe = recipe_of(task)
+    learning = learning_of(task)
     found = batch_of(
         task,
-        **recipe.layouts[str(config.layout)],
+        **learning.layouts[str(config.layout)],
         **team,
-        reward_weights=recipe.reward_weights,
+        reward_weights=learning.reward_weights,
         interactions=config.interactions,
         action=config.action,
         decision_rate=config.decision_rate,
@@ -86,10 +91,10 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         **senses(*senses_of(config), config.controller),
         **config.air(),
     )
-    flown = recipe.curriculum(found.task, config)
+    flown = learning.curriculum(found.task, str(config.layout))
     clock = config.horizon_s or flown.episode_s
     weights = dict(flown.reward_weights)
-    for name in recipe.reward_weights.keys() & {"at_goal", "tracking"}:
+    for name in learning.reward_weights.keys() & {"at_goal", "tracking"}:
         weights[name] = weights[name] / clock  # the task counts these by the second
     return found._replace(task=replace(flown, reward_weights=weights))
 
@@ -114,19 +119,19 @@ class Evaluation:
     def add(self, network: Network, steps: int) -> dict[str, float]:
         """Evaluate a network after so many steps; return the averages of its measures."""
         config, task = self.setting.config, self.setting.task
-        recipe = recipe_of(task)
+        learning = learning_of(task)
         policy = Policy(self.setting.note(), network, {})
         rates = evaluate_policy(
             policy,
             task,
-            recipe.evaluation_layouts(str(config.layout)),
+            learning.evaluation_layouts(str(config.layout)),
             choosing_seeds(config.evaluation_episodes),
             {"interactions": config.interactions, "force_rate": config.force_rate, **config.air()},
             config.teams,
         )
-        before = [recipe.quality(result) for result in self.results]
+        before = [learning.quality(result) for result in self.results]
         self.results.append({"step": float(steps), **rates})
-        if not before or recipe.quality(rates) >= max(before):
+        if not before or learning.quality(rates) >= max(before):
             about = {"config": result_options(config, task), "steps": steps, "chosen_by": rates}
             write_policy(config.out / FILE, replace(policy, provenance=about))
         return rates
@@ -134,13 +139,13 @@ class Evaluation:
     @property
     def best(self) -> dict[str, float]:
         """Result of the policy that was kept."""
-        quality = recipe_of(self.setting.task).quality
+        quality = learning_of(self.setting.task).quality
         return max(reversed(self.results), key=quality)
 
 
 def result_options(config: RlConfig, task: str) -> dict[str, Any]:
     """Return what the policy depends on, ready for JSON."""
-    config = with_recipe(config, task)
+    config = with_defaults(config, task)
     foreign = ("set", "proximity") if config.imitates else ("start", "dagger")
     names = [f.name for f in fields(config) if f.name not in (*_NO_RESULT, *foreign)]
     options = {name: getattr(config, name) for name in names}

@@ -15,11 +15,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
-from swarm_envs.arguments import POSITIVE_S, Count, Range, check_value, typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, working_state
 from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, empty_tree, grow_tree
@@ -28,40 +27,47 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     trajectories_through,
 )
 from swarm_envs.compiled import announce_compilation
+from swarm_envs.errors import check_integer, check_number, check_type
 from swarm_envs.state import FloatArray
 
 Stop = Literal["iterations", "no improvement", "time limit"]  # Why a search ended
 
-_SHARE = Range(0.0, 1.0)
 _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
 
 
-@typed
 @dataclass(frozen=True)
 class SearchConfig:
     """Options of stage 1."""
 
-    iterations: Count = 100_000
+    iterations: int = 100_000
     """The most iterations (lines 6 to 11) of all trees together."""
-    iterations_per_tree: Count = 2000
+    iterations_per_tree: int = 2000
     """The most iterations of one tree before it is given up."""
-    patience: Count = 1000
+    patience: int = 1000
     """The most outer loops in a row that find nothing cheaper."""
-    time_limit: Annotated[float, POSITIVE_S] | None = None
+    time_limit: float | None = None
     """The most wall-clock time, s; looked at after each tree. Only this stop is not repeatable."""
-    edge: Count = 2
+    edge: int = 2
     """Steps of the problem over which an action is held: the paper's constant delta t."""
-    fresh: Annotated[float, _SHARE] = 0.5
+    fresh: float = 0.5
     """How often an outer loop replans everyone, below the cost bound, instead of replanning one
     after another among the motions there are: the way out of a poor homeomorphism class."""
-    least_gain: Annotated[float, Range(0.0, 1.0, below=True)] = 0.005
+    least_gain: float = 0.005
     """Share by which a plan must be cheaper than the best; below it, trees do not look."""
     chances: Chances = field(default_factory=Chances)
     """Probabilities of what a tree does in an iteration."""
 
     def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("iterations", "iterations_per_tree", "patience", "edge"):
+            check_integer(name, getattr(self, name), at_least=1)
+        if self.time_limit is not None:
+            check_number("time_limit", self.time_limit, above=0.0, unit="s")
+        check_number("fresh", self.fresh, at_least=0.0, at_most=1.0)
+        check_number("least_gain", self.least_gain, at_least=0.0, below=1.0)
+        check_type("chances", self.chances, Chances)
         for name, chance in self.chances._asdict().items():
-            check_value(f"chances.{name}", chance, Annotated[float, _SHARE])
+            check_number(f"chances.{name}", chance, at_least=0.0, at_most=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +92,6 @@ class SearchResult:
         return self.trajectories is not None and self.stop != "time limit"
 
 
-@typed
 def search(
     problem: PlanningProblem,
     config: SearchConfig | None = None,

@@ -6,13 +6,12 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from swarm_envs.arguments import POSITIVE_S, Count, Seed, typed
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search as search_team
 from swarm_envs.baselines.neural_swarm.planner.convex_program import PenaltyWeights
@@ -35,7 +34,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     trajectories_through,
 )
 from swarm_envs.baselines.neural_swarm.planner.verify import check_plan
-from swarm_envs.errors import check_array
+from swarm_envs.errors import check_array, check_integer, check_name, check_number
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.vehicles import Team, parse_team
 
@@ -50,20 +49,19 @@ _SHORTEST_SEARCH_S = 1e-3  # then it plans one tree and finds the time is up
 _GUESSES, _BEND_M = 30, 0.4  # bent lines that are drawn, and their standard deviation
 
 
-@typed
 def plan_swarm(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,
     team: str | Team,
     model: InteractionModel | str | Path | None,
     bounds: PlanningBounds | None = None,
-    seed: Seed = 0,
+    seed: int = 0,
     *,
     plane: Plane = "xyz",
     dt: float = 0.1,
     max_duration: float = 5.0,
-    time_limit: Annotated[float, POSITIVE_S] | None = None,
-    attempts: Count = ATTEMPTS,
+    time_limit: float | None = None,
+    attempts: int = ATTEMPTS,
     initial: Trajectories | None = None,
     search: SearchConfig | None = None,
     options: RefinementOptions | None = None,
@@ -97,6 +95,13 @@ def plan_swarm(
         ValueError: the problem cannot be solved, whatever the plan, or an argument has no meaning.
         ImportError: osqp is missing.
     """
+    check_integer("seed", seed, at_least=0)
+    check_name("plane", plane, get_args(Plane))
+    check_number("dt", dt)
+    check_number("max_duration", max_duration)
+    if time_limit is not None:
+        check_number("time_limit", time_limit, above=0.0, unit="s")
+    check_integer("attempts", attempts, at_least=1)
     began = time.monotonic()
     problem = PlanningProblem(
         starts=np.asarray(starts),

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import POSITIVE, check_value, typed
-from swarm_envs.errors import check_array, check_name, unknown_name
+from swarm_envs.errors import check_array, check_name, check_number, check_type, unknown_name
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle, parse_team
@@ -20,10 +19,8 @@ __all__ = ["FORCE_BOUNDS_G", "PlanningBounds", "shortest_time"]
 
 FORCE_BOUNDS_G: Mapping[str, float] = MappingProxyType({"S": 5.0, "S*": 5.0, "L": 10.0})
 """f_a,max by vehicle token, grams (Neural-Swarm2, Sec. VII-D, Fig. 6 and 7)."""
-Positive = Annotated[float, POSITIVE]  # A number, positive and finite
 
 
-@typed
 @dataclass(frozen=True)
 class PlanningBounds:
     """Bounds on every robot's states, controls and forces: the sets X and U of eq. (6).
@@ -39,24 +36,35 @@ class PlanningBounds:
     """Lower corner of the box of positions, m."""
     upper: tuple[float, float, float] = (2.0, 2.0, 2.5)
     """Upper corner of the box of positions, m."""
-    speed: Positive = 2.0
+    speed: float = 2.0
     """Largest |v| along each axis, m/s."""
-    acceleration: Positive = 5.0
+    acceleration: float = 5.0
     """Largest |u| along each axis, m/s^2: thrust per mass, gravity removed (eq. 13)."""
     force_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
     """f_a,max, the largest |f_a,z| by vehicle token, grams."""
-    force_change_g: Positive = 10.0
+    force_change_g: float = 10.0
     """b_fa, by how much planning one robot may change the vertical force on another, grams."""
-    clearance_factor: Positive = 1.1
+    clearance_factor: float = 1.1
     """Distance to keep over the sum of the two radii: r(lk) of eq. (6) with room for tracking."""
-    goal_distance: Positive = 0.1
+    goal_distance: float = 0.1
     """epsilon in position, m: how near to the goal stage 1 may end."""
-    goal_speed: Positive = 0.2
+    goal_speed: float = 0.2
     """epsilon in velocity, m/s: how slow stage 1 must be there."""
 
     def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in (
+            "speed",
+            "acceleration",
+            "force_change_g",
+            "clearance_factor",
+            "goal_distance",
+            "goal_speed",
+        ):
+            check_number(name, getattr(self, name), above=0.0)
+        check_type("force_g", self.force_g, Mapping)
         for token, grams in self.force_g.items():
-            check_value(f"force_g[{token!r}]", grams, Positive)
+            check_number(f"force_g[{token!r}]", grams, above=0.0)
         low, high = check_array("lower", self.lower, (3,)), check_array("upper", self.upper, (3,))
         if not (low < high).all():
             raise ValueError(
@@ -134,8 +142,8 @@ class PlanningProblem:
             places = check_array(name, getattr(self, name), (len(team), 3), rows).copy()
             places.flags.writeable = False
             object.__setattr__(self, name, places)
-        check_value("dt", self.dt, Positive)
-        check_value("max_duration", self.max_duration, Positive)
+        check_number("dt", self.dt, above=0.0)
+        check_number("max_duration", self.max_duration, above=0.0)
         if not 1 <= self.steps <= _MOST_STEPS:
             raise ValueError(
                 f"max_duration is {self.max_duration:g} s and dt {self.dt:g} s, which makes "

@@ -17,11 +17,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import NOT_NEGATIVE, Range, typed
 from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     PenaltyWeights,
@@ -31,6 +29,7 @@ from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     convexify,
 )
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.errors import check_integer, check_number, check_type
 from swarm_envs.state import FloatArray
 
 
@@ -91,39 +90,57 @@ def _force_excess(
     return np.asarray(np.abs(forces) / bounds - 1.0)
 
 
-_Amount = Annotated[float, NOT_NEGATIVE]
 _NEARLY = 5e-3  # Share of a force bound by which it may be exceeded between knots
 
 
-@typed
 @dataclass(frozen=True)
 class RefinementOptions:
     """How stage 2 searches."""
 
-    max_sweeps: Annotated[int, Range(0)] = 80
+    max_sweeps: int = 80
     """How often all robots are planned, at most."""
-    trust_position: _Amount = 0.3
+    trust_position: float = 0.3
     """b_x of positions to begin with, and at most, m."""
-    trust_speed: _Amount = 1.0
+    trust_speed: float = 1.0
     """b_x of velocities, m/s."""
-    trust_control: _Amount = 5.0
+    trust_control: float = 5.0
     """b_u, m/s^2."""
-    grow: _Amount = 1.5
+    grow: float = 1.5
     """By how much a trust region grows after a step that was taken."""
-    shrink: _Amount = 0.4
+    shrink: float = 0.4
     """By how much it shrinks after one that was not."""
-    least_trust: _Amount = 2e-3
+    least_trust: float = 2e-3
     """Share of the trust region at which a robot has settled."""
-    max_tightenings: Annotated[int, Range(0)] = 4
+    max_tightenings: int = 4
     """How often force bounds are lowered because forces exceed them between knots."""
-    renewed_trust: _Amount = 0.2
+    renewed_trust: float = 0.2
     """Share of the trust region that robots have at least after that."""
-    tolerance: _Amount = 2e-4
+    tolerance: float = 2e-4
     """Share of the merit that a step must promise, else the robot has settled."""
     weights: PenaltyWeights = PenaltyWeights()
     """Of goals and bounds."""
     solver: SolverSettings = SolverSettings()
     """Of each program."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_type("weights", self.weights, PenaltyWeights)
+        check_type("solver", self.solver, SolverSettings)
+        for name in ("max_sweeps", "max_tightenings"):
+            check_integer(name, getattr(self, name), at_least=0)
+        for name in (
+            "trust_position",
+            "trust_speed",
+            "trust_control",
+            "grow",
+            "shrink",
+            "least_trust",
+            "renewed_trust",
+            "tolerance",
+        ):
+            check_number(name, getattr(self, name), at_least=0.0)
+        check_type("weights", self.weights, PenaltyWeights)
+        check_type("solver", self.solver, SolverSettings)
 
 
 @dataclass(frozen=True)

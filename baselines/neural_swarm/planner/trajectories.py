@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.errors import check_array
+from swarm_envs.errors import check_array, check_number
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import rest_to_rest
@@ -27,7 +26,6 @@ from swarm_envs.vehicles import Team
 __all__ = ["Trajectories"]
 
 
-@typed
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """Motions of N robots over T steps. World frame, SI units."""
@@ -40,6 +38,10 @@ class Trajectories:
     """(T + 1, N, 3) force f_a that the model predicts at the knots, all robots flying, N."""
     dt: float
     """Time between knots, s."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_number("dt", self.dt)
 
     @property
     def position(self) -> FloatArray:
@@ -99,7 +101,6 @@ def integrate_velocity(start: FloatArray, velocity: FloatArray, dt: float) -> Fl
     return np.asarray(start + np.concatenate([np.zeros_like(way[:1]), way]))
 
 
-@typed
 def straight_lines(problem: PlanningProblem, bend: npt.ArrayLike | None = None) -> Trajectories:
     """Motions straight from starts to goals, all at once; `bend` (N, 3): swerving half way, m."""
     count = problem.steps

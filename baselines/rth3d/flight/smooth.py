@@ -18,17 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, Count, typed
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.compiled import kernel
+from swarm_envs.errors import check_array, check_integer, check_number, check_numbers, check_type
 from swarm_envs.state import FloatArray, IntArray
 
 __all__ = ["SmoothingConfig", "smooth"]
@@ -283,7 +283,6 @@ def _between(rows: _Rows, control: FloatArray, better: FloatArray) -> FloatArray
 _ROUNDING = 1e-5  # by which robots may come closer, m: what planes are broken by
 
 
-@typed
 @dataclass(frozen=True, kw_only=True)
 class SmoothingConfig:
     """How far and how often a flight is smoothed.
@@ -292,7 +291,7 @@ class SmoothingConfig:
         ValueError: a number is out of range.
     """
 
-    distance: Annotated[float, POSITIVE_M]
+    distance: float
     """Scaled distance that robots keep where they have it, m."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Diagonal of Theta: distances are divided by it."""
@@ -300,21 +299,34 @@ class SmoothingConfig:
     """Corners of where robots may fly, m; widened to what the flight uses now."""
     obstacles: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
     """Corners of boxes to keep clear of, m."""
-    obstacle_distance: Annotated[float, POSITIVE_M] = 0.1
+    obstacle_distance: float = 0.1
     """Distance kept to them, m, where it is kept now."""
-    travel: Annotated[float, POSITIVE_M] = 0.25
+    travel: float = 0.25
     """How far a control point moves by axis in a round, m."""
-    rounds: Count = 5
+    rounds: int = 5
     """How often."""
-    jerk_weight: Annotated[float, NOT_NEGATIVE] = 1.0
+    jerk_weight: float = 1.0
     """Of squared third differences, relative to squared second differences."""
-    speed: Annotated[float, POSITIVE] = 2.0
+    speed: float = 2.0
     """Largest speed by axis for the time a step takes at the end, m/s."""
-    acceleration: Annotated[float, POSITIVE] = 5.0
+    acceleration: float = 5.0
     """Largest acceleration by axis, m/s^2."""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("distance", "obstacle_distance", "travel"):
+            check_number(name, getattr(self, name), above=0.0, unit="m")
+        check_numbers("scaling", self.scaling, 3, above=0.0)
+        check_array("box", self.box, (2, 3))
+        check_type("obstacles", self.obstacles, tuple)
+        for box in self.obstacles:
+            check_array("one of obstacles", box, (2, 3))
+        check_integer("rounds", self.rounds, at_least=1)
+        check_number("jerk_weight", self.jerk_weight, at_least=0.0)
+        for name in ("speed", "acceleration"):
+            check_number(name, getattr(self, name), above=0.0)
 
-@typed
+
 def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
     """A valid flight on the same vertices' way with less acceleration, and no longer than before.
 

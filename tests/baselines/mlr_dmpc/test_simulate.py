@@ -123,7 +123,7 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
         ({"targets": FAR * [0.2, 1, 1]}, r"targets\[0\] and targets\[1\] are 0.200 m apart"),
         ({"loss": 1.5}, r"loss is 1.5, but must be a share in \[0, 1\]"),
         ({"solver": "cplex"}, "cplex"),
-        ({"duration_s": 0.0}, "duration_s is 0.0, but must be above 0"),
+        ({"duration_s": 0.0}, "duration_s is 0.0, but must be a number in"),
         ({"recovery": "paper", "joins": {1: 5}}, "only recovery=True"),
         ({"targets": lambda t: FAR * [1 - 0.5 * t, 1, 1]}, "targets at 1.6 s"),
     ],

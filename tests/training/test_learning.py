@@ -1,4 +1,4 @@
-"""Recipes: curricula, on what policies are evaluated, and what their options default to."""
+"""How tasks are learned: curricula, layouts of evaluations, and defaults of options."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs import crowd_v0, formation_v1, pursuit_v0
+from swarm_envs import TASKS, crowd_v0, formation_v1, pursuit_v0
 from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.swap_v1 import blueprint
-from swarm_envs.tasks.formation import LAYOUTS
-from swarm_envs.training.rl import recipes
-from swarm_envs.training.rl.recipes import (
-    LOST_M,
-    RECIPES,
-    FormationCurriculum,
-    SwapCurriculum,
-    recipe_of,
-    with_recipe,
-)
+from swarm_envs.tasks import formation
+from swarm_envs.tasks.formation import LAYOUTS, FormationCurriculum
+from swarm_envs.tasks.learning import ALL
+from swarm_envs.tasks.ring import LOST_M
+from swarm_envs.tasks.swap import SwapCurriculum
+from swarm_envs.training.rl.choosing import learning_of, with_defaults
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import parse_team
 
@@ -37,13 +34,13 @@ def options(**given) -> RlConfig:
     return RlConfig(out=Path("never"), **given)
 
 
-def test_what_is_not_given_is_the_recipes():
-    ring, swap = with_recipe(options(), "ring_v1"), with_recipe(options(), "swap_v1")
+def test_what_is_not_given_is_the_tasks():
+    ring, swap = with_defaults(options(), "ring_v1"), with_defaults(options(), "swap_v1")
     assert (ring.layout, ring.horizon_s) == ("rings", 5.0)
     assert (swap.layout, swap.horizon_s) == ("random", 3.5)
-    given = with_recipe(options(layout="tour", horizon_s=9.0), "formation_v1")
+    given = with_defaults(options(layout="tour", horizon_s=9.0), "formation_v1")
     assert (given.layout, given.horizon_s) == ("tour", 9.0)
-    assert with_recipe(given, "formation_v1") == given
+    assert with_defaults(given, "formation_v1") == given
 
 
 def test_obstacles_are_observed_wherever_there_are_any():
@@ -53,23 +50,24 @@ def test_obstacles_are_observed_wherever_there_are_any():
         ("swap_v1", {"obstacles": "column=1:1:0.1"}, 3),
         ("crowd_v0", {"num_obstacles": 0}, 0),
     ):
-        assert with_recipe(options(algo="dagger", **given), name).num_obstacles == seen
+        assert with_defaults(options(algo="dagger", **given), name).num_obstacles == seen
 
 
-@pytest.mark.parametrize("task", RECIPES)
+@pytest.mark.parametrize("task", TASKS)
 def test_layouts_are_refused_with_the_list(task):
+    learning = learning_of(task)
     with pytest.raises(ValueError, match="unknown --layout 'spiral'") as error:
-        with_recipe(options(layout="spiral"), task)
-    assert all(f"'{name}'" in str(error.value) for name in RECIPES[task].layouts)
-    for layout in RECIPES[task].layouts:
-        whole = with_recipe(options(layout=layout, algo="dagger"), task)
+        with_defaults(options(layout="spiral"), task)
+    assert all(f"'{name}'" in str(error.value) for name in learning.layouts)
+    for layout in learning.layouts:
+        whole = with_defaults(options(layout=layout, algo="dagger"), task)
         assert whole.layout == layout
-        assert set(RECIPES[task].evaluation_layouts(layout)) <= set(RECIPES[task].layouts)
+        assert {*learning.evaluation_layouts(layout)} <= {*learning.layouts}
 
 
 def test_the_better_policy_has_the_higher_quality():
     """By hand: success averaged over layouts; on rings 15 cm cost as much as a lost one."""
-    swap, ring = RECIPES["swap"], RECIPES["ring"]
+    swap, ring = learning_of("swap_v1"), learning_of("ring_v1")
     measured = {"random_success": 0.5, "circle_success": 1.0}
     assert swap.quality(measured) == pytest.approx(0.75)
     assert swap.quality({"circle_8_success": 1.0}) == pytest.approx(1.0)
@@ -98,10 +96,8 @@ def test_episodes_are_of_every_kind_as_often_as_is_said():
     assert crowds == pytest.approx(500 + 0.07 * 250, abs=50)
 
 
-def test_crowded_episodes_are_apart_and_half_of_them_pairs(monkeypatch):
-    monkeypatch.setattr(recipes, "CIRCLE_SHARE", 0.0)
-    monkeypatch.setattr(recipes, "CROWDED_SHARE", 1.0)
-    task = SwapCurriculum(team=parse_team("SSSS"))
+def test_crowded_episodes_are_apart_and_half_of_them_pairs():
+    task = SwapCurriculum(team=parse_team("SSSS"), circle_share=0.0, crowded_share=1.0)
     rng, pairs = np.random.default_rng(1), 0
     for _ in range(400):
         placement = task.place(rng)
@@ -123,7 +119,7 @@ def test_given_starts_and_lone_drones_are_drawn_as_by_the_task():
 
 def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypatch):
     """Distances within start and goal are those of two of the shapes, times one factor."""
-    monkeypatch.setattr(recipes, "NEAREST_SHARE", 0.0)
+    monkeypatch.setattr(formation, "NEAREST_SHARE", 0.0)
     task = FormationCurriculum(team=parse_team(8 * "S"))
     rng, seen = np.random.default_rng(0), set()
     shapes = [np.sort(_distances(points)) for points in task.places]
@@ -141,7 +137,7 @@ def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypat
         assert 0.8 <= found[0][1] <= 1.0
         seen.add((found[0][0], found[1][0]))
     assert len(seen) > 10  # of 16 pairs: planes count once
-    monkeypatch.setattr(recipes, "NEAREST_SHARE", 1.0)
+    monkeypatch.setattr(formation, "NEAREST_SHARE", 1.0)
     near = FormationCurriculum(team=parse_team("SSSS"))
     start, goals, *_ = near.draw(rng)
     least = min(np.square(start - goals[0][list(p)]).sum() for p in permutations(range(4)))
@@ -166,10 +162,9 @@ def test_a_formation_layout_is_a_mission_by_name():
 
 
 def test_crowds_are_learned_with_few_obstacles_too_and_with_those_of_the_run():
-    config = with_recipe(options(task="crowd", algo="dagger"), "crowd_v0")
     for given, more in (((), 0), ("column=0:1.1:0.1", 1)):
         task = crowd_v0.blueprint(num_drones=16, layout="open", obstacles=given).task
-        found = recipe_of("crowd_v0").parts(task, config)
+        found = learning_of("crowd_v0").parts(task, ALL)
         assert sum(share for share, _ in found.values()) == pytest.approx(1.0)
         stand = {name: len(part.obstacles) - more for name, (_, part) in found.items()}
         assert [stand.pop(name) for name in ("open", "column", "columns")] == [0, 1, 2]
@@ -177,24 +172,23 @@ def test_crowds_are_learned_with_few_obstacles_too_and_with_those_of_the_run():
 
 
 def test_each_layout_of_a_pursuit_is_learned_with_its_own_success():
-    config = with_recipe(options(task="pursuit", algo="dagger"), "pursuit_v0")
-    found = recipe_of("pursuit_v0").parts(pursuit_v0.blueprint(num_drones=4).task, config)
+    found = learning_of("pursuit_v0").parts(pursuit_v0.blueprint(num_drones=4).task, ALL)
     assert {part.success for _, part in found.values()} == {
-        pursuit_v0.blueprint(num_drones=4, layout=name).task.success for name in found
+        blueprint_of("pursuit_v0", num_drones=4, layout=name).task.success for name in found
     }
     assert len(found) == 3
 
 
 @pytest.mark.parametrize("task", ["formation", "ring"])
-def test_every_recipe_trains_and_what_comes_out_flies(task, tmp_path, capsys):
+def test_a_task_is_trained_and_what_comes_out_flies(task, tmp_path, capsys):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "run"
     assert main(["train", "--task", task, *TINY, "--out", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
-    recipe = recipe_of(report["config"]["task"])
-    layouts = recipe.evaluation_layouts(report["config"]["layout"])
+    learning = learning_of(report["config"]["task"])
+    layouts = learning.evaluation_layouts(report["config"]["layout"])
     assert set(report["chosen"]) == {"step"} | {
-        f"{a}_{b}" for a in layouts for b in recipe.measures
+        f"{a}_{b}" for a in layouts for b in learning.measures
     }
     fly = ["--task", task, "--drones", "2", "--episodes", "1", "--horizon-s", "0.5"]
     assert main(["evaluate", *fly, "--interactions", "none", "--agent", str(out)]) == 0
