@@ -74,7 +74,7 @@ class CompensationResult(SwapTrial):
 @typed
 @dataclass(frozen=True)
 class FeedforwardConfig:
-    """How a model for feed-forward is made."""
+    """The making of a model for feed-forward."""
 
     out: Path
     """folder for `belief.safetensors`, `belief.json`, `MODEL_CARD.md`; `flights` below it keeps

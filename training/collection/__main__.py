@@ -52,7 +52,7 @@ class CollectOptions:
 def _summary(
     flights: list[CollectedFlight], rows: InteractionRows, config: CollectionConfig, table: str
 ) -> dict[str, Any]:
-    """What was flown and what rows it gave: the content of `--json`."""
+    """Return the flights and the rows in numbers: the content of `--json`."""
     scenarios: dict[str, dict[str, Any]] = {}
     for name, count in scenario_counts(flights).items():
         here = np.zeros(len(rows), dtype=np.bool_)

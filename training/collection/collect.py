@@ -38,7 +38,7 @@ KINDS = ("walk", "low-walk", "swap", "low-swap")
 
 
 Flights = Annotated[int, Range(0)]
-"""How many flights of a kind; 0 for none."""
+"""The number of flights of a kind; 0 for none."""
 
 
 @typed_options
@@ -170,7 +170,7 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
 
 
 def was_cut_short(flight: CollectedFlight, duration_s: float) -> bool:
-    """Whether a flight ended before its time: its team touched something or tumbled."""
+    """Return True if a flight ended before its time: its team touched something or tumbled."""
     return flight.seconds < duration_s - 0.05
 
 
@@ -220,7 +220,7 @@ def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[
 
 
 def _is_held_out(config: CollectionConfig, batch: FlightBatch, index: int) -> bool:
-    """Whether a flight is for validation: of each batch every fifth, or the last of fewer.
+    """Return True if a flight is for validation: of each batch every fifth, or the last of fewer.
 
     Of batches of a single flight, the last batch's.
     """

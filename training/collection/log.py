@@ -34,7 +34,7 @@ STEPS_PER_ENTRY = PHYSICS_RATE // LOG_RATE  # Physics steps between log entries
 
 
 class FlightLog(NamedTuple):
-    """What one flight of N drones recorded, T entries. World frame unless said, SI units."""
+    """The record of one flight of N drones, T entries. World frame unless said, SI units."""
 
     position: FloatArray  # (T, N, 3) m
     velocity: FloatArray  # (T, N, 3) m/s

@@ -36,11 +36,11 @@ class CollectedFlight(NamedTuple):
     name: str
     """Of the flight, as in its file's name."""
     team: str
-    """Who flew."""
+    """The vehicles, such as `SSL`."""
     log: FlightLog
-    """What was logged."""
+    """The log itself."""
     validation: bool
-    """Whether its rows are held out of training."""
+    """True if its rows are held out of training."""
 
     @property
     def seconds(self) -> float:

@@ -34,7 +34,7 @@ DEFAULT = LogOptions()  # The options that hold if none are given
 
 @dataclass(frozen=True)
 class FileReport:
-    """What became of one file."""
+    """The fate of one file."""
 
     file: str  # Its name
     rows: int = 0  # Rows that it gave

@@ -45,7 +45,7 @@ _ASIDE = ("data", "out", "json", "progress")  # Options that change nothing of a
 @typed_options
 @dataclass(frozen=True, kw_only=True)
 class CompareConfig(FlightData):
-    """What to compare, on which flights."""
+    """The models to compare, and the flights."""
 
     out: Path
     """folder for what every model said of the flights that it has not seen: a comparison that was
@@ -84,7 +84,7 @@ class ModelComparison:
     data_sha256: str  # SHA-256 of the data
 
     def lines(self) -> list[str]:
-        """What the command prints."""
+        """Return the lines that the command prints."""
         found = [f"{self.rows} rows of {self.flights} flights; mean squared errors, g^2"]
         for model, errors in self.errors.items():
             found.append(

@@ -162,7 +162,7 @@ _SWARMS = 2000
 
 @dataclass(frozen=True)
 class Findings:
-    """What was measured on the weights as they ship."""
+    """The measurements on the weights as they ship."""
 
     rows: int  # Rows there were
     validation_rows: int  # Those of them that were held out
@@ -177,7 +177,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What was fitted and how well: the content of `learned.json`, whatever the model."""
+    """The report of a fit: the content of `learned.json`, whatever the model."""
 
     model: str  # `deep-set`, `composed` or `wake`
     command: str  # The command that was run
@@ -188,7 +188,7 @@ class FitReport:
     drag: dict[str, list[float]]  # c per type and axis, N s/m
     findings: Findings  # What came out
     history: list[dict[str, float]]
-    """Step, training loss, validation MSE and that of early validation, g^2."""
+    """Steps, mean training loss since the last entry, and validation MSE, g^2."""
     wall_time_s: float
     """Of reading, training and evaluation."""
     logs: list[FileReport]  # What became of every file
@@ -197,7 +197,7 @@ class FitReport:
     """On held-out rows, if there is a torque head."""
 
     def lines(self) -> list[str]:
-        """What a command prints of it."""
+        """Return the lines that a command prints."""
         errors = self.findings.errors
         offsets = [f"vehicle {n}: offset {g:+.2f} g" for n, g in self.vehicle_offsets_g.items()]
         return [

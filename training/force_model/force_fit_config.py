@@ -46,7 +46,7 @@ class TrainConfig:
 
 
 Mode = Literal["anchored", "measured"]
-"""What is fitted: the forces of environments, or labels as measured."""
+"""The labels that are fitted: the forces of environments, or labels as measured."""
 Model = Literal["deep-set", "composed", "wake"]  # Which function is fitted
 
 WEIGHTS = {
@@ -61,7 +61,7 @@ REPORTS = {"composed": "composed.json", "deep-set": "learned.json", "wake": "wak
 
 @dataclass(frozen=True, kw_only=True)
 class FlightData:
-    """What flights there are."""
+    """The flights of a fit."""
 
     data: Path
     """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
@@ -70,7 +70,7 @@ class FlightData:
 
 @dataclass(frozen=True, kw_only=True)
 class FitFiles(FlightData):
-    """What a fit cannot do without: fields of the last base class come first in the help."""
+    """The options that a fit must have: fields of the last base class come first in the help."""
 
     out: Path
     """folder for model and report: `learned.safetensors` and `learned.json` of a deep set,
@@ -139,7 +139,7 @@ FITTED = ("composed", "wake")
 @typed_options
 @dataclass(frozen=True, kw_only=True)
 class ResidualConfig(FlightData):
-    """What is left over by which model, on which flights.
+    """Identify the force that a model leaves over on flights.
 
     The result is the random force of `world="hall"`: see docs/hall.md.
     """

@@ -1,4 +1,4 @@
-"""What rows can teach: labels free of offsets and drag, the range of inputs, the types they show.
+"""From rows to what is learned: labels free of offsets and drag, the range of inputs, the types.
 
 Linear body drag is fitted per type and axis to the same rows as the network. A network of a type
 that no training row shows holds the random numbers that it started with: it is set to zero, and
@@ -49,7 +49,7 @@ class Treated(NamedTuple):
 
 
 def is_calibrated(config: FitConfig) -> bool:
-    """Whether a fit estimates offsets."""
+    """Return True if a fit estimates offsets."""
     return config.mode == "anchored" and config.offsets == "estimated"
 
 

@@ -1,4 +1,4 @@
-"""How steep a force network is: its largest gradients at random inputs.
+"""The steepness of a force network: its largest gradients at random inputs.
 
 Each is a lower bound of a Lipschitz constant. The measured force changes by 100-150 g/m.
 """

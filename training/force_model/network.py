@@ -65,7 +65,7 @@ OUTER_FADE = FadeWindow()
 @typed
 @dataclass(frozen=True)
 class DeepSetSpec:
-    """What a deep set needs besides its weights."""
+    """The function of a network, without its weights."""
 
     types: tuple[str, ...]
     """Vehicle types: each has its own phi and rho."""
@@ -82,7 +82,7 @@ class DeepSetSpec:
     kind: NetworkKind = "deep-set"
     """Which function of the neighbours it is."""
     torque: bool = False
-    """Whether rho gives the torque too; of a deep set alone."""
+    """True if rho gives the torque too; of a deep set alone."""
 
     def __post_init__(self) -> None:
         _check_types(self.types)
@@ -159,7 +159,7 @@ def of_types(kind: Tensor, count: int) -> Iterator[tuple[int, Tensor]]:
 
 
 class ForceNetwork(nn.Module, ABC):
-    """What networks of the interaction force share: window, clamp, anchor, drag."""
+    """The parts that all networks of the interaction force share: window, clamp, anchor, drag."""
 
     pair_low: Tensor  # Lowest pair inputs; lower ones are clamped
     pair_high: Tensor  # Highest pair inputs

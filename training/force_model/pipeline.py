@@ -54,7 +54,7 @@ __all__ = ["REPORTS", "fit"]
 
 _ASIDE = ("progress", "json")  # Options that change nothing of the result
 _Fitted = tuple[Findings, dict[str, Any]]
-"""What was measured on a model, and the other fields of its report."""
+"""The measurements on a model, and the other fields of its report."""
 
 
 def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:

@@ -1,4 +1,4 @@
-"""What a force model leaves over, as a random process: `swarm-envs fit --residual`.
+"""The force that a model leaves over, as a random process: `swarm-envs fit --residual`.
 
 The vertical label of drone i at time t, less the modelled force f, is taken as
 
@@ -67,7 +67,7 @@ class _Moments(NamedTuple):
 
 @dataclass(frozen=True)
 class ResidualReport:
-    """What was identified."""
+    """The numbers that were identified."""
 
     types: tuple[str, ...]  # The types, in the order of the lists below
     residual: dict[str, list[float]]

@@ -40,7 +40,7 @@ def hold_out_blocks(rows: InteractionRows, rate_hz: float, seed: int) -> Interac
 
 
 def draw_blocks(lengths: Sequence[int], seed: int) -> list[BoolArray]:
-    """Which blocks of flights of so many are held out, a mask per flight: one of every few.
+    """Draw the blocks that are held out, a mask per flight of so many blocks: one of every few.
 
     A group of blocks runs on into the next flight. Of a single block nothing is held out.
     """
