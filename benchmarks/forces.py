@@ -50,6 +50,7 @@ def torch_forces(dtype: str, position: Array, velocity: Array, team: str) -> Cal
     import torch
 
     from swarm_envs.training.force_model import load_network
+    from tests.helpers.torch_swarms import swarm_force_g
 
     torch.set_num_threads(1)
     weights = resources.files("swarm_envs.interactions").joinpath("weights/deep-set.safetensors")
@@ -60,7 +61,7 @@ def torch_forces(dtype: str, position: Array, velocity: Array, team: str) -> Cal
 
     def call() -> Any:
         with torch.no_grad():
-            return network.force_g(p, v, types)
+            return swarm_force_g(network, p, v, types)
 
     return call
 

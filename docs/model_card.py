@@ -88,17 +88,12 @@ def _axis(learned: Report) -> str:
 
 
 def _lipschitz(found: Report) -> str:
-    """Analytic bound and measured Lipschitz constants."""
-    bound = found["lipschitz_bound"]
-    rows = [
-        ["analytic bound", f"{bound['position_g_per_m']:,.0f}", f"{bound['input_g_per_unit']:,.0f}"]
-    ]
+    """Largest gradients."""
+    rows = []
     for name, count in (("one neighbour", "1"), ("two neighbours", "2")):
         m = found["lipschitz_measured"][count]
         gradient = [m["position_gradient_g_per_m"], m["input_gradient_g_per_unit"]]
-        ratio = [m["pair_ratio_g_per_m"], m["input_ratio_g_per_unit"]]
-        rows.append([f"gradient, {name}", *(f"{value:.0f}" for value in gradient)])
-        rows.append([f"random pairs, {name}", *(f"{value:.0f}" for value in ratio)])
+        rows.append([name, *(f"{value:.0f}" for value in gradient)])
     return _table(["", "relative position, g/m", "whole input, g per m and m/s"], rows)
 
 

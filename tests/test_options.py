@@ -55,7 +55,6 @@ from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
 from swarm_envs.training.belief.feedforward import FeedforwardConfig
 from swarm_envs.training.collection import CollectionConfig
-from swarm_envs.training.collection.flight import CalibrationErrors
 from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.flight_logs.log_options import LogOptions
@@ -94,13 +93,13 @@ OTHERS: dict[type, dict[str, Any]] = {
     **{kind: {} for kind in (MlrDmpcConfig, PlanningBounds, RefinementOptions, SearchConfig)},
     SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
     Jam: {"first_round": 1, "last_round": 2},
-    **{kind: {} for kind in (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig)},
+    **{kind: {} for kind in (SensorNoise, LogOptions, CollectionConfig)},
     MotionRanges: {},
     FeedforwardConfig: {"out": Path("belief")},
     FitConfig: {"out": Path("fit"), "data": Path("data")},
 }
 """Classes of settings that are not told about on a page of their own."""
-TRAINING = (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig, MotionRanges)
+TRAINING = (SensorNoise, LogOptions, CollectionConfig, MotionRanges)
 ALL = {k: v for k, v in {**SETTINGS, **OTHERS}.items() if k not in TRAINING}
 NOT_AN_INTEGER = (True, 1.5, "1", math.nan, 1j, b"")
 NOT_A_NUMBER = (True, np.bool_(True), "1", math.nan, math.inf, -math.inf, 1j, 10**400)

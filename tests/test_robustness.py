@@ -29,7 +29,7 @@ GRADE = "grade --assignment controller --agent KIT/controller.py:MyController --
 TRAIN = "train --drones 2 --environments 8 --hidden 8 --num-neighbors 1 --interactions none"
 TRAIN += " --algo dagger --evaluations 2 --evaluation-episodes 4 --dagger.batch-size 64"
 TRAIN += " --steps 8000 --checkpoint-rollouts 3 --no-progress --out OUT"
-FIT = "fit --data ROWS --steps 400 --batch-size 64 --checkpoint-every 40 --no-progress --out OUT"
+FIT = "fit --data ROWS --steps 400 --batch-size 64 --no-progress --out OUT"
 COMMANDS: Mapping[str, str] = {
     "demo": "demo --swaps 1 --no-video --out OUT",
     "fly": FLY,

@@ -127,25 +127,21 @@ def file_sha256(path: Path) -> str:
 
 
 @contextmanager
-def scalar_writer(folder: Path | None) -> Iterator[Callable[[Mapping[str, float]], None] | None]:
+def scalar_writer(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
     """Open a folder of event files; gives a function that writes one entry of a history.
 
     Args:
-        folder: where TensorBoard will look (`tensorboard --logdir FOLDER`); None writes nothing
-            and gives None.
+        folder: where TensorBoard will look (`tensorboard --logdir FOLDER`).
 
     Raises:
         ImportError: the package tensorboard is not installed.
     """
-    if folder is None:
-        yield None
-        return
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
         raise ImportError(
             "event files need the package tensorboard, which is not installed; install it by "
-            "`pip install 'swarm-envs[tensorboard]'`, or leave --tensorboard out"
+            "`pip install 'swarm-envs[tensorboard]'`"
         ) from error
     writer = SummaryWriter(str(folder))
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
+import csv
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.files import pyarrow
 from swarm_envs.motors import FULL_VOLTAGE, BatteryModel
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.flight import vehicle_names
 from swarm_envs.training.collection.log import FlightLog, lagged_thrust, rotate
 from swarm_envs.training.flight_logs import FlightTable
 from swarm_envs.training.flight_logs.checks import PWM_SPAN
+from swarm_envs.training.flight_logs.flight_table import GROUPS
 from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle
 
 
@@ -69,3 +76,27 @@ def to_table(log: FlightLog, team: Team, rate_hz: float) -> FlightTable:
 def _lines(values: FloatArray) -> FloatArray:
     """Values (T, N, ...) as (T N, ...): the drones of a time follow each other."""
     return values.reshape(-1, *values.shape[2:])
+
+
+def columns_of(table: FlightTable) -> dict[str, npt.NDArray[Any]]:
+    """The columns of a table by their names."""
+    found: dict[str, npt.NDArray[Any]] = {"drone": table.drone, "type": table.type}
+    for group, names in GROUPS.items():
+        values = getattr(table, group)
+        if values is not None:
+            found |= zip(names, values.reshape(len(table), len(names)).T, strict=True)
+    return found
+
+
+def write_table(path: Path, table: FlightTable) -> None:
+    """Write a table as CSV or Parquet, by the ending of the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    columns = {name: values.tolist() for name, values in columns_of(table).items()}
+    if path.suffix == ".parquet":
+        arrow, parquet = pyarrow(path.name, "write the table as CSV")
+        parquet.write_table(arrow.table(columns), path)
+        return
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))

@@ -12,7 +12,6 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.training.collection import (
-    CalibrationErrors,
     CollectionConfig,
     SensorNoise,
     collect,
@@ -44,11 +43,11 @@ from swarm_envs.training.collection.motion import (
     repulsion,
 )
 from swarm_envs.training.collection.table import SCENARIOS, CollectedFlight, scenario_counts
-from swarm_envs.training.flight_logs import LogOptions, read_data, write_table
+from swarm_envs.training.flight_logs import LogOptions, read_data
 from swarm_envs.training.flight_logs.clock import commanded_thrust
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, parse_team
 from tests.helpers.interrupts import calls_of
-from tests.helpers.real_logs import motor_signals, to_table
+from tests.helpers.real_logs import motor_signals, to_table, write_table
 
 SHORT = CollectionConfig(
     teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
@@ -248,25 +247,34 @@ def test_a_thrust_beyond_the_motors_is_logged_as_the_nearest_signal():
     assert (pwm[1] == 65535.0).all() and (pwm[0] > 0.0).all()
 
 
+def labels_of(rows, flights, vehicles):
+    """Labels by the names of flight and vehicle, and the time step."""
+    keys = zip(rows.flight.tolist(), rows.vehicle.tolist(), rows.step.tolist(), strict=True)
+    return {
+        (flights[flight], vehicles[vehicle], step): label
+        for (flight, vehicle, step), label in zip(keys, rows.force_g, strict=True)
+    }
+
+
 @pytest.mark.parametrize("label", ["imu", "differentiated"])
-def test_flights_give_the_same_forces_as_logs_of_real_vehicles(flights, label, tmp_path):
+def test_flights_give_the_same_forces_as_logs_of_real_vehicles(
+    flights, label, tmp_path, monkeypatch
+):
     for flight in flights:
         table = to_table(flight.log, parse_team(flight.team), 120)
         if label == "differentiated":
             table = dataclasses.replace(table, acceleration=None)
         write_table(tmp_path / f"{flight.name}.csv", table)
-    rows, report = read_data(tmp_path, LogOptions(guard_s=0.0, keep_every=4, rate_hz=120.0))
-    assert all(file.refused is None for file in report.files)
-    wanted = "logged" if label == "imu" else "differentiated"
-    assert {file.acceleration for file in report.files} == {wanted}
-    assert set(report.vehicles) == {"S1", "L1"}
-    ours = interaction_rows(flights, label)
-    for name in ("Ge2S", "L2S", "S2L"):  # the same forces computed in two ways
-        a = rows.force_g[rows.scenario == rows.scenario_names.index(name)]
-        b = ours.force_g[ours.scenario == ours.scenario_names.index(name)]
-        assert len(a) == pytest.approx(len(b), rel=0.15)
-        np.testing.assert_allclose(a.mean(axis=0), b.mean(axis=0), atol=0.2)
-        np.testing.assert_allclose(a.std(axis=0), b.std(axis=0), rtol=0.15, atol=0.05)
+    monkeypatch.setattr("swarm_envs.training.interaction_rows.hold_out.GUARD_S", 0.0)
+    logged, _ = read_data(tmp_path, LogOptions(keep_every=4, rate_hz=120.0))
+    names, ours = [flight.name for flight in flights], interaction_rows(flights, label)
+    a = labels_of(logged, sorted(names), logged.vehicle_names)
+    b = labels_of(ours, names, {1: "S1", 101: "L1"})
+    both = sorted(a.keys() & b.keys())
+    assert len(both) > 0.85 * len(b)
+    error = np.array([np.abs(a[key] - b[key]).max() for key in both])
+    # A signal cannot say a command beyond the range of psi1: its rows differ, and some after it.
+    assert np.quantile(error, 0.9) < 1e-4
 
 
 def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(tmp_path):
@@ -296,9 +304,8 @@ def test_the_command_covers_table_ii_and_says_so(tmp_path, capsys):
     assert sum(s["rows"] for s in summary["scenarios"].values()) == summary["rows"]
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["log_rate"] == 120 and manifest["config"]["noise"]["velocity"] == 0.01
-    for name, scenario in manifest["scenarios"].items():
-        assert summary["scenarios"][name]["flights"] == scenario["flights"] >= 1
-        assert f"\n{name} " in said.out
+    for name, scenario in summary["scenarios"].items():
+        assert scenario["flights"] >= 1 and f"\n{name} " in said.out
 
 
 def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
@@ -416,31 +423,6 @@ def test_noise_and_biases_have_the_stated_size():
     np.testing.assert_array_equal(noisy[0].commands, log.commands)
 
 
-def test_a_vehicle_that_is_off_is_off_alike_in_all_its_flights():
-    """Mean label of a lone drone aloft: weight of the type less commanded thrust, by hand."""
-    errors = CalibrationErrors(mass=0.05, thrust=0.04)
-    config = dataclasses.replace(EXACT, errors=errors, interactions="none", duration_s=12.0)
-    rngs = [np.random.default_rng(0)]
-    for team in ("S", "SL"):
-        vehicles = errors.draw(parse_team(team), config.seed, rngs)
-        mass, thrust = vehicles.mass_factor[0, 0], vehicles.thrust_factor[0, 0]
-        assert abs(mass - 1.0) > 0.005 or abs(thrust - 1.0) > 0.005
-        (log,) = logs(team, "walk", config=config)
-        label = interaction_force(log, parse_team(team))[20:-20, 0, 2].mean()
-        expected = 1e3 * SMALL.mass * (1.0 - mass / thrust)
-        assert label == pytest.approx(expected, abs=0.15)
-    again = errors.draw(parse_team("S"), config.seed + 1, rngs)
-    assert again.mass_factor[0, 0] != mass
-
-
-def test_drift_of_thrust_differs_between_flights():
-    errors = CalibrationErrors(thrust_per_flight=0.02)
-    rngs = [np.random.default_rng(k) for k in range(500)]
-    thrust = errors.draw(parse_team("SS"), 0, rngs).thrust_factor
-    assert np.std(thrust) == pytest.approx(0.02, rel=0.1)
-    assert (errors.draw(parse_team("SS"), 0, rngs).mass_factor == 1.0).all()
-
-
 def test_a_pilot_that_knows_the_force_flies_closer_to_its_set_point():
     """A pilot that knows the force holds its height in a wake in which another falls."""
     errors = {}
@@ -454,11 +436,9 @@ def test_a_pilot_that_knows_the_force_flies_closer_to_its_set_point():
 
 def test_scenarios_are_counted_by_hand():
     (log,) = logs("SS", "swap")
-    position = np.zeros((120, 3, 3))
-    position[:, 1, 2], position[:60, 2, 0], position[60:, 2, 0] = 0.5, 0.2, 5.0
-    flights = [CollectedFlight("a", "SSL", log._replace(position=position), False)]
-    found = scenario_counts(flights)
+    log = log._replace(position=np.zeros((120, 3, 3)))
+    found = scenario_counts([CollectedFlight("a", "SSL", log, False)])
     assert list(found) == ["SL2S", "SS2L"]
-    assert found["SL2S"] == (1, 2.0, 2.0)  # the two small ones stay together
-    assert found["SS2L"] == (1, 1.0, 0.5)
+    assert found["SL2S"] == {"flights": 1, "drone_seconds": 2.0}
+    assert found["SS2L"] == {"flights": 1, "drone_seconds": 1.0}
     assert len(set(SCENARIOS)) == 12

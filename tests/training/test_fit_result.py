@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,6 @@ from swarm_envs.cli import main
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.flight_logs.log_report import Calibration
 from swarm_envs.training.force_model.compare import (
     CompareConfig,
     compare,
@@ -54,7 +52,7 @@ def rows_of_types(types=("S", "L"), count=1500, seed=0):
 
 def config_of(rows, folder, **options):
     save_rows(folder / "rows.npz", rows)
-    usual = {"steps": 5, "offsets": "none", "lipschitz_samples": 0, "progress": False}
+    usual = {"steps": 5, "offsets": "none", "progress": False}
     return FitConfig(data=folder / "rows.npz", out=folder / "out", **{**usual, **options})
 
 
@@ -65,9 +63,9 @@ def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
     made = path.read_bytes()
     fit(replace(config, json=tmp_path / "said.json"))
     assert path.read_bytes() == made
-    said = r"seed is 0 there, 1 here; logs.guard_s is 0.5 there, 0.6 here; choose another folder"
+    said = r"seed is 0 there, 1 here; logs.split_seed is 0 there, 1 here; choose another folder"
     with pytest.raises(ValueError, match=said):
-        fit(replace(config, seed=1, logs=LogOptions(guard_s=0.6)))
+        fit(replace(config, seed=1, logs=LogOptions(split_seed=1)))
     save_rows(tmp_path / "rows.npz", rows_of_types(count=800, seed=1))
     with pytest.raises(ValueError, match=r"options: data_sha256 is \w{64} there, \w{64} here; c"):
         fit(config)
@@ -100,7 +98,7 @@ def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     if model == "deep-set":
         assert pushed != 0.0 and "guessed" in note
     else:
-        assert abs(pushed) < 1e-12 and "does not push" in note
+        assert abs(pushed) < 1e-6 and "does not push" in note
 
 
 def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):
@@ -127,11 +125,7 @@ def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
     report = fit(
         config_of(rows_of_types(count=800), tmp_path, mode="measured", offsets="estimated")
     )
-    calibration = Calibration(50, "S", 9, 9, 0.1)
-    logs = replace(report.logs, vehicles={"S1": calibration})
-    said = "calibration offsets are not subtracted: labels are fitted as measured"
-    assert said in replace(report, logs=logs).lines()
-    assert said not in replace(report, logs=logs, offset_rule="median").lines()
+    assert "calibration offsets are not subtracted: labels are as measured" in report.lines()
 
 
 STRONG = replace(SMALL_STRONG, interaction_type="S*")
@@ -150,14 +144,11 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
     assert report.findings.errors.overall < 0.6 * report.findings.errors.zero
     found = load(str(tmp_path / "out" / WEIGHTS[model]))
     assert found.types == ("S", "S*", "XL")
-    position = [[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]]
-    force = [
-        found.forces(position, np.zeros((1, 2, 3)), (STRONG, upper))[0, 0, 2]
-        for upper in (SMALL, HUGE)
-    ]
-    assert max(force) < 0.0
-    if model == "deep-set":  # on the axis a short fit of a composed model errs by a gram
-        assert force[1] < force[0]
+    # Beside the axis, where neighbors are seldom exactly: there a short fit knows little.
+    position = [[[0.0, 0.0, 0.8], [0.05, 0.0, 1.1]]]
+    for upper, planted in ((SMALL, -2.0), (HUGE, -6.0)):
+        force = found.forces(position, np.zeros((1, 2, 3)), (STRONG, upper))[0, 0, 2]
+        assert force / GRAM_FORCE == pytest.approx(planted, abs=1.0)
     with pytest.raises(ValueError, match="unknown interaction type 'L'"):
         found.forces(position, np.zeros((1, 2, 3)), "SL")
 
@@ -182,7 +173,8 @@ def test_a_type_that_never_pushed_or_never_felt_goes_on_so(model, shown, said, f
 
 
 def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
-    report = fit(config_of(rows_of_types(), tmp_path, model="wake", **QUICK))
+    length: dict[str, Any] = {"steps": 1000, "learning_rate": 3e-2}
+    report = fit(config_of(rows_of_types(), tmp_path, model="wake", **QUICK | length))
     path = tmp_path / "out" / "wake.json"
     found = load(path)
     assert found.types == ("S", "L")
@@ -268,7 +260,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(table: Path, out: Path, **given: object) -> ResidualConfig:
-    small = {"bootstrap": 20, "progress": False, "rows": 4000, "force": "wake"}
+    small = {"bootstrap": 20, "progress": False, "steps": 100, "force": "wake"}
     return ResidualConfig(**{"data": table, "out": out, **small, **given})  # type: ignore[arg-type]
 
 
@@ -304,11 +296,11 @@ def test_a_planted_process_is_found_under_the_true_force(table, tmp_path, monkey
 def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
     """Labels of the flights of one fold are spoiled: what is predicted for them stays."""
     rows = planted(20, 150)
-    config = options(table, tmp_path, folds=2, rows=1000)
+    config = options(table, tmp_path, folds=2)
     honest = predicted_g(rows, config)
     own = flight_folds(rows, config.folds, config.seed) == 0
     assert 0 < own.sum() < len(rows)
-    spoiled = rows.with_vertical_force(np.where(own, rows.force_g[:, 2] + 5.0, rows.force_g[:, 2]))
+    spoiled = rows.with_vertical_force(np.where(own, 2.0, 1.0) * rows.force_g[:, 2])
     again = predicted_g(spoiled, config)
     assert np.array_equal(honest[own], again[own])
     assert not np.array_equal(honest[~own], again[~own])
@@ -316,7 +308,7 @@ def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
 
 def test_the_command_line_and_what_it_refuses(table, tmp_path, capsys):
     arguments = ["fit", "--residual", "--data", str(table), "--out", str(tmp_path / "out")]
-    quick = ["--bootstrap", "5", "--rows", "2000", "--no-progress", "--force", "wake"]
+    quick = ["--bootstrap", "5", "--steps", "50", "--no-progress", "--force", "wake"]
     assert main([*arguments, *quick]) == 0
     said = capsys.readouterr().out
     assert "residual_time_s" in said and "white noise of the labels" in said
@@ -354,23 +346,14 @@ def flights(count: int = 1200, number: int = 6) -> InteractionRows:
     )
 
 
-@pytest.fixture
-def short_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a comparison fit for 60 steps."""
-    module = importlib.import_module("swarm_envs.training.force_model.compare")
-    usual = module.default_fit
-    monkeypatch.setattr(module, "default_fit", lambda *given: replace(usual(*given), steps=60))
-
-
 def comparison_of(tmp_path: Path, **options: Any) -> CompareConfig:
     data = tmp_path / "rows.npz"
     if not data.is_file():
         save_rows(data, flights())
-    given: dict[str, Any] = {"models": ("composed", "wake"), "folds": 2, "progress": False}
-    return CompareConfig(data=data, out=tmp_path / "out", **given | options)
+    usual: dict[str, Any] = {"models": ("composed", "wake"), "folds": 2, "steps": 60}
+    return CompareConfig(data=data, out=tmp_path / "out", progress=False, **usual | options)
 
 
-@pytest.mark.usefixtures("short_fits")
 def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     found = compare(comparison_of(tmp_path, json=tmp_path / "said.json"))
     assert found.rows == 1200 and found.flights == 6

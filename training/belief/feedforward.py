@@ -74,7 +74,7 @@ class CompensationResult(SwapTrial):
 @typed
 @dataclass(frozen=True)
 class FeedforwardConfig:
-    """How a model for feed-forward is made."""
+    """The making of a model for feed-forward."""
 
     out: Path
     """folder for `belief.safetensors`, `belief.json`, `MODEL_CARD.md`; `flights` below it keeps
@@ -157,7 +157,6 @@ def simulated_fit_config(
         offsets="none",
         steps=steps,
         balance=1.0,
-        lipschitz_samples=0,
         seed=seed,
         progress=progress,
     )

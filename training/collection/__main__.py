@@ -52,19 +52,14 @@ class CollectOptions:
 def _summary(
     flights: list[CollectedFlight], rows: InteractionRows, config: CollectionConfig, table: str
 ) -> dict[str, Any]:
-    """What was flown and what rows it gave: the content of `--json`."""
+    """Return the flights and the rows in numbers: the content of `--json`."""
     scenarios: dict[str, dict[str, Any]] = {}
     for name, count in scenario_counts(flights).items():
         here = np.zeros(len(rows), dtype=np.bool_)
         if name in rows.scenario_names:
             here = rows.scenario == rows.scenario_names.index(name)
-        labels = rows.force_g[here, 2]
-        scenarios[name] = count._asdict() | {
-            "rows": len(labels),
-            "held_out": int(rows.validation[here].sum()),  # rows of flights for validation
-            # Of the vertical labels, noise included.
-            "rms_force_g": round(float(np.sqrt(np.mean(labels**2))), 3) if len(labels) else 0.0,
-        }
+        held_out = int(rows.validation[here].sum())
+        scenarios[name] = count | {"rows": int(here.sum()), "held_out": held_out}
     return {
         "flights": len(flights),
         "cut_short": [f.name for f in flights if was_cut_short(f, config.duration_s)],
@@ -90,8 +85,8 @@ def _lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _scenario_table(scenarios: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    head = ("scenario", "flights", "drone-s", "near, s", "rows", "held out", "rms, g")
-    form = "{flights}|{drone_seconds:.0f}|{near_seconds:.0f}|{rows}|{held_out}|{rms_force_g:.2f}"
+    head = ("scenario", "flights", "drone-s", "rows", "held out")
+    form = "{flights}|{drone_seconds:.0f}|{rows}|{held_out}"
     rows = [(name, *form.format(**s).split("|")) for name, s in scenarios.items()]
     return format_columns([head, *rows], rule=False)
 

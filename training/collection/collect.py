@@ -16,11 +16,18 @@ from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.collection.flight import CalibrationErrors, fly_motion
-from swarm_envs.training.collection.log import LOG_RATE, FlightLog, Label, SensorNoise, with_noise
+from swarm_envs.training.collection.flight import fly_motion
+from swarm_envs.training.collection.log import (
+    LOG_RATE,
+    FlightLog,
+    Label,
+    SensorNoise,
+    read_log,
+    save_log,
+    with_noise,
+)
 from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, StackedSwaps, TeamMotion
-from swarm_envs.training.collection.storage import flight_file, read_log, save_log
-from swarm_envs.training.collection.table import CollectedFlight, scenario_counts
+from swarm_envs.training.collection.table import CollectedFlight
 from swarm_envs.training.provenance import begin_manifest, json_ready
 from swarm_envs.vehicles import parse_team
 
@@ -31,7 +38,7 @@ KINDS = ("walk", "low-walk", "swap", "low-swap")
 
 
 Flights = Annotated[int, Range(0)]
-"""How many flights of a kind; 0 for none."""
+"""The number of flights of a kind; 0 for none."""
 
 
 @typed_options
@@ -69,8 +76,6 @@ class CollectionConfig:
     """what the motions are drawn from"""
     noise: SensorNoise = SensorNoise()
     """what sensors add to the logged state; the pilot flies with the true one"""
-    errors: CalibrationErrors = CalibrationErrors()
-    """by how much vehicles differ from their type; none by default"""
     seed: Seed = 0
     """seed of every flight; each has its own generator, so that none depends on another"""
 
@@ -124,8 +129,8 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
     """Fly what is not yet there, and read everything.
 
     Writes one file for each flight, and `manifest.json` with the configuration, the force model's
-    fingerprint, every flight's length, and how much was flown of each scenario. After an
-    interruption it resumes with the first missing file; the result is identical.
+    fingerprint and every flight's length. After an interruption it resumes with the first missing
+    file; the result is identical.
 
     Raises:
         ValueError: the folder holds flights of another configuration or force model.
@@ -143,7 +148,7 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
     seconds = sum(batch.count for batch in batches) * config.duration_s
     with tqdm(total=round(seconds), disable=not progress, unit="s flown", desc="flights") as bar:
         for batch in batches:
-            files = [flight_file(out, name) for name in batch.names]
+            files = [out / f"{name}.npz" for name in batch.names]
             if not all(file.exists() for file in files):
                 logs = fly_flights(config, batch, model, compensated)
                 for file, log in zip(files, logs, strict=True):
@@ -160,14 +165,12 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
         }
         for flight in flights
     ]
-    scenarios = {name: count._asdict() for name, count in scenario_counts(flights).items()}
-    content = {"log_rate": LOG_RATE, "scenarios": scenarios, "flights": entries}
-    write_json(out / MANIFEST, origin | content)
+    write_json(out / MANIFEST, origin | {"log_rate": LOG_RATE, "flights": entries})
     return flights
 
 
 def was_cut_short(flight: CollectedFlight, duration_s: float) -> bool:
-    """Whether a flight ended before its time: its team touched something or tumbled."""
+    """Return True if a flight ended before its time: its team touched something or tumbled."""
     return flight.seconds < duration_s - 0.05
 
 
@@ -186,18 +189,8 @@ def fly_flights(
     """Fly a batch's flights and return their noisy logs; see `fly_motion`."""
     rngs = [flight_generator(config, name) for name in batch.names]
     motion, team = make_motion(config, batch, rngs), parse_team(batch.team)
-    vehicles = config.errors.draw(team, config.seed, rngs)
-    logs = fly_motion(
-        team,
-        motion,
-        model,
-        config.duration_s,
-        feedforward,
-        vehicles,
-        config.pilot,
-        Hall.of(config.world),
-        rngs,
-    )
+    hall, duration = Hall.of(config.world), config.duration_s
+    logs = fly_motion(team, motion, model, duration, feedforward, config.pilot, hall, rngs)
     return [with_noise(log, config.noise, rng) for log, rng in zip(logs, rngs, strict=True)]
 
 
@@ -219,7 +212,7 @@ def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[
         CollectedFlight(
             name=name,
             team=batch.team,
-            log=read_log(flight_file(out, name)),
+            log=read_log(out / f"{name}.npz"),
             validation=_is_held_out(config, batch, index),
         )
         for index, name in enumerate(batch.names)
@@ -227,7 +220,7 @@ def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[
 
 
 def _is_held_out(config: CollectionConfig, batch: FlightBatch, index: int) -> bool:
-    """Whether a flight is for validation: of each batch every fifth, or the last of fewer.
+    """Return True if a flight is for validation: of each batch every fifth, or the last of fewer.
 
     Of batches of a single flight, the last batch's.
     """

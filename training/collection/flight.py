@@ -1,19 +1,16 @@
 """One batch of flights: the vehicles that fly, the loop, and what it logs at 120 Hz.
 
 Every team is put together from one fleet: the second small drone of any team is vehicle `S2`, in
-every flight the same. So what is wrong with it can be found from all its flights, as for real ones.
+every flight the same.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from swarm_envs.arguments import Range, typed_options
 from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_name
@@ -22,56 +19,15 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state, state_of
+from swarm_envs.state import Setpoint, SwarmState, hover_state, state_of
 from swarm_envs.tables import SENSED_TYPE
 from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_to_body
 from swarm_envs.training.collection.motion import TeamMotion
 from swarm_envs.vehicles import GRAVITY, VEHICLES, Team
 
-__all__ = ["CalibrationErrors", "vehicle_names"]
+__all__ = ["vehicle_ids", "vehicle_names"]
 
 _PER_TYPE = 100
-_ERROR = Range(0.0, 0.2)
-
-
-class _Vehicles(NamedTuple):
-    """What the drones of E flights of N really are."""
-
-    mass_factor: FloatArray  # (E, N) mass over that of the type
-    thrust_factor: FloatArray  # (E, N) thrust of a rotor over what was commanded
-
-
-@typed_options
-@dataclass(frozen=True)
-class CalibrationErrors:
-    """By how much vehicles differ from their type: relative standard deviations, 0.03 for 3 %.
-
-    The label takes mass and thrust of the type, so each vehicle gets a constant force in its
-    labels, which `swarm-envs fit --offsets estimated` finds and takes out. Real flights show one or
-    two grams, that is 3 to 6 % on a small drone.
-    """
-
-    mass: Annotated[float, _ERROR] = 0.0
-    """of a vehicle's mass, the same in all its flights"""
-    thrust: Annotated[float, _ERROR] = 0.0
-    """of a vehicle's thrust, the same in all its flights"""
-    thrust_per_flight: Annotated[float, _ERROR] = 0.0
-    """of a vehicle's thrust, sampled again for every flight, as batteries and propellers change"""
-
-    def draw(self, team: Team, seed: int, rngs: list[np.random.Generator]) -> _Vehicles:
-        """Draw what the drones of E flights, one per generator, really are.
-
-        The seed decides what belongs to a vehicle of the fleet in all its flights.
-        """
-        own = np.array(
-            [np.random.default_rng([seed, v]).standard_normal(2) for v in vehicle_ids(team)]
-        )
-        mass = np.repeat(1.0 + self.mass * own[None, :, 0], len(rngs), axis=0)
-        thrust = np.repeat(1.0 + self.thrust * own[None, :, 1], len(rngs), axis=0)
-        if self.thrust_per_flight:
-            drift = np.stack([rng.standard_normal(len(team)) for rng in rngs])
-            thrust = thrust + self.thrust_per_flight * drift
-        return _Vehicles(mass, thrust)
 
 
 def vehicle_names(team: Team) -> tuple[str, ...]:
@@ -108,7 +64,6 @@ def fly_motion(
     interactions: str | InteractionModel,
     duration_s: float,
     feedforward: InteractionModel | None = None,
-    vehicles: _Vehicles | None = None,
     pilot: str = "firm",
     hall: Hall | None = None,
     rngs: Sequence[np.random.Generator] = (),
@@ -123,17 +78,12 @@ def fly_motion(
         interactions: the force model of the environment.
         duration_s: length of the flights, s.
         feedforward: the force that the pilot compensates for; None for no compensation.
-        vehicles: what the drones really are; None for exactly their type.
         pilot: name of its position gains, see `PILOTS`.
         hall: numbers of the world "hall", where the pilot is given an estimate; None for "ideal".
         rngs: E generators, which the hall draws from.
     """
     envs, drones = motion.start.shape[:2]
     physics = BatchPhysics(team, envs, interactions, hall=hall)
-    thrust_factor: FloatArray = np.ones((envs, drones, 1))
-    if vehicles is not None:
-        physics.parameters.mass[...] *= vehicles.mass_factor
-        thrust_factor = vehicles.thrust_factor[..., None]
     gains = PILOTS[check_name("pilot", pilot, PILOTS)]
     tracker = TrackingController(team, envs, ControllerConfig(gains, feedforward))
     setpoint = Setpoint.hold(motion.start)
@@ -157,7 +107,7 @@ def fly_motion(
                 log.quaternion[k], log.commands[k] = state.quaternion, commands
                 log.setpoint[k] = target.position
             now = physics.state.velocity.copy()
-            physics.step(thrust_factor * commands)
+            physics.step(commands)
             state = _seen(physics)
             if step == 0:  # the two steps around the entry
                 log.specific_force[k] = (physics.state.velocity - before) / (

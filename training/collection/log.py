@@ -14,12 +14,14 @@ is as logged, the mass m is the type's. A log is all that these functions are gi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 from swarm_envs.arguments import NOT_NEGATIVE, typed, typed_options
+from swarm_envs.files import written_whole
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
@@ -32,7 +34,7 @@ STEPS_PER_ENTRY = PHYSICS_RATE // LOG_RATE  # Physics steps between log entries
 
 
 class FlightLog(NamedTuple):
-    """What one flight of N drones recorded, T entries. World frame unless said, SI units."""
+    """The record of one flight of N drones, T entries. World frame unless said, SI units."""
 
     position: FloatArray  # (T, N, 3) m
     velocity: FloatArray  # (T, N, 3) m/s
@@ -40,14 +42,30 @@ class FlightLog(NamedTuple):
     specific_force: FloatArray
     """(T, N, 3) what an accelerometer reads, body frame, m/s^2: (0, 0, 9.81) in hover."""
     setpoint: FloatArray
-    """(T, N, 3) position that the pilot was to hold, m; NaN where a file has no place for it.
-    """
+    """(T, N, 3) position that the pilot was to hold, m."""
     commands: FloatArray
     """(T, N, 4) rotor thrusts as commanded from this entry on, N; never those that act."""
 
     def cut(self, count: int) -> FlightLog:
         """Return the first `count` entries."""
         return FlightLog(*(array[:count] for array in self))
+
+
+def save_log(path: Path, log: FlightLog) -> None:
+    """Write a log, atomically: npz without pickle, in single precision."""
+    arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
+    with written_whole(path) as partial:
+        np.savez(partial, allow_pickle=False, **arrays)
+
+
+def read_log(path: Path) -> FlightLog:
+    """Read a file that `save_log` wrote.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        return FlightLog(*(file[name].astype(np.float64) for name in FlightLog._fields))
 
 
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
@@ -172,7 +190,6 @@ def interaction_force(
     log: FlightLog,
     team: Team,
     smoothing_s: float = SMOOTHING_S,
-    rate_hz: float = LOG_RATE,
     label: Label = "differentiated",
 ) -> FloatArray:
     """Interaction force (T, N, 3), gram-force, world frame, on every drone at every entry of a log.
@@ -182,7 +199,7 @@ def interaction_force(
     """
     acceleration = rotate(log.quaternion, log.specific_force) if label == "imu" else None
     return force_from_motion(
-        log.velocity, acceleration, log.quaternion, log.commands, team, rate_hz, smoothing_s
+        log.velocity, acceleration, log.quaternion, log.commands, team, LOG_RATE, smoothing_s
     )
 
 

@@ -33,7 +33,7 @@ Drawn = Annotated[Pair, Interval(NOT_NEGATIVE)]  # Such a pair, neither of them 
 @typed_options
 @dataclass(frozen=True)
 class MotionRanges:
-    """What motions are drawn from. SI units; a pair is (lowest, highest)."""
+    """The ranges that motions are drawn from. SI units; a pair is (lowest, highest)."""
 
     half_width_m: Annotated[float, NOT_NEGATIVE] = 0.25
     """half width of the box of a random walk"""

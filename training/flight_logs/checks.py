@@ -148,7 +148,7 @@ def _check_motion(drone: DroneLog) -> None:
 
 
 def _check_acceleration(drone: DroneLog) -> None:
-    """Refuse accelerations without gravity, and those that oppose the velocity's change."""
+    """Refuse accelerations without gravity, or with another axis up."""
     if drone.acceleration is None:
         return
     upwards = float(np.median(drone.acceleration[:, 2]))
@@ -157,20 +157,26 @@ def _check_acceleration(drone: DroneLog) -> None:
             f"az of drone {drone.name!r} is usually {upwards:+.3g} m/s^2, but must be about "
             f"{GRAVITY:+.2f}, gravity included, in the world frame with z up"
         )
+
+
+def _check_frame(drone: DroneLog) -> None:
+    """Refuse accelerations that oppose the change of the velocity."""
+    if drone.acceleration is None:
+        return
     width = max(round(WINDOW_S / drone.step_s), 1)
-    span = drone.time[width:] - drone.time[:-width]
+    step, span = np.diff(drone.time)[:, None], drone.time[width:] - drone.time[:-width]
+    gained = np.cumsum(0.5 * (drone.acceleration[1:] + drone.acceleration[:-1]) * step, axis=0)
+    gained = np.concatenate([np.zeros((1, 3)), gained])
     whole = span < 1.5 * width * drone.step_s
+    logged, derived = (
+        ((values[width:] - values[:-width]) / span[:, None])[whole]
+        for values in (gained, drone.velocity)
+    )
     for axis, name in enumerate("xyz"):
-        logged = drone.acceleration[:, axis]
-        step = 0.5 * (logged[1:] + logged[:-1]) * np.diff(drone.time)
-        area = np.concatenate([[0.0], np.cumsum(step)])
-        mean, derived = (
-            ((values[width:] - values[:-width]) / span)[whole]
-            for values in (area, drone.velocity[:, axis])
-        )
-        if len(derived) < 2 or derived.std() < MOVING or mean.std() == 0.0:
+        one, other = logged[:, axis], derived[:, axis]
+        if len(other) < 2 or other.std() < MOVING or one.std() == 0.0:
             continue
-        correlation = float(np.corrcoef(mean, derived)[0, 1])
+        correlation = float(np.corrcoef(one, other)[0, 1])
         if correlation < OPPOSED:
             raise ValueError(
                 f"a{name} of drone {drone.name!r} opposes the change of v{name} (correlation "
@@ -200,4 +206,12 @@ def _check_carried(drone: DroneLog) -> None:
         )
 
 
-_CHECKS = (_check_time, _check_attitude, _check_motion, _check_acceleration, _check_carried)
+_CHECKS = (
+    _check_time,
+    _check_attitude,
+    _check_motion,
+    _check_acceleration,
+    _check_frame,
+    _check_carried,
+)
+"""The rules, in the order in which they are checked."""

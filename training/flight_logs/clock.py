@@ -7,18 +7,16 @@ filter of the Neural-Swarm authors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.motors import FULL_VOLTAGE, rotor_force_g
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.log import force_from_motion
-from swarm_envs.training.collection.table import DroneRows, rows_of_drone
 from swarm_envs.training.flight_logs.checks import PWM_SPAN, RUNNING, DroneLog
-from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.interaction_rows.drone_rows import near_any
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
 
@@ -39,11 +37,15 @@ class ClockedFlight(NamedTuple):
     voltage: FloatArray  # (T, N)
 
 
-def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlight:
+GAP_S = 0.05  # Longer pauses of a log (and of three of its steps) are gaps, and not filled
+
+
+def common_clock(drones: Sequence[DroneLog], rate_hz: float) -> ClockedFlight:
     """Resample drones to one clock over the time that all of them logged.
 
-    Motion and attitude are interpolated by cubic splines, motor signals and voltage linearly;
-    nothing is carried across a gap.
+    It has `rate_hz`, or the slowest drone's own rate where that is less. Motion and attitude are
+    interpolated by cubic splines, motor signals and voltage linearly; nothing is carried across a
+    gap.
 
     Raises:
         ValueError: the drones have less than a second in common.
@@ -56,10 +58,10 @@ def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlig
             f"the drones' logs have {max(end - begin, 0.0):.2f} s in common ({spans}), but must "
             "have 1 s; give all times on one clock, one flight a file"
         )
-    rate = min(options.rate_hz, *(1.0 / drone.step_s for drone in drones))
+    rate = min(rate_hz, *(1.0 / drone.step_s for drone in drones))
     time = np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
     logged = all(drone.acceleration is not None for drone in drones)
-    parts = [_resample(drone, begin + time, logged, options.max_gap_s) for drone in drones]
+    parts = [_resample(drone, begin + time, logged) for drone in drones]
     smooth, held, known = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
     length = np.linalg.norm(smooth[..., 6:10], axis=-1, keepdims=True)
     return ClockedFlight(
@@ -85,7 +87,7 @@ def pieces(mask: BoolArray) -> list[slice]:
 
 
 def _resample(
-    drone: DroneLog, time: FloatArray, logged: bool, max_gap_s: float
+    drone: DroneLog, time: FloatArray, logged: bool
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Motion (T, 10 or 13), signals and voltage (T, 5), and where they are known (T,)."""
     columns = [drone.position, drone.velocity, continuous(drone.quaternion)]
@@ -94,7 +96,7 @@ def _resample(
     values, held = np.hstack(columns), np.column_stack([drone.pwm, drone.voltage])
     smooth, linear = (np.zeros((len(time), lines.shape[1])) for lines in (values, held))
     known = np.zeros(len(time), dtype=np.bool_)
-    gaps = np.flatnonzero(np.diff(drone.time) > max(max_gap_s, 3.0 * drone.step_s)) + 1
+    gaps = np.flatnonzero(np.diff(drone.time) > max(GAP_S, 3.0 * drone.step_s)) + 1
     for lines in np.split(np.arange(len(drone.time)), gaps):
         own = drone.time[lines]
         inside = (time >= own[0] - 1e-9) & (time <= own[-1] + 1e-9)
@@ -158,29 +160,26 @@ LARGEST_UPWARD_G = 35.0  # Largest upward force aloft
 ALOFT_M = 0.25  # Height from which on a drone is away from the ground, m
 
 
-def drone_rows(flight: ClockedFlight, force_g: FloatArray, i: int, keep_every: int) -> DroneRows:
-    """Rows of drone i of a flight of N, with N - 1 neighbour slots, filtered.
+def kept_entries(
+    flight: ClockedFlight, force_g: FloatArray, i: int, keep_every: int
+) -> tuple[BoolArray, dict[str, int]]:
+    """Apply the authors' filter to every so many entries of drone i; see this module's numbers.
 
-    Of the labels (T, N, 3), NaN where unknown, every so many entries give a row.
+    Returns:
+        Which entries (T,) become rows, and how many did not by reason.
     """
-    kinds = [vehicle.interaction_type for vehicle in flight.team]
-    rows = rows_of_drone(flight.names[i], i, kinds, flight.position, flight.velocity, force_g)
-    rows = rows.select(rows.step % keep_every == 0, "between kept entries")
-    return filtered(rows, LOWEST_M[kinds[i]])
-
-
-def filtered(rows: DroneRows, lowest_m: float) -> DroneRows:
-    """Apply the authors' filter; see the numbers of this module."""
-    rows = rows.select(_all(np.isfinite(rows.force_g)), "force unknown")
-    if rows.neighbor.shape[1]:
-        near = ~_all(~_all(np.abs(rows.neighbor[..., :3]) <= INTERACTION_VOLUME))
-        rows = rows.select(near, "no neighbour in the volume")
-    rows = rows.select(rows.position[:, 2] > lowest_m, "too low")
-    rows = rows.select(np.abs(rows.force_g[:, 2]) <= LARGEST_G, "force over 50 g")
-    low = rows.position[:, 2] <= ALOFT_M
-    fair = (rows.force_g[:, 2] <= LARGEST_UPWARD_G) | low
-    return rows.select(fair, "upward force over 35 g aloft")
-
-
-def _all(mask: BoolArray) -> BoolArray:
-    return np.asarray(mask.all(axis=-1))
+    label, height = force_g[:, i, 2], flight.position[:, i, 2]
+    company = near_any(flight.position)[:, i] if len(flight.team) > 1 else True
+    rules: dict[str, Any] = {
+        "between kept entries": np.arange(len(label)) % keep_every == 0,
+        "force unknown": np.isfinite(force_g[:, i]).all(axis=-1),
+        "no neighbour in the volume": company,
+        "too low": height > LOWEST_M[flight.team[i].interaction_type],
+        "force over 50 g": np.abs(label) <= LARGEST_G,
+        "upward force over 35 g aloft": (label <= LARGEST_UPWARD_G) | (height <= ALOFT_M),
+    }
+    keep, dropped = np.ones(len(label), dtype=np.bool_), {}
+    for reason, fair in rules.items():
+        dropped[reason] = int((keep & ~np.asarray(fair)).sum())
+        keep &= fair
+    return keep, dropped

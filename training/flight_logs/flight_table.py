@@ -1,4 +1,4 @@
-"""The table of one flight, and its file: CSV or Parquet, with the columns of `COLUMNS`.
+"""The table of one flight, read from CSV or Parquet with the columns of `COLUMNS`.
 
 A file is read by the names of its columns. Values outside of a column's range are refused with the
 line; nothing is converted.
@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.files import pyarrow, written_whole
+from swarm_envs.files import pyarrow
 from swarm_envs.state import FloatArray, IntArray
 
-__all__ = ["COLUMNS", "SUFFIXES", "Column", "FlightTable", "read_table", "write_table"]
+__all__ = ["COLUMNS", "SUFFIXES", "Column", "FlightTable", "read_table"]
 
 
 class Column(NamedTuple):
@@ -74,7 +74,6 @@ TEXT = ("drone", "type")  # Columns that hold names
 OPTIONAL = GROUPS["acceleration"]
 SUFFIXES = (".csv", ".parquet")
 """Suffixes of logs, in small letters or capitals."""
-MOST_ROWS = 20_000_000  # of a file; ten drones at 1 kHz for half an hour
 
 Columns = Mapping[str, npt.NDArray[Any]]  # Columns by name, each (lines,)
 
@@ -118,15 +117,6 @@ class FlightTable:
     def __len__(self) -> int:
         """Number of lines R."""
         return len(self.time)
-
-    def columns(self) -> dict[str, npt.NDArray[Any]]:
-        """Return the table's columns by their names."""
-        found: dict[str, npt.NDArray[Any]] = {"drone": self.drone, "type": self.type}
-        for group, names in GROUPS.items():
-            values = getattr(self, group)
-            if values is not None:
-                found |= zip(names, values.reshape(len(self), len(names)).T, strict=True)
-        return found
 
 
 def from_columns(columns: Columns, line: IntArray | None = None) -> FlightTable:
@@ -199,10 +189,10 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
     """
     file = Path(path)
     ending = file.suffix.lower()
-    if not file.is_file():
+    if not file.exists():
         raise FileNotFoundError(f"no flight log at {os.fspath(path)!r}; give its path")
     try:
-        if ending not in SUFFIXES:
+        if ending not in SUFFIXES or not file.is_file():
             raise ValueError(f"the name must end in {' or '.join(SUFFIXES)} (or .npz for rows)")
         if file.stat().st_size == 0:
             raise ValueError("the file is empty; copy it again or delete it")
@@ -231,8 +221,6 @@ def _read_csv(path: Path) -> tuple[Columns, IntArray]:
             words.append([row[i].strip() for i in text])
             numbers.extend(_number(row[i], names[i], number) for i in numeric)
             places.append(number)
-            if len(places) > MOST_ROWS:
-                raise ValueError(f"it has more than {MOST_ROWS} lines; give one flight a file")
     if not words:
         raise ValueError("no line follows the header; log at least a second of flight")
     table = np.frombuffer(numbers).reshape(len(words), -1)
@@ -264,8 +252,8 @@ def _read_parquet(path: Path) -> tuple[Columns, IntArray]:
         file = parquet.ParquetFile(path)
         names, rows = file.schema_arrow.names, file.metadata.num_rows
         check_names(names)
-        if not 0 < rows <= MOST_ROWS:
-            raise ValueError(f"it has {rows} rows, but must have 1 to {MOST_ROWS}")
+        if not rows:
+            raise ValueError("it has no row; log at least a second of flight")
         for name in names:
             _check_kind(arrow, name, file.schema_arrow.field(name).type)
         table = file.read(columns=[name for name in names if name in COLUMNS])
@@ -294,29 +282,3 @@ def _check_kind(arrow: Any, name: str, kind: Any) -> None:
     if name in COLUMNS and not (text if name in TEXT else number):
         wanted = "text" if name in TEXT else "numbers"
         raise ValueError(f"column {name!r} holds {kind}, but must hold {wanted}")
-
-
-@typed
-def write_table(path: str | os.PathLike[str], table: FlightTable) -> None:
-    """Write a flight's table, atomically, so that `read_table` gives exactly the same.
-
-    Args:
-        path: the file, ending in `.csv` or `.parquet`.
-        table: what to write.
-
-    Raises:
-        ImportError: it is to be Parquet, and pyarrow is not installed.
-        ValueError: the file's ending is another.
-    """
-    target, columns = Path(path), table.columns()
-    if target.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{target.name} ends in {target.suffix!r}, but must in .csv or .parquet")
-    with written_whole(target) as partial:
-        if target.suffix.lower() == ".csv":
-            with partial.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(columns)
-                writer.writerows(zip(*(v.tolist() for v in columns.values()), strict=True))
-        else:
-            arrow, parquet = pyarrow(target.name, "write the table as CSV")
-            parquet.write_table(arrow.table({n: v.tolist() for n, v in columns.items()}), partial)

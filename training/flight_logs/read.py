@@ -1,279 +1,204 @@
-"""From files to the rows of a fit: flight logs, tables of rows, or a folder of both.
+"""From files to the rows of a fit: flight logs, or a table of rows.
 
-What is sound is joined; a file that breaks a rule costs that file alone. The same numbers in two
-files would put training rows among the held-out ones, so copies are refused.
+A log that breaks a rule costs that log alone: it is refused with its line and the reason.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
-from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.collect import MANIFEST
-from swarm_envs.training.collection.table import rows_of_drones
 from swarm_envs.training.flight_logs.checks import DroneLog, checked_drones
-from swarm_envs.training.flight_logs.clock import (
-    ClockedFlight,
-    common_clock,
-    drone_rows,
-    interaction_force_g,
-)
-from swarm_envs.training.flight_logs.flight_table import SUFFIXES, read_table
-from swarm_envs.training.flight_logs.log_options import (
-    LogOptions,
-    block_count,
-    held_out_blocks,
-    is_guarded,
-    is_held_out,
-)
-from swarm_envs.training.flight_logs.log_report import (
-    FileReport,
-    JoinedRows,
-    LogReport,
-    without_scarce_data,
-)
+from swarm_envs.training.flight_logs.clock import common_clock, interaction_force_g, kept_entries
+from swarm_envs.training.flight_logs.flight_table import SUFFIXES, FlightTable, read_table
+from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows
-from swarm_envs.training.interaction_rows.row_tables import check_row_table, join_rows
+from swarm_envs.training.interaction_rows.drone_rows import join_rows, rows_of_drone
+from swarm_envs.training.interaction_rows.hold_out import hold_out_blocks
+from swarm_envs.training.interaction_rows.row_tables import check_row_table, with_present_types
 from swarm_envs.training.provenance import file_sha256
 
-__all__ = ["data_sha256", "read_data"]
+__all__ = ["FileReport", "data_sha256", "read_data"]
 
 TABLE_SUFFIX = ".npz"  # How the name of a table of rows ends
 DEFAULT = LogOptions()  # The options that hold if none are given
 
 
+@dataclass(frozen=True)
+class FileReport:
+    """The fate of one file."""
+
+    file: str  # Its name
+    rows: int = 0  # Rows that it gave
+    refused: str = ""  # Message of the rule that it breaks, its name first; empty if it is sound
+    drones: dict[str, str] = field(default_factory=dict)  # Type by name, of a flight log
+    seconds: float = 0.0  # Time that all drones have in common
+    dropped: dict[str, int] = field(default_factory=dict)  # Entries that are no rows, by reason
+    ignored: tuple[str, ...] = ()  # Columns without a meaning
+
+    def line(self) -> str:
+        """Return the report as a line of text."""
+        if self.refused:
+            return f"refused {self.refused}"
+        reasons = ", ".join(f"{name}: {count}" for name, count in self.dropped.items() if count)
+        flown = f" of {self.seconds:.0f} s" if self.drones else ""
+        ignored = f"; ignored columns {', '.join(self.ignored)}" if self.ignored else ""
+        left_out = f" (not: {reasons})" if reasons else ""
+        return f"{self.file}: {self.rows} rows{flown}{left_out}{ignored}"
+
+
 def read_data(
-    path: Path,
-    options: LogOptions = DEFAULT,
-    progress: bool = False,
-    offsets: bool = True,
-    torque: bool = False,
-) -> tuple[InteractionRows, LogReport]:
-    """Read flight logs (`.csv`, `.parquet`), tables of rows (`.npz`), or a folder of both.
+    path: Path, options: LogOptions = DEFAULT, progress: bool = False
+) -> tuple[InteractionRows, list[FileReport]]:
+    """Read a flight log (`.csv`, `.parquet`), a folder of logs, or a table of rows (`.npz`).
 
-    The report says of every file what became of it. Of a folder that `swarm-envs collect` wrote,
-    `rows.npz` is read.
-
-    Args:
-        path: the file or folder.
-        options: how logs become rows, and what is held out.
-        progress: show a progress bar.
-        offsets: leave out vehicles whose calibration offset is unknown for want of quiet rows.
-        torque: leave out files without labels of the torque.
+    Of a folder that `swarm-envs collect` wrote, `rows.npz` is read. Where no row is marked as held
+    out, blocks of time are. Other files of a folder are refused one by one; the reports say why.
 
     Raises:
         FileNotFoundError: there is nothing to read.
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: no file is sound, or no row is left; the message says why.
     """
-    if not offsets:
-        options = dataclasses.replace(options, min_quiet_rows=0)
-    files, not_read = find_files(path)
-    if not files:
-        raise FileNotFoundError(
-            f"{str(path)!r} has no flight log and no table of rows, only "
-            f"{', '.join(not_read[:5]) or 'nothing'}; put .csv, .parquet or .npz files there"
-        )
-    parts, refused = list[JoinedRows](), list[FileReport]()
-    known = dict[str, str]()
-    for file in tqdm(files, disable=not progress, unit="file"):
-        try:
-            table, report, key = read_file(file, options)
-            if torque and table.torque is None:
-                raise ValueError(
-                    f"{file.name}: a torque head is wanted, but it has no array `torque` (R, 3), "
-                    "N m in the world frame; add it, or fit without --torque"
-                )
-            refuse_copy(known, key, file.name)
-        except ValueError as error:
-            refused.append(FileReport(file.name, str(error)))
-        else:
-            parts.append(JoinedRows(table, np.zeros(len(table), np.int64), [report]))
-    if not parts:
-        reasons = "; ".join(str(file.refused) for file in refused)
-        where = f"no file of {str(path)!r} is sound: " if path.is_dir() else ""
-        raise ValueError(where + reasons)
-    joined = hold_out_blocks(_joined(parts), options)
-    rows, found = without_scarce_data(joined, refused, options)
-    return rows, dataclasses.replace(found, not_read=not_read)
+    files = find_files(path)
+    if files[0].suffix.lower() == TABLE_SUFFIX:
+        rows, reports = _read_table_of_rows(files[0])
+    else:
+        rows, reports = _read_logs(files, options, progress)
+    return with_present_types(hold_out_blocks(rows, options.rate_hz, options.split_seed)), reports
 
 
-def find_files(path: Path) -> tuple[list[Path], tuple[str, ...]]:
-    """Return the logs and tables at a path, sorted by name, and what else lies in the folder.
-
-    The path is itself a file, or a folder in which they lie. Endings count in capitals too.
+def find_files(path: Path) -> list[Path]:
+    """Return the table of rows, or all that lies in a folder, sorted by name.
 
     Raises:
-        FileNotFoundError: there is no such path.
+        FileNotFoundError: there is no table and no log.
     """
     if not path.exists():
-        raise FileNotFoundError(
-            f"no data at {str(path)!r}; give a file of rows or logs, or a folder"
-        )
+        raise FileNotFoundError(f"no data at {str(path)!r}; give a log, a folder of logs, or rows")
     if not path.is_dir():
-        return [path], ()
+        return [path]
     if (path / MANIFEST).is_file():
         if not (path / "rows.npz").is_file():
             raise FileNotFoundError(
                 f"{str(path)!r} has no rows.npz: the collection was not finished; run "
                 "`swarm-envs collect` again with the same options"
             )
-        return [path / "rows.npz"], ()
-    visible = sorted(file for file in path.iterdir() if not file.name.startswith("."))
-    files = [f for f in visible if f.is_file() and f.suffix.lower() in (*SUFFIXES, TABLE_SUFFIX)]
-    others = (file for file in visible if file not in files)
-    return files, tuple(f"{f.name}/" if f.is_dir() else f.name for f in others)
+        return [path / "rows.npz"]
+    files = sorted(file for file in path.iterdir() if not file.name.startswith("."))
+    if not any(file.suffix.lower() in SUFFIXES for file in files):
+        raise FileNotFoundError(
+            f"{str(path)!r} has no flight log; put {' or '.join(SUFFIXES)} files there, or give "
+            f"the path of a table of rows ({TABLE_SUFFIX})"
+        )
+    return files
 
 
-def read_file(file: Path, options: LogOptions) -> tuple[InteractionRows, FileReport, str]:
-    """Return the rows of a file, what became of it, and what it shares with its copies.
-
-    Raises:
-        ValueError: it breaks a rule; the message begins with its name.
-    """
-    if file.suffix.lower() != TABLE_SUFFIX:
-        return read_log(file, options)
+def _read_table_of_rows(file: Path) -> tuple[InteractionRows, list[FileReport]]:
     try:
         rows = read_rows(file)
-        notes = check_row_table(rows)
+        check_row_table(rows)
     except ValueError as error:
         raise ValueError(f"{file.name}: {error}") from error
-    report = FileReport(file.name, entries=len(rows), rate_hz=options.rate_hz, notes=notes)
-    return rows, report, table_key(rows)
+    return rows, [FileReport(file.name, len(rows))]
 
 
-def read_log(file: Path, options: LogOptions) -> tuple[InteractionRows, FileReport, str]:
-    """Return the rows of a flight log as `read_file` does; none is held out yet.
+def _read_logs(
+    files: Sequence[Path], options: LogOptions, progress: bool
+) -> tuple[InteractionRows, list[FileReport]]:
+    """Read all logs; those that break a rule are left out, and their reports say so."""
+    parts, reports = list[InteractionRows](), list[FileReport]()
+    known = _Known({}, {})
+    for number, file in enumerate(tqdm(files, disable=not progress, unit="file")):
+        try:
+            own, report = _read_log(file, number, known, options)
+        except ValueError as error:
+            reports.append(FileReport(file.name, refused=str(error)))
+        else:
+            parts += own
+            reports.append(report)
+    if not parts:
+        raise ValueError("; ".join(report.refused for report in reports))
+    if not any(map(len, parts)):
+        said = "; ".join(report.line() for report in reports)
+        raise ValueError(f"no row is left ({said}); fly more, or nearer to each other")
+    names = {vehicle.number: name for name, vehicle in known.vehicles.items()}
+    return join_rows(parts, names), reports
 
-    Raises:
-        ImportError: it is Parquet, and pyarrow is not installed.
-        ValueError: it breaks a rule; the message begins with its name.
-    """
+
+class _Vehicle(NamedTuple):
+    number: int  # In the rows
+    token: str  # Of its type
+    file: str  # Name of the first log in which it flies
+
+
+class _Known(NamedTuple):
+    vehicles: dict[str, _Vehicle]  # By name
+    flights: dict[str, str]  # Name of the log by the digest of its positions
+
+
+def _read_log(
+    file: Path, number: int, known: _Known, options: LogOptions
+) -> tuple[list[InteractionRows], FileReport]:
+    """Read the rows of each drone of a flight, which becomes known with its vehicles."""
     table = read_table(file)
     try:
         drones = checked_drones(table)
-        clocked = common_clock(drones, options)
+        clocked = common_clock(drones, options.rate_hz)
+        _refuse_other_types(known.vehicles, drones)
+        _refuse_copy(known.flights, table, file.name)
     except ValueError as error:
         raise ValueError(f"{file.name}: {error}") from error
-    force = interaction_force_g(clocked, options.smoothing_s)
-    parts = [drone_rows(clocked, force, i, options.keep_every) for i in range(len(drones))]
-    dropped = {
-        reason: sum(part.dropped.get(reason, 0) for part in parts)
-        for part in parts
-        for reason in part.dropped
-    }
-    rows = rows_of_drones(
-        parts,
-        slots=len(drones) - 1,
-        flight=[0] * len(drones),
-        vehicle=range(len(drones)),
-        held_out=np.zeros(sum(len(part.step) for part in parts), dtype=np.bool_),
-        names={i: drone.name for i, drone in enumerate(drones)},
-    )
-    report = _log_report(file.name, drones, clocked, table.ignored)
-    return rows, dataclasses.replace(report, dropped=dropped), flight_key(drones)
-
-
-def _log_report(
-    name: str, drones: tuple[DroneLog, ...], clocked: ClockedFlight, ignored: tuple[str, ...]
-) -> FileReport:
-    logged = max(float(d.time[-1]) for d in drones) - min(float(d.time[0]) for d in drones)
-    seconds = float(clocked.time[-1])
-    return FileReport(
-        file=name,
+    for drone in drones:
+        vehicle = _Vehicle(len(known.vehicles), drone.vehicle.token, file.name)
+        known.vehicles.setdefault(drone.name, vehicle)
+    force, dropped = interaction_force_g(clocked, options.smoothing_s), Counter[str]()
+    kinds, parts = [vehicle.interaction_type for vehicle in clocked.team], []
+    for i, name in enumerate(clocked.names):
+        keep, left_out = kept_entries(clocked, force, i, options.keep_every)
+        own, motion = known.vehicles[name].number, (clocked.position, clocked.velocity, force)
+        parts.append(
+            rows_of_drone(i, kinds, *motion, keep, flight=number, vehicle=own, validation=False)
+        )
+        dropped.update(left_out)
+    report = FileReport(
+        file=file.name,
+        rows=sum(map(len, parts)),
         drones={drone.name: drone.vehicle.token for drone in drones},
-        seconds=round(seconds, 3),
-        gap_seconds=round(float((~clocked.known).sum() / clocked.rate_hz), 3),
-        uncommon_seconds=round(max(logged - seconds, 0.0), 3),
-        rate_hz=round(clocked.rate_hz, 3),
-        acceleration="differentiated" if clocked.acceleration is None else "logged",
-        ignored_columns=ignored,
-        entries=len(clocked.time) * len(drones),
+        seconds=round(float(clocked.time[-1]), 3),
+        dropped=dict(dropped),
+        ignored=table.ignored,
     )
+    return parts, report
 
 
-def _joined(parts: Sequence[JoinedRows]) -> JoinedRows:
-    # A table alone keeps its numbers of flights and vehicles.
-    rows = join_rows([part.rows for part in parts]) if len(parts) > 1 else parts[0].rows
-    origin = np.repeat(np.arange(len(parts)), [len(part.rows) for part in parts])
-    return JoinedRows(rows, origin, [file for part in parts for file in part.files])
+def _refuse_other_types(vehicles: dict[str, _Vehicle], drones: Sequence[DroneLog]) -> None:
+    for drone in drones:
+        known = vehicles.get(drone.name)
+        if known is not None and known.token != drone.vehicle.token:
+            raise ValueError(
+                f"drone {drone.name!r} has type {drone.vehicle.token}, but {known.token} in "
+                f"{known.file}; give each vehicle a name of its own"
+            )
 
 
-def hold_out_blocks(joined: JoinedRows, options: LogOptions) -> JoinedRows:
-    """Hold out blocks of time of the flights of files that come without marks.
-
-    Flights of the same scenarios share held-out blocks evenly. Training rows in a guard gap of a
-    block are left out.
-    """
-    rows = joined.rows
-    marked = np.bincount(joined.origin[rows.validation], minlength=len(joined.files)) > 0
-    chosen = ~marked[joined.origin]
-    if not chosen.any():
-        return joined
-    held_out, guarded = rows.validation.copy(), np.zeros(len(rows), dtype=np.bool_)
-    flights = [np.flatnonzero(rows.flight == flight) for flight in np.unique(rows.flight[chosen])]
-    flights.sort(key=lambda own: tuple(np.unique(rows.scenario[own])))
-    times = [_seconds(joined, own) for own in flights]
-    lengths = [block_count(float(time.max()), options) for time in times]
-    blocks = held_out_blocks(lengths, options.validation_share, options.split_seed)
-    for own, time, block in zip(flights, times, blocks, strict=True):
-        held_out[own] = is_held_out(time, block, options)
-        guarded[own] = is_guarded(time, block, options)
-    rows = dataclasses.replace(rows, validation=held_out)
-    return JoinedRows(rows, joined.origin, joined.files).select(~guarded, "guard gap")
-
-
-def _seconds(joined: JoinedRows, own: npt.NDArray[np.int64]) -> FloatArray:
-    """Return the times of the rows of a flight since its first, s."""
-    step = joined.rows.step[own]
-    rate_hz = joined.files[joined.origin[own[0]]].rate_hz
-    return np.asarray((step - step.min()) / rate_hz)
-
-
-def flight_key(drones: Sequence[DroneLog]) -> str:
-    """Return what a flight and its copies share: motion and signals of its drones.
-
-    Names, origin of time, the order of the drones and digits beyond float32 make no difference.
-    """
-    keys = (_digest(d.position, d.velocity, d.quaternion, d.pwm) for d in drones)
-    return hashlib.sha256("".join(sorted(keys)).encode()).hexdigest()
-
-
-def table_key(rows: InteractionRows) -> str:
-    """Return what a table and its copies share: inputs by step, without labels and marks."""
-    parts = (rows.position, rows.velocity, rows.neighbor, rows.neighbor_type, rows.step)
-    inputs = np.concatenate([_single(part).reshape(len(rows), -1) for part in parts], axis=1)
-    return _digest(inputs[np.lexsort(inputs.T)])
-
-
-def refuse_copy(known: dict[str, str], key: str, name: str) -> None:
-    """Remember a sound file by its key; refuse one whose key an earlier file has."""
-    first = known.setdefault(key, name)
+def _refuse_copy(flights: dict[str, str], table: FlightTable, name: str) -> None:
+    """Refuse a flight whose positions, to single precision, another log has."""
+    digest = hashlib.sha256(np.float32(table.position).tobytes()).hexdigest()
+    first = flights.setdefault(digest, name)
     if first != name:
         raise ValueError(
-            f"{name} is a copy of {first}: both have the same numbers, but rows that are held "
-            "out may not be trained on; remove one of them"
+            f"it is a copy of {first}, but rows that are held out may not be trained on; remove "
+            "one of them"
         )
-
-
-def _single(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    return np.asarray(values, dtype=np.float32) + np.float32(0.0)  # no negative zeros
-
-
-def _digest(*arrays: npt.NDArray[Any]) -> str:
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(f"{array.shape}".encode())
-        digest.update(np.ascontiguousarray(_single(array)).tobytes())
-    return digest.hexdigest()
 
 
 def data_sha256(path: Path) -> str:

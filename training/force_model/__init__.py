@@ -2,9 +2,9 @@
 
 Order of reading: `force_fit_config` (options), `flight_logs.read` (files of rows and of
 flights), `labels` (what is taken out of the labels), `network` (the heterogeneous deep set,
-Neural-Swarm2 eq. 10), `composed`, `examples`, `spectral`, `train`, `export`, `evaluate`,
-`lipschitz`, and `pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows,
-`compare` compares models on whole flights, `residual_fit` identifies what a model leaves over.
+Neural-Swarm2 eq. 10), `wake`, `composed`, `examples`, `spectral`, `train`, `export`, `lipschitz`,
+`evaluate`, and `pipeline` (all of it: `fit`). `compare` compares models on whole flights,
+`residual_fit` identifies what a model leaves over.
 
 Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the page is docs/fit.md.
 """

@@ -21,26 +21,20 @@ import tyro
 from scipy import stats
 from tqdm import tqdm
 
-from swarm_envs.arguments import Range, Seed, typed, typed_options
+from swarm_envs.arguments import Count, Range, Seed, typed, typed_options
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import (
     FitConfig,
+    FlightData,
     Model,
     ResidualConfig,
 )
-from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
-from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
-from swarm_envs.training.force_model.train import predict, to_batch, train
-from swarm_envs.training.force_model.wake_fit import (
-    MOST_ROWS,
-    draw_rows,
-    fit_wake,
-    wake_force_g,
-    wake_rows,
-)
+from swarm_envs.training.force_model.labels import FALL_SPEED, treat
+from swarm_envs.training.force_model.pipeline import train_model
+from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import begin_manifest, json_ready
 
@@ -50,11 +44,9 @@ _ASIDE = ("data", "out", "json", "progress")  # Options that change nothing of a
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class CompareConfig:
-    """What to compare, on which flights."""
+class CompareConfig(FlightData):
+    """The models to compare, and the flights."""
 
-    data: Path
-    """flight logs, a table of rows, or a folder of them, as `swarm-envs fit` takes them"""
     out: Path
     """folder for what every model said of the flights that it has not seen: a comparison that was
     stopped resumes from there"""
@@ -65,6 +57,8 @@ class CompareConfig:
     hold_out: Literal["flights", "two-neighbors"] = "flights"
     """`two-neighbors`: fit to rows with at most one neighbor and test on the others, in place of
     the folds; it shows what a model makes of several neighbors"""
+    steps: Count = FitConfig.steps
+    """optimizer steps of each fit"""
     seed: Seed = 0
     """of the folds, the fits and the bootstrap"""
     progress: bool = True
@@ -90,7 +84,7 @@ class ModelComparison:
     data_sha256: str  # SHA-256 of the data
 
     def lines(self) -> list[str]:
-        """What the command prints."""
+        """Return the lines that the command prints."""
         found = [f"{self.rows} rows of {self.flights} flights; mean squared errors, g^2"]
         for model, errors in self.errors.items():
             found.append(
@@ -180,25 +174,19 @@ def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
 
 def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:
     """Return a fit of a model to the same data with default options."""
-    return FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
+    return FitConfig(
+        data=config.data, out=config.out, model=model, steps=config.steps, seed=config.seed
+    )
 
 
-def fitted_force_g(
-    target: InteractionRows, options: FitConfig, wake_rows_drawn: int = MOST_ROWS
-) -> FloatArray:
+def fitted_force_g(target: InteractionRows, options: FitConfig) -> FloatArray:
     """Force of every row, (R, 3) gram-force, by a model fitted to the labels of the training rows.
 
-    A wake is fitted to `wake_rows_drawn` rows at random; it and a deep set have no horizontal
-    force.
+    Only a composed model has a horizontal force.
     """
     found = np.zeros((len(target), 3))
-    if options.model == "wake":
-        fitted = fit_wake(draw_rows(target, options.seed, wake_rows_drawn))
-        found[:, 2] = wake_force_g(fitted, wake_rows(target))
-        return found
-    known = flown(target) if options.model == "composed" else target
-    run = train(known, network_spec(target, options), training_recipe(options), progress=False)
-    heads = predict(run.network, to_batch(target), every=True).double().numpy()
+    network = train_model(target, options, progress=False).network
+    heads = predict(network, to_batch(target), every=True).double().numpy()
     found[:, 2] = heads[:, 0]
     if options.model == "composed":
         found[:, :2] = heads[:, 1:]

@@ -11,7 +11,7 @@ changes nothing of the vertical fit: the force that it turns is taken as it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor, nn
@@ -23,11 +23,14 @@ from swarm_envs.training.force_model.network import (
     DeepSet,
     DeepSetSpec,
     ForceNetwork,
+    NetworkKind,
     fade,
     layers,
     of_types,
     perceptron,
+    silence,
 )
+from swarm_envs.training.force_model.wake import Wake
 
 HIGHEST_DECAY = 3.0
 """The exponent p of a wake stays below it: left free it runs to values that say nothing."""
@@ -90,20 +93,22 @@ class Composed(ForceNetwork):
         q, lost, height = tensors["joining"]
         self.joining.copy_(torch.stack([q - 1.0, 1.0 / lost - 1.0, height]).log())
 
-    def silence(self, upper: int, lower: int) -> None:
+    def silence_drone(self, index: int) -> None:
+        """Let the network of a type alone give zero."""
+        silence(self.own[index])
+
+    @torch.no_grad()
+    def silence_pair(self, upper: int, lower: int) -> None:
         """Let one type push another by nothing."""
-        with torch.no_grad():
-            self.wakes[upper * len(self.types) + lower][0] = -torch.inf
+        place = upper * len(self.types) + lower
+        silence(self.pair[place])
+        self.wakes[place][0] = -torch.inf
 
     def named_networks(self) -> dict[str, nn.Module]:
         """Return its perceptrons by the names that they have in a weights file."""
         names = [f"pair.{a}.{b}" for a in self.types for b in self.types]
         own = [f"environment.{name}" for name in self.types]
         return dict(zip(names + own, [*self.pair, *self.own], strict=True))
-
-    def network_of(self, neighbor: str, ego: str) -> nn.Module:
-        """Return the perceptron that corrects the push of one type on another."""
-        return self.named_networks()[f"pair.{neighbor}.{ego}"]
 
     def heads(self, batch: Batch) -> Tensor:
         """Force of every row, (R, 3) gram-force: vertical, then in x and y."""
@@ -133,7 +138,6 @@ class Composed(ForceNetwork):
 
     def window(self, pair: Tensor) -> Tensor:
         """Weight w of pairs (..., 6) by the horizontal distance and the depth."""
-        assert self.spec.window is not None
         lateral, vertical = self.spec.window
         weight = fade(_length(pair[..., :2]), *lateral) * fade(pair[..., 2].abs(), *vertical)
         return weight.clamp(min=0.0)  # rounding at the edge
@@ -205,4 +209,6 @@ def _root(square: Tensor) -> Tensor:
 
 def build(spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> ForceNetwork:
     """Make the network of a spec, with the weights from which training starts."""
-    return Composed(spec, dtype) if spec.kind == "composed" else DeepSet(spec, dtype)
+    kinds: dict[NetworkKind, Callable[[DeepSetSpec, torch.dtype], ForceNetwork]]
+    kinds = {"deep-set": DeepSet, "composed": Composed, "wake": Wake}
+    return kinds[spec.kind](spec, dtype)

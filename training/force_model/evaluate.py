@@ -16,45 +16,33 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.state import FloatArray
-from swarm_envs.training.flight_logs import LogReport
+from swarm_envs.training.flight_logs.read import FileReport
 from swarm_envs.training.force_model.labels import Treated
-from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
+from swarm_envs.training.force_model.lipschitz import steepest
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
-from swarm_envs.training.force_model.train import predict, to_batch
+from swarm_envs.training.force_model.train import to_batch
 from swarm_envs.training.interaction_rows.calibration import subtract_offsets
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
-
-__all__ = ["predict_rows"]
 
 _LEAST_ROWS = 50  # of a bin
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
 
 
-@dataclass(frozen=True)
-class CompiledForce:
-    """A model of `swarm_envs.interactions`, asked as a network is."""
-
-    model: InteractionModel  # The model that is evaluated
-
-    @property
-    def types(self) -> tuple[str, ...]:
-        """Interaction types that it knows."""
-        return self.model.types
-
-    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
-        """Vertical force (E, N), gram-force, at (E, N, 3) m and m/s, drag included."""
-        p, v = (np.ascontiguousarray(values.numpy()) for values in (position, velocity))
-        kinds = np.tile(types_array(tuple(type_names), self.types), (len(p), 1))
-        out = np.empty_like(p)
-        all_forces(self.model.packed, kinds, p, v, out)
-        return torch.from_numpy(out[..., 2] / GRAM_FORCE)
+def vertical_force_g(
+    model: InteractionModel, position: FloatArray, velocity: FloatArray, types: Sequence[str]
+) -> FloatArray:
+    """Force (E, N), gram-force, on drones of these types at (E, N, 3), m and m/s, drag included."""
+    kinds = np.tile(types_array(tuple(types), model.types), (len(position), 1))
+    out = np.empty_like(position)
+    all_forces(model.packed, kinds, position, velocity, out)
+    return np.asarray(out[..., 2] / GRAM_FORCE)
 
 
 @dataclass(frozen=True)
@@ -90,15 +78,8 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
     return Errors(overall, zero, scenario_mean, *by_scenario)
 
 
-def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
-    """Vertical force of every row from the network and the drag, (R,) in gram-force."""
-    force = predict(network, to_batch(rows, torch.float64)).numpy()
-    drag = network.drag.numpy()[rows.ego_type, 2]
-    return np.asarray(force - drag * rows.velocity[:, 2] / GRAM_FORCE)
-
-
 def axis_bins(
-    network: ForceNetwork | CompiledForce, predicted_g: FloatArray, rows: InteractionRows
+    model: InteractionModel, predicted_g: FloatArray, rows: InteractionRows
 ) -> list[dict[str, Any]]:
     """Mean force under one neighbour by types and vertical distance, within 5 cm of its axis, g.
 
@@ -129,39 +110,34 @@ def axis_bins(
                 "rows": int(inside.sum()),
                 "measured_g": float(rows.force_g[inside, 2].mean()),
                 "model_g": float(predicted_g[inside].mean()),
-                "model_on_axis_g": pair_force(network, lower, upper, low + 0.05),
+                "model_on_axis_g": pair_force(model, lower, upper, low + 0.05),
             }
         )
     return bins
 
 
-def pair_force(
-    network: ForceNetwork | CompiledForce, below: str, above: str, distance_m: float
-) -> float:
+def pair_force(model: InteractionModel, below: str, above: str, distance_m: float) -> float:
     """Force on a drone at rest, `distance_m` under another one at rest, 1 m above the ground, g."""
-    position = torch.tensor([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0 + distance_m]]], dtype=torch.float64)
-    with torch.no_grad():
-        force = network.force_g(position, torch.zeros_like(position), (below, above))
-    return float(force[0, 0])
+    position = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0 + distance_m]]])
+    return float(vertical_force_g(model, position, np.zeros_like(position), (below, above))[0, 0])
 
 
 def scan_swarms(
-    network: ForceNetwork | CompiledForce, drones: int, swarms: int, rng: np.random.Generator
+    model: InteractionModel, drones: int, swarms: int, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Lowest and highest force, g, in random swarms `small_only` and `mixed`, packed closely.
 
     Positions are uniform in a box of 0.6 x 0.6 x 1.5 m above 8 cm, velocities uniform in
     +-1 m/s per axis; no minimum distance is kept, so drones may overlap.
     """
-    position = torch.from_numpy(rng.uniform(0.0, 1.0, (swarms, drones, 3)) * [0.6, 0.6, 1.5])
+    position = rng.uniform(0.0, 1.0, (swarms, drones, 3)) * [0.6, 0.6, 1.5]
     position[..., 2] += 0.08
-    velocity = torch.from_numpy(rng.uniform(-1.0, 1.0, (swarms, drones, 3)))
-    first, last = network.types[0], network.types[-1]
+    velocity = rng.uniform(-1.0, 1.0, (swarms, drones, 3))
+    first, last = model.types[0], model.types[-1]
     teams = [(first,) * drones, tuple(last if i % 2 else first for i in range(drones))]
     found = []
     for team in teams:
-        with torch.no_grad():
-            force = network.force_g(position, velocity, team)
+        force = vertical_force_g(model, position, velocity, team)
         found.append((float(force.min()), float(force.max())))
     return {"drones": drones, "small_only": found[0], "mixed": found[1]}
 
@@ -186,15 +162,14 @@ _SWARMS = 2000
 
 @dataclass(frozen=True)
 class Findings:
-    """What was measured on the weights as they ship."""
+    """The measurements on the weights as they ship."""
 
     rows: int  # Rows there were
     validation_rows: int  # Those of them that were held out
     errors: Errors  # Against labels treated as in training
     errors_raw: Errors  # Against labels as measured
-    lipschitz_bound: dict[str, float] | None  # Of a network; None of the closed form
     lipschitz_measured: dict[str, dict[str, float]]
-    """By number of neighbours; empty if it was left out, or of the closed form."""
+    """Of a network, by number of neighbours; empty of the closed form."""
     axis_bins: list[dict[str, Any]]
     """Measured and modelled force under one neighbour; labels treated as in training."""
     extremes: list[dict[str, Any]]  # Largest forces in random swarms by number of drones
@@ -202,7 +177,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What was fitted and how well: the content of `learned.json`, whatever the model."""
+    """The report of a fit: the content of `learned.json`, whatever the model."""
 
     model: str  # `deep-set`, `composed` or `wake`
     command: str  # The command that was run
@@ -213,25 +188,22 @@ class FitReport:
     drag: dict[str, list[float]]  # c per type and axis, N s/m
     findings: Findings  # What came out
     history: list[dict[str, float]]
-    """Step, training loss, validation MSE and that of early validation, g^2."""
+    """Steps, mean training loss since the last entry, and validation MSE, g^2."""
     wall_time_s: float
-    """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
-    logs: LogReport  # What became of every file
+    """Of reading, training and evaluation."""
+    logs: list[FileReport]  # What became of every file
     notes: list[str]  # What a user of the model must know: types that no row shows
     torque_errors: dict[str, list[float]] | None = None
     """On held-out rows, if there is a torque head."""
 
     def lines(self) -> list[str]:
-        """What a command prints of it."""
+        """Return the lines that a command prints."""
         errors = self.findings.errors
-        kept = self.logs.vehicles and self.offset_rule == "none"
+        offsets = [f"vehicle {n}: offset {g:+.2f} g" for n, g in self.vehicle_offsets_g.items()]
         return [
-            *self.logs.lines(),
-            *(
-                ["calibration offsets are not subtracted: labels are fitted as measured"]
-                if kept
-                else []
-            ),
+            *(file.line() for file in self.logs),
+            f"{self.findings.rows} rows, {self.findings.validation_rows} of them held out",
+            *(offsets or ["calibration offsets are not subtracted: labels are as measured"]),
             *(f"note: {note}" for note in self.notes),
             f"{self.model}: validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, "
             f"scenario mean {errors.scenario_mean:.2f})",
@@ -251,32 +223,23 @@ def worth(errors: Errors) -> list[str]:
 
 
 def examine(
-    function: ForceNetwork | CompiledForce,
-    predicted_g: FloatArray,
-    treated: Treated,
-    lipschitz_samples: int,
-    seed: int,
+    model: InteractionModel, treated: Treated, seed: int, network: ForceNetwork | None = None
 ) -> Findings:
-    """Measure a fitted model.
+    """Measure a fitted model as it loads from its file.
 
-    `predicted_g` (R,) is its vertical force for every row, drag included. Lipschitz constants are
-    those of networks, from so many random pairs; 0 leaves them out.
+    `network` is the model in torch, whose gradients are measured; None leaves them out.
     """
-    rng = np.random.default_rng(seed)
+    rng, predicted_g = np.random.default_rng(seed), modelled_force_g(treated.rows, model)[:, 2]
     rows, free = treated.rows, subtract_offsets(treated.rows, treated.offsets)
-    measured, bound = {}, None
-    if isinstance(function, ForceNetwork):
-        bound = lipschitz_bound(function)
-        for neighbors in (1, 2) if lipschitz_samples else ():
-            found = measure_lipschitz(function, lipschitz_samples, neighbors, rng)
-            measured[str(neighbors)] = found
+    measured = {}
+    if network is not None:
+        measured = {str(count): steepest(network, count, rng) for count in (1, 2)}
     return Findings(
         rows=len(rows),
         validation_rows=int(rows.validation.sum()),
         errors=mean_squared_errors(predicted_g, free),
         errors_raw=mean_squared_errors(predicted_g, rows),
-        lipschitz_bound=bound,
         lipschitz_measured=measured,
-        axis_bins=axis_bins(function, predicted_g, free),
-        extremes=[scan_swarms(function, size, _SWARMS, rng) for size in _SWARM_SIZES],
+        axis_bins=axis_bins(model, predicted_g, free),
+        extremes=[scan_swarms(model, size, _SWARMS, rng) for size in _SWARM_SIZES],
     )

@@ -49,15 +49,10 @@ def targets(rows: InteractionRows, torque: bool = False, horizontal: bool = Fals
     return torch.cat([force[:, None], turned], dim=1)
 
 
-def batches_per_epoch(rows: int, batch_size: int) -> int:
-    """Steps that one pass takes; the last batch may be smaller."""
-    return -(-rows // batch_size)
-
-
 def shuffled(examples: Examples, seed: Sequence[int], turn: bool) -> Examples:
     """Return the rows of a pass in its order; with `turn` each turned and mirrored at random.
 
-    The same seed gives the same pass, so that a run continues within one.
+    The same seed gives the same pass.
     """
     rng = np.random.default_rng(seed)
     count = len(examples.label)

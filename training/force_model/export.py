@@ -14,7 +14,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from swarm_envs.arguments import typed
-from swarm_envs.files import written_whole
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.training.force_model.composed import Composed, build
 from swarm_envs.training.force_model.network import (
     DeepSet,
@@ -25,6 +25,8 @@ from swarm_envs.training.force_model.network import (
     NetworkKind,
     layers,
 )
+from swarm_envs.training.force_model.wake import Wake
+from swarm_envs.training.force_model.wake import description as wake_description
 
 __all__ = ["write_safetensors"]
 
@@ -59,20 +61,24 @@ def save_network(
     `environment.<type>.<layer>...`, and the numbers that `swarm_envs.interactions.weights_file`
     lists. Of both: `drag.<type>` (3,) in N s/m.
 
+    A wake has no weights: its file is JSON, with `provenance` as one key. Of the others
     `provenance` are further keys of the description. Networks that were trained in single precision
     lose nothing by float32, which halves the file; it is read as float64 either way.
     """
+    if isinstance(network, Wake):
+        write_json(Path(path), wake_description(network) | {"provenance": dict(provenance or {})})
+        return
     spec = network.spec
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}
-    tensors |= {name: layer.weight for name, layer in _layers(network, ".weight").items()}
-    tensors |= {name: layer.bias for name, layer in _layers(network, ".bias").items()}
+    for name, layer in _layers(network).items():
+        tensors |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
     if isinstance(network, Composed):
         tensors |= network.wake_tensors()
     description = {
         **(provenance or {}),
         "format": next(name for name, kind in FORMATS.items() if kind == spec.kind),
         "types": list(spec.types),
-        "window": spec.window and spec.window._asdict(),
+        "window": spec.window._asdict(),
         "input_range": spec.input_range and vars(spec.input_range),
         "anchor_height_m": spec.anchor_height_m,
     }
@@ -105,10 +111,9 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
         )
     network = build(_spec(description, tensors), dtype=torch.float64)
     with torch.no_grad():
-        for name, layer in _layers(network, ".weight").items():
-            layer.weight.copy_(tensors[name])
-        for name, layer in _layers(network, ".bias").items():
-            layer.bias.copy_(tensors[name])
+        for name, layer in _layers(network).items():
+            layer.weight.copy_(tensors[f"{name}.weight"])
+            layer.bias.copy_(tensors[f"{name}.bias"])
         for index, name in enumerate(network.spec.types):
             network.drag[index] = tensors[f"drag.{name}"]
         if isinstance(network, Composed):
@@ -116,17 +121,17 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
     return network
 
 
-def _layers(network: ForceNetwork, ending: str) -> dict[str, nn.Linear]:
-    """Layers by the names of their tensors, which end in `.weight` or `.bias`."""
+def _layers(network: ForceNetwork) -> dict[str, nn.Linear]:
+    """Layers by the beginning of the names of their tensors."""
     found = {
-        f"{prefix}.{index}{ending}": layer
+        f"{prefix}.{index}": layer
         for prefix, module in network.named_networks().items()
         for index, layer in enumerate(layers(module))
     }
     if isinstance(network, DeepSet) and network.spec.torque:
         for name, head in network.torque.items():
             assert isinstance(head, nn.Linear)
-            found[f"torque.{name}{ending}"] = head
+            found[f"torque.{name}"] = head
     return found
 
 
@@ -139,7 +144,7 @@ def _spec(description: dict[str, Any], tensors: dict[str, Tensor]) -> DeepSetSpe
     hidden = {} if kind != "deep-set" else {"hidden": tensors[f"{first}0.weight"].shape[1]}
     return DeepSetSpec(
         types=tuple(types),
-        window=window and FadeWindow(**{name: tuple(pair) for name, pair in window.items()}),
+        window=FadeWindow(**{name: tuple(pair) for name, pair in window.items()}),
         input_range=InputRange(**ranges) if ranges else None,
         anchor_height_m=description["anchor_height_m"] or None,  # a file may say 0 for none
         layers=depth,

@@ -46,7 +46,7 @@ class TrainConfig:
 
 
 Mode = Literal["anchored", "measured"]
-"""What is fitted: the forces of environments, or labels as measured."""
+"""The labels that are fitted: the forces of environments, or labels as measured."""
 Model = Literal["deep-set", "composed", "wake"]  # Which function is fitted
 
 WEIGHTS = {
@@ -60,15 +60,21 @@ REPORTS = {"composed": "composed.json", "deep-set": "learned.json", "wake": "wak
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitFiles:
-    """What a fit cannot do without: fields of the last base class come first in the help."""
+class FlightData:
+    """The flights of a fit."""
 
     data: Path
-    """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
-    .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
+    """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
+    `swarm-envs collect`, or rows: the published flights' table, or what `save_rows` wrote (.npz)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitFiles(FlightData):
+    """The options that a fit must have: fields of the last base class come first in the help."""
+
     out: Path
-    """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
-    set, `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
+    """folder for model and report: `learned.safetensors` and `learned.json` of a deep set,
+    `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
 
 
 @typed_options
@@ -76,10 +82,9 @@ class FitFiles:
 class FitConfig(TrainConfig, FitFiles):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
 
-    Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
-    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed. With
-    --residual, which has options of its own (`fit --residual --help`), it fits what a force model
-    leaves over, for the hall.
+    Writes the model and a report of its errors. Most fits need no more than --data, --out, --model,
+    --mode and --seed. With --residual, which has options of its own (`fit --residual --help`), it
+    fits what a force model leaves over, for the hall.
 
     Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
     vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to
@@ -105,16 +110,12 @@ class FitConfig(TrainConfig, FitFiles):
     """let the network see velocities; without, it sees positions alone"""
     torque: bool = False
     """let the deep set give the torque too, from rows that carry it"""
-    lipschitz_samples: Annotated[int, Range(0)] = 1_000_000
-    """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
-    tensorboard: Path | None = None
-    """folder for TensorBoard's event files: losses and errors at every checkpoint"""
     json: Path | None = None
     """write the report to this file too"""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows, and what of row tables is held out"""
+    """how flight logs become rows"""
 
     def __post_init__(self) -> None:
         if self.model == "composed" and self.mode == "measured":
@@ -137,15 +138,12 @@ FITTED = ("composed", "wake")
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class ResidualConfig:
-    """What is left over by which model, on which flights.
+class ResidualConfig(FlightData):
+    """Identify the force that a model leaves over on flights.
 
     The result is the random force of `world="hall"`: see docs/hall.md.
     """
 
-    data: Path
-    """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
-    .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
     """folder for `residual.json`"""
     force: str = "composed"
@@ -154,8 +152,8 @@ class ResidualConfig:
     flatter it"""
     folds: Annotated[int, Range(2)] = 5
     """parts into which the flights of each scenario are dealt"""
-    rows: Count = 30_000
-    """rows of each fit of the wake, drawn at random"""
+    steps: Count = FitConfig.steps
+    """optimizer steps of each fit"""
     bootstrap: Count = 400
     """draws of flights for the 95 % intervals"""
     seed: Seed = 0

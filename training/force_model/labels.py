@@ -1,4 +1,4 @@
-"""What rows can teach: labels free of offsets and drag, the range of inputs, the types they show.
+"""From rows to what is learned: labels free of offsets and drag, the range of inputs, the types.
 
 Linear body drag is fitted per type and axis to the same rows as the network. A network of a type
 that no training row shows holds the random numbers that it started with: it is set to zero, and
@@ -8,12 +8,11 @@ of a row feels nothing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import nn
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray
@@ -23,14 +22,14 @@ from swarm_envs.training.force_model.network import (
     DeepSet,
     ForceNetwork,
     InputRange,
-    layers,
+    silence,
 )
+from swarm_envs.training.force_model.wake import Wake
 from swarm_envs.training.interaction_rows.calibration import (
     NO_OFFSETS,
     Offsets,
     estimate_offsets,
     quiet_rows,
-    subtract_offsets,
 )
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -41,52 +40,38 @@ label, -40 g on average, says that the rotors no longer give the thrust of the c
 
 
 class Treated(NamedTuple):
-    """Rows, and what was taken out of their vertical labels."""
+    """Rows, and what was taken out of their labels."""
 
     rows: InteractionRows  # With the labels as measured
     target: InteractionRows  # With the labels that a model is fitted to
-    offsets: Offsets  # What was taken out of the labels
+    offsets: Offsets  # What was taken out of the vertical labels
     drag: FloatArray  # (T, 3) by type, N s/m; added back to what a model says
 
 
 def is_calibrated(config: FitConfig) -> bool:
-    """Whether a fit estimates offsets."""
+    """Return True if a fit estimates offsets."""
     return config.mode == "anchored" and config.offsets == "estimated"
 
 
 def treat(rows: InteractionRows, config: FitConfig) -> Treated:
-    """Take offsets and vertical drag out of the labels, as the configuration says.
+    """Take offsets and drag out of the labels that are fitted, as the configuration says.
 
-    A network in `measured` mode learns the vertical drag with the rest: it stays in.
+    They are the vertical ones, of a composed model all three: horizontal offsets are those of
+    attitude. A network in `measured` mode learns the vertical drag with the rest: it stays in.
 
     Raises:
         ValueError: a vehicle's offset cannot be estimated.
     """
     drag = fit_drag(rows)
-    offsets = estimate_offsets(rows) if is_calibrated(config) else NO_OFFSETS
     if config.mode == "measured" and config.model != "wake":
         drag[:, 2] = 0.0
-    free = subtract_offsets(rows, offsets)
-    vertical_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
-    target = free.with_vertical_force(free.force_g[:, 2] + vertical_g)
-    if config.model == "composed":
-        target = _with_horizontal_force(target, drag, is_calibrated(config))
-    return Treated(rows, target, offsets, drag)
-
-
-def _with_horizontal_force(
-    rows: InteractionRows, drag: FloatArray, calibrated: bool
-) -> InteractionRows:
-    """Rows with their horizontal labels free of drag and offsets, too.
-
-    Offsets are those of attitude, by the rule of the vertical ones.
-    """
-    force = rows.force_g.copy()
-    for axis in (0, 1):
-        if calibrated:
-            force[:, axis] -= estimate_offsets(rows, axis).of(rows)
+    offsets, force = NO_OFFSETS, rows.force_g.copy()
+    for axis in (0, 1, 2) if config.model == "composed" else (2,):
+        if is_calibrated(config):
+            offsets = estimate_offsets(rows, axis)
+        force[:, axis] -= offsets.of(rows)
         force[:, axis] += drag[rows.ego_type, axis] * rows.velocity[:, axis] / GRAM_FORCE
-    return replace(rows, force_g=force)
+    return Treated(rows, replace(rows, force_g=force), offsets, drag)
 
 
 def flown(rows: InteractionRows) -> InteractionRows:
@@ -173,39 +158,43 @@ def _centred(values: FloatArray, group: np.ndarray, count: np.ndarray) -> FloatA
 
 def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
     """Set the outputs of networks that saw no training row to zero; what was, a sentence each."""
-    types, training = rows.types, rows.select(~rows.validation)
-    pairs, felt = shown_pairs(training), np.isin(np.arange(len(types)), training.ego_type)
-    silent = [name for name, seen in zip(types, felt, strict=True) if not seen]
-    said = [
-        f"type {name!r} is the drone of no training row: the model says it feels nothing"
-        for name in silent
-    ]
-    unknown = [(int(i), int(j)) for i, j in np.argwhere(~pairs)]
-    never = [(i, j, never_together(types[i], types[j])) for i, j in unknown if felt[j]]
+    training = rows.select(~rows.validation)
+    pairs, felt = shown_pairs(training), np.isin(np.arange(len(rows.types)), training.ego_type)
+    said = []
+    for index in np.flatnonzero(~felt).tolist():
+        network.silence_drone(index)
+        name = rows.types[index]
+        said.append(
+            f"type {name!r} is the drone of no training row: the model says it feels nothing"
+        )
     if isinstance(network, DeepSet):
-        _silence(*(network.rho[name] for name in silent))
-        if network.spec.torque:
-            _silence(*(network.torque[name] for name in silent))
-        quiet = [name for name, row in zip(types, pairs, strict=True) if not row.any()]
-        _silence(*(network.phi[name] for name in quiet))
-        return [
-            *said,
-            *(
+        return said + _silence_neighbors(network, pairs, felt)
+    assert isinstance(network, Composed | Wake)
+    for upper, lower in np.argwhere(~pairs).tolist():
+        network.silence_pair(upper, lower)
+        if felt[lower]:
+            said.append(_never_together(rows.types, upper, lower) + "it does not push it")
+    return said
+
+
+def _silence_neighbors(network: DeepSet, pairs: BoolArray, felt: BoolArray) -> list[str]:
+    """Silence the types that are no neighbour; what happens to pairs that never met is a guess."""
+    said = []
+    for name, row in zip(network.types, pairs, strict=True):
+        if not row.any():
+            silence(network.phi[name])
+            said.append(
                 f"type {name!r} is a neighbour in no training row: the model says it pushes nobody"
-                for name in quiet
-            ),
-            *(
-                beginning + "what it does to it is guessed from other pairs"
-                for i, _, beginning in never
-                if pairs[i].any()
-            ),
-        ]
-    assert isinstance(network, Composed)
-    _silence(*(network.named_networks()[f"environment.{name}"] for name in silent))
-    for i, j in unknown:
-        _silence(network.network_of(types[i], types[j]))
-        network.silence(i, j)
-    return said + [beginning + "it does not push it" for _, _, beginning in never]
+            )
+    for upper, lower in np.argwhere(~pairs).tolist():
+        if felt[lower] and pairs[upper].any():
+            beginning = _never_together(network.types, upper, lower)
+            said.append(beginning + "what it does to it is guessed from other pairs")
+    return said
+
+
+def _never_together(types: Sequence[str], upper: int, lower: int) -> str:
+    return f"type {types[upper]!r} is a neighbour of type {types[lower]!r} in no training row: "
 
 
 def shown_pairs(rows: InteractionRows) -> BoolArray:
@@ -214,16 +203,3 @@ def shown_pairs(rows: InteractionRows) -> BoolArray:
     egos = np.repeat(rows.ego_type[:, None], rows.neighbor_type.shape[1], axis=1)
     pairs[rows.neighbor_type[rows.has_neighbor], egos[rows.has_neighbor]] = True
     return pairs
-
-
-def never_together(above: str, below: str) -> str:
-    """Beginning of a note on a pair of types that no training row shows."""
-    return f"type {above!r} is a neighbour of type {below!r} in no training row: "
-
-
-@torch.no_grad()
-def _silence(*modules: nn.Module) -> None:
-    for module in modules:
-        last = layers(module)[-1]
-        last.weight.zero_()
-        last.bias.zero_()

@@ -13,7 +13,6 @@ anchor that makes a lone drone aloft feel exactly nothing.
 from __future__ import annotations
 
 import itertools
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,14 +22,12 @@ import torch
 from torch import Tensor, nn
 
 from swarm_envs.arguments import POSITIVE_M, Count, Range, typed
-from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
-from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["InputRange"]
 
-NetworkKind = Literal["deep-set", "composed"]
+NetworkKind = Literal["deep-set", "composed", "wake"]
 """`deep-set`: Neural-Swarm2, eq. 10; `composed`: pushes of pairs that are joined,
-`composed.Composed`."""
+`composed.Composed`; `wake`: the closed form, `wake.Wake`."""
 
 _FIRST_WIDTH = 25  # of phi's first hidden layer
 _WIDTH = 40  # of every other hidden layer
@@ -58,10 +55,8 @@ class InputRange:
     """Of -z_i and -v_i: 4 lowest, 4 highest."""
 
 
-UNLIMITED = InputRange(((-math.inf,) * 6, (math.inf,) * 6), ((-math.inf,) * 4, (math.inf,) * 4))
-"""No clamp at all."""
-
-_FAR = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))  # JSON has no infinity
+UNLIMITED = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))
+"""No clamp of any input that there is; JSON has no infinity."""
 
 OUTER_FADE = FadeWindow()
 """The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
@@ -70,12 +65,12 @@ OUTER_FADE = FadeWindow()
 @typed
 @dataclass(frozen=True)
 class DeepSetSpec:
-    """What a deep set needs besides its weights."""
+    """The function of a network, without its weights."""
 
     types: tuple[str, ...]
     """Vehicle types: each has its own phi and rho."""
-    window: FadeWindow | None = OUTER_FADE
-    """Smooth fade of pairs; None cuts off hard at the edges of the interaction volume."""
+    window: FadeWindow = OUTER_FADE
+    """Smooth fade of pairs."""
     input_range: InputRange | None = None
     """Clamp of the inputs; None leaves them."""
     anchor_height_m: Annotated[float, POSITIVE_M] | None = 0.6
@@ -87,7 +82,7 @@ class DeepSetSpec:
     kind: NetworkKind = "deep-set"
     """Which function of the neighbours it is."""
     torque: bool = False
-    """Whether rho gives the torque too; of a deep set alone."""
+    """True if rho gives the torque too; of a deep set alone."""
 
     def __post_init__(self) -> None:
         _check_types(self.types)
@@ -122,7 +117,7 @@ def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
     The environment is a neighbour at rest, so its relative velocity goes too. Being a clamp, the
     blindness is part of the weights file, and every reader of it is as blind.
     """
-    limits = spec.input_range or _FAR
+    limits = spec.input_range or UNLIMITED
     still = (0.0, 0.0, 0.0)
     pair = ((*limits.pair[0][:3], *still), (*limits.pair[1][:3], *still))
     environment = ((limits.environment[0][0], *still), (limits.environment[1][0], *still))
@@ -164,7 +159,7 @@ def of_types(kind: Tensor, count: int) -> Iterator[tuple[int, Tensor]]:
 
 
 class ForceNetwork(nn.Module, ABC):
-    """What networks of the interaction force share: window, clamp, anchor, drag."""
+    """The parts that all networks of the interaction force share: window, clamp, anchor, drag."""
 
     pair_low: Tensor  # Lowest pair inputs; lower ones are clamped
     pair_high: Tensor  # Highest pair inputs
@@ -197,10 +192,15 @@ class ForceNetwork(nn.Module, ABC):
         """Return its perceptrons by the names that they have in a weights file."""
 
     @abstractmethod
+    def silence_drone(self, index: int) -> None:
+        """Let a type, by its index, feel nothing by itself: no row shows what it feels."""
+
+    @abstractmethod
     def heads(self, batch: Batch) -> Tensor:
         """Outputs for every row, (R, 1) the vertical force in gram-force.
 
-        With a torque head (R, 4): the force, and the torque in the world frame, gram-force cm.
+        Of a composed model (R, 3): then the force in x and y. With a torque head (R, 4): then the
+        torque in the world frame, gram-force cm.
         """
 
     def forward(self, batch: Batch) -> Tensor:
@@ -211,9 +211,6 @@ class ForceNetwork(nn.Module, ABC):
         """Weight w of pairs (..., 6): 1 near, 0 outside the interaction volume."""
         x, y, z = pair[..., 0].abs(), pair[..., 1].abs(), pair[..., 2].abs()
         window = self.spec.window
-        if window is None:
-            inside = (torch.maximum(x, y) <= LATERAL_REACH) & (z <= VERTICAL_REACH)
-            return inside.to(pair.dtype)
         lateral = fade(x, *window.lateral_m) * fade(y, *window.lateral_m)
         return lateral * fade(z, *window.vertical_m)
 
@@ -245,17 +242,6 @@ class ForceNetwork(nn.Module, ABC):
         """Inputs of the environment (R, 4) moved into the measured range."""
         return environment.clamp(self.environment_low, self.environment_high)
 
-    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
-        """Vertical interaction force (E, N) of every drone of every swarm, in gram-force.
-
-        Positions and velocities (E, N, 3), m and m/s, are of E swarms of N drones of these types.
-        With the vertical drag -c v_z of the drone's type, as the shipped model has it.
-        """
-        batch = swarm_batch(position, velocity, [self.spec.types.index(n) for n in type_names])
-        force: Tensor = self(batch).reshape(position.shape[:2])
-        coefficient = self.drag[batch.ego_type, 2].reshape(force.shape)
-        return force - coefficient * velocity[..., 2] / GRAM_FORCE
-
 
 class DeepSet(ForceNetwork):
     """phi per type, phi of the environment, rho per type; see the module's docstring."""
@@ -277,6 +263,13 @@ class DeepSet(ForceNetwork):
         phi = {f"phi.{name}": module for name, module in self.phi.items()}
         rho = {f"rho.{name}": module for name, module in self.rho.items()}
         return {**phi, "phi.environment": self.phi_environment, **rho}
+
+    def silence_drone(self, index: int) -> None:
+        """Let rho and the torque of a type give zero."""
+        name = self.types[index]
+        silence(self.rho[name])
+        if self.spec.torque:
+            silence(self.torque[name])
 
     def heads(self, batch: Batch) -> Tensor:
         """Outputs for every row, (R, 1) or (R, 4); see `ForceNetwork.heads`."""
@@ -316,23 +309,14 @@ class DeepSet(ForceNetwork):
         return torch.cat([rho[-1](last), self.torque[name](last)], dim=1)
 
 
-def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Batch:
-    """Rows of every drone of (E, N, 3) swarms, with all others as its neighbours."""
-    envs, drones = position.shape[:2]
-    others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)])
-    others = others.reshape(drones, drones - 1).long()
-    kind = torch.tensor(list(types))
-    state = torch.cat([position, velocity], dim=-1)
-    pair = state[:, others] - state[:, :, None]
-    environment = -torch.cat([position[..., 2:], velocity], dim=-1)
-    return Batch(
-        ego_type=kind.repeat(envs),
-        environment=environment.reshape(envs * drones, 4),
-        pair=pair.reshape(envs * drones, drones - 1, 6),
-        pair_type=kind[others].repeat(envs, 1),
-    )
-
-
 def layers(network: nn.Module) -> list[nn.Linear]:
     """Return the linear layers of a perceptron in order."""
     return [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+
+
+@torch.no_grad()
+def silence(network: nn.Module) -> None:
+    """Let a perceptron give zero."""
+    last = layers(network)[-1]
+    last.weight.zero_()
+    last.bias.zero_()

@@ -10,20 +10,24 @@ from typing import Any
 
 import torch
 
-from swarm_envs.agents.policy import CHECKPOINT
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
+from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.evaluate import (
     Findings,
     FitReport,
     examine,
-    predict_rows,
     torque_errors,
     worth,
 )
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.force_fit_config import REPORTS, WEIGHTS, FitConfig
+from swarm_envs.training.force_model.force_fit_config import (
+    REPORTS,
+    WEIGHTS,
+    FitConfig,
+    TrainConfig,
+)
 from swarm_envs.training.force_model.labels import (
     Treated,
     check_rows,
@@ -38,20 +42,19 @@ from swarm_envs.training.force_model.network import (
     OUTER_FADE,
     DeepSet,
     DeepSetSpec,
-    NetworkKind,
     without_velocity,
 )
-from swarm_envs.training.force_model.train import train
-from swarm_envs.training.force_model.wake_fit import fit_wake_model
+from swarm_envs.training.force_model.train import Training, train
 from swarm_envs.training.interaction_rows import InteractionRows
-from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.provenance import changed_options, check_same, json_ready, scalar_writer
+from swarm_envs.training.interaction_rows.calibration import RULE, implausible_offsets
+from swarm_envs.training.interaction_rows.row_tables import vehicle_name
+from swarm_envs.training.provenance import changed_options, check_same, json_ready
 
 __all__ = ["REPORTS", "fit"]
 
-_ASIDE = ("progress", "json", "tensorboard")  # Options that change nothing of the result
+_ASIDE = ("progress", "json")  # Options that change nothing of the result
 _Fitted = tuple[Findings, dict[str, Any]]
-"""What was measured on a model, and the other fields of its report."""
+"""The measurements on a model, and the other fields of its report."""
 
 
 def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
@@ -75,9 +78,6 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
 def fit(config: FitConfig) -> FitReport:
     """Fit a model to rows and write it and its report into `config.out`.
 
-    Run again after an interruption, with the same configuration, training resumes from
-    its checkpoint and gives the same weights.
-
     Raises:
         FileNotFoundError: there is no data.
         ValueError: the rows cannot be fitted; the message says which rule they break. Or
@@ -85,7 +85,7 @@ def fit(config: FitConfig) -> FitReport:
     """
     began = time.perf_counter()
     calibrated = is_calibrated(config)
-    rows, logs = read_data(config.data, config.logs, config.progress, calibrated, config.torque)
+    rows, logs = read_data(config.data, config.logs, config.progress)
     check_rows(rows)
     treated = treat(rows, config)
     words, digest = fit_command(config), data_sha256(config.data)
@@ -96,68 +96,59 @@ def fit(config: FitConfig) -> FitReport:
         "mode": config.mode,
         "seed": config.seed,
     }
-    findings, found = (_wake if config.model == "wake" else _network)(treated, config, provenance)
+    findings, found = _fitted(treated, config, provenance)
+    odd = implausible_offsets(rows, treated.offsets)
+    notes = [*odd, *found["notes"], *worth(findings.errors)]
     report = FitReport(
         model=config.model,
         command=words,
         config=json_ready(config),
         data_sha256=digest,
         offset_rule=RULE if calibrated else "none",
-        vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
+        vehicle_offsets_g={vehicle_name(rows, v): g for v, g in treated.offsets.vehicle.items()},
         drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
         findings=findings,
         wall_time_s=round(time.perf_counter() - began, 1),
         logs=logs,
-        **found | {"notes": [*found["notes"], *worth(findings.errors)]},
+        **found | {"notes": notes},
     )
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
-    (config.out / CHECKPOINT).unlink(missing_ok=True)
     return report
 
 
-def training_recipe(config: FitConfig) -> FitConfig:
-    """How a network is trained: one that stands for phi and rho may be as steep as both."""
-    if config.model == "deep-set":
-        return config
-    return dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+def train_model(target: InteractionRows, config: FitConfig, progress: bool) -> Training:
+    """Train the network of a configuration on labels that `treat` made.
+
+    A network that stands for phi and rho may be as steep as both.
+    """
+    rows = flown(target) if config.model == "composed" else target
+    recipe: TrainConfig = config
+    if config.model != "deep-set":
+        recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+    return train(rows, network_spec(target, config), recipe, progress)
 
 
-def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
-    spec = network_spec(treated.rows, config)
-    checkpoint = config.out / CHECKPOINT
-    target = flown(treated.target) if spec.kind == "composed" else treated.target
-    with scalar_writer(config.tensorboard) as watch:
-        run = train(target, spec, training_recipe(config), checkpoint, config.progress, watch)
+def _fitted(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
+    """Train, write the file and measure the model in it."""
+    run = train_model(treated.target, config, config.progress)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
+    notes = silence_unseen(run.network, treated.rows)
     path = config.out / WEIGHTS[config.model]
-    save_network(path, run.network, provenance)
-    network = load_network(path)
-    notes = silence_unseen(network, treated.rows)
-    if notes:
-        save_network(path, network, provenance | {"notes": notes})
-    predicted = predict_rows(network, treated.rows)
-    findings = examine(network, predicted, treated, config.lipschitz_samples, config.seed)
+    save_network(path, run.network, provenance | ({"notes": notes} if notes else {}))
+    network = None if config.model == "wake" else load_network(path)
+    findings = examine(load(path), treated, config.seed, network)
     torque = None
     if isinstance(network, DeepSet) and config.torque:
         torque = torque_errors(network, treated.rows)
     return findings, {"history": run.history, "notes": notes, "torque_errors": torque}
 
 
-def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
-    path = config.out / WEIGHTS["wake"]
-    function, predicted, notes = fit_wake_model(path, treated, config, provenance)
-    findings = examine(function, predicted, treated, 0, config.seed)
-    return findings, {"history": [], "notes": notes}
-
-
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
     """The function that a fit looks for."""
-    assert config.model != "wake"
-    kind: NetworkKind = config.model
-    anchored = config.mode == "anchored"
+    anchored = config.mode == "anchored" or config.model == "wake"
     spec = DeepSetSpec(
         rows.types,
         window=OUTER_FADE if anchored else EVERYWHERE,
@@ -165,7 +156,7 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
         anchor_height_m=config.anchor_height_m if anchored else None,
         hidden=config.hidden,
         layers=config.layers,
-        kind=kind,
+        kind=config.model,
         torque=config.torque,
     )
     return spec if config.relative_velocity else without_velocity(spec)

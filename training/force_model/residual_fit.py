@@ -1,4 +1,4 @@
-"""What a force model leaves over, as a random process: `swarm-envs fit --residual`.
+"""The force that a model leaves over, as a random process: `swarm-envs fit --residual`.
 
 The vertical label of drone i at time t, less the modelled force f, is taken as
 
@@ -67,14 +67,13 @@ class _Moments(NamedTuple):
 
 @dataclass(frozen=True)
 class ResidualReport:
-    """What was identified."""
+    """The numbers that were identified."""
 
     types: tuple[str, ...]  # The types, in the order of the lists below
     residual: dict[str, list[float]]
     """The numbers, by the names of `Hall`: for each type, or one for all."""
     intervals: dict[str, list[tuple[float, float]]]  # Their 95 % intervals
     white_noise_g: list[float]  # Standard deviation of the labels' white noise by type, gram-force
-    bins: list[dict[str, Any]]  # By type and bin of |f|: what the fit saw
     config: Any  # The options
     data_sha256: str  # Digest of the data
     flights: int  # Number of flights
@@ -100,7 +99,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
         FileNotFoundError: there is no data.
         ValueError: the rows cannot be used, or a type is no vehicle that ships.
     """
-    rows, _ = read_data(config.data, config.logs, config.progress, offsets=False)
+    rows, _ = read_data(config.data, config.logs, config.progress)
     for name in rows.types:
         check_name("vehicle type", name, tuple(VEHICLES))
     rows = flown(dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_)))
@@ -119,7 +118,6 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
         residual=found,
         intervals={name: list(zip(*two.tolist(), strict=True)) for name, two in ends.items()},
         white_noise_g=(_weights_g(rows.types) * white).tolist(),
-        bins=_bins(rows.types, moments),
         config=json_ready(config),
         data_sha256=data_sha256(config.data),
         flights=flights,
@@ -143,7 +141,7 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
         held = fold == k
         treated = treat(dataclasses.replace(rows, validation=held), options)
         drag = treated.drag[rows.ego_type] * rows.velocity / GRAM_FORCE
-        found[held] = (fitted_force_g(treated.target, options, config.rows) - drag)[held]
+        found[held] = (fitted_force_g(treated.target, options) - drag)[held]
     return found
 
 
@@ -263,23 +261,3 @@ def _autocovariance(
     variance = (alone_pairs * alone)[:, 1:] @ kept / np.maximum(share.sum(axis=1), 1e-12)
     sizes = [*numbers[:-1].reshape(3, types), np.sqrt(np.maximum(variance, 0.0))]
     return np.array(sizes), float(numbers[-1]), np.asarray(white)
-
-
-def _bins(types: Sequence[str], moments: _Moments) -> list[dict[str, Any]]:
-    """Standard deviation and autocorrelation by type and force, gram-force."""
-    product, force, count = (table.sum(axis=0) for table in moments[:3])
-    found = []
-    for t, b in np.argwhere(count[..., 0] >= 100):
-        weight = _weights_g(types)[t]
-        covariance = product[t, b] / np.maximum(count[t, b], 1.0)
-        found.append(
-            {
-                "type": types[t],
-                "alone": bool(b == 0),
-                "rows": int(count[t, b, 0]),
-                "force_g": float(weight * force[t, b, 0] / count[t, b, 0]),
-                "std_g": float(weight * np.sqrt(covariance[0])),
-                "autocorrelation": (covariance[1:] / covariance[0]).round(3).tolist(),
-            }
-        )
-    return found

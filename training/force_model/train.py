@@ -1,40 +1,27 @@
-"""The training of a network on rows.
-
-A run that is killed continues from its checkpoint and ends with the same weights. A checkpoint is
-a safetensors file of weights, Adam's moments and history.
-"""
+"""The training of a network on rows: one loop, with Adam."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from safetensors import safe_open
 from torch import Tensor
 from tqdm import tqdm
 
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import (
     Examples,
-    batches_per_epoch,
     shuffled,
     targets,
 )
-from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.force_model.force_fit_config import TrainConfig as TrainConfig
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows
-from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS
-from swarm_envs.training.provenance import check_same
 
-CHECKPOINT_STEPS = 500  # between checkpoints, and validation errors
+HISTORY_STEPS = 500  # Steps between entries of the history
 
 Entry = dict[str, float]
 """Entry of the history: step, mean training loss since the last entry, validation MSE, g^2."""
@@ -42,7 +29,7 @@ Entry = dict[str, float]
 
 @dataclass
 class Training:
-    """A run: what a checkpoint holds."""
+    """A run of the training."""
 
     network: ForceNetwork  # What is trained
     optimizer: torch.optim.Adam  # What changes its weights
@@ -54,43 +41,35 @@ def train(
     rows: InteractionRows,
     spec: DeepSetSpec,
     config: TrainConfig,
-    checkpoint: Path | None = None,
     progress: bool = True,
-    watch: Callable[[Entry], None] | None = None,
 ) -> Training:
     """Fit a network to the rows' vertical labels `force_g[:, 2]` by least squares, with Adam.
 
-    The rows' validation blocks are held out; their error is recorded at every checkpoint and
-    chooses nothing. The result has the weights of the last step.
+    The rows' validation blocks are held out; their error is recorded in the history and chooses
+    nothing. The result has the weights of the last step.
 
     Args:
         rows: labels already free of whatever should not be learned.
         spec: the function to fit.
         config: how.
-        checkpoint: file to continue from if it exists, and to write; None keeps none.
         progress: show a progress bar.
-        watch: called with every new entry of the history.
 
     Raises:
-        ValueError: the checkpoint belongs to another configuration, or training diverged.
+        ValueError: training diverged.
     """
     torch.set_num_threads(1)
     run = start(spec, config)
-    configuration = _configuration(rows, spec, config)
-    if checkpoint is not None and checkpoint.exists():
-        load_checkpoint(checkpoint, run, configuration)
     training, held_out = rows.select(~rows.validation), rows.select(rows.validation)
     examples, check = make_examples(training, spec, config.balance), to_batch(held_out)
-    batches, losses, order = batches_per_epoch(len(training), config.batch_size), [], None
-    bar = tqdm(total=config.steps, initial=run.step, disable=not progress, unit="step")
-    while run.step < config.steps:
-        epoch, place = divmod(run.step, batches)
-        if order is None or place == 0:
+    batches, losses = math.ceil(len(training) / config.batch_size), list[float]()
+    bar = tqdm(range(config.steps), disable=not progress, unit="step")
+    for step in bar:
+        epoch, place = divmod(step, batches)
+        if place == 0:
             order = shuffled(examples, [config.seed, epoch], turn=spec.kind == "deep-set")
         chosen = order.part(place * config.batch_size, (place + 1) * config.batch_size)
         losses.append(take_step(run, chosen, config))
-        bar.update()
-        if run.step % CHECKPOINT_STEPS == 0 or run.step == config.steps:
+        if run.step % HISTORY_STEPS == 0 or run.step == config.steps:
             error = predict(run.network, check).numpy() - held_out.force_g[:, 2]
             run.history.append(
                 {
@@ -101,11 +80,6 @@ def train(
             )
             losses = []
             bar.set_postfix({name: f"{value:.2f}" for name, value in run.history[-1].items()})
-            if watch is not None:
-                watch(run.history[-1])
-            if checkpoint is not None:
-                save_checkpoint(checkpoint, run, configuration)
-    bar.close()
     return run
 
 
@@ -179,47 +153,3 @@ def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536, every: bool
             for start in range(0, count, chunk)
         ]
     return torch.cat(parts) if parts else torch.zeros(0)
-
-
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's state of a parameter
-
-
-def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
-    """Write everything that `load_checkpoint` needs; only the same `configuration` may continue."""
-    tensors: dict[str, Tensor] = {}
-    for name, parameter in run.network.named_parameters():
-        state = run.optimizer.state[parameter]
-        tensors[name] = parameter.detach()
-        tensors |= {f"{moment} of {name}": state[moment] for moment in _MOMENTS}
-    metadata = {
-        "step": str(run.step),
-        "history": json.dumps(run.history),
-        "configuration": configuration,
-    }
-    write_safetensors(path, tensors, metadata)
-
-
-def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
-    """Continue `run`, freshly started, where the checkpoint stands."""
-    with safe_open(path, framework="pt") as file:
-        metadata = file.metadata()
-        check_same(path, json.loads(metadata["configuration"]), json.loads(configuration))
-        for name, parameter in run.network.named_parameters():
-            parameter.data.copy_(file.get_tensor(name))
-            run.optimizer.state[parameter] = {
-                moment: file.get_tensor(f"{moment} of {name}") for moment in _MOMENTS
-            }
-    run.step = int(metadata["step"])
-    run.history = json.loads(metadata["history"])
-
-
-def _configuration(rows: InteractionRows, spec: DeepSetSpec, config: TrainConfig) -> str:
-    """Return what a checkpoint must agree in, as JSON."""
-    settings = {entry.name: getattr(config, entry.name) for entry in fields(TrainConfig)}
-    digest = hashlib.sha256()  # of the split too: held-out rows must stay held out
-    for name in ROW_ARRAYS:
-        digest.update(np.ascontiguousarray(getattr(rows, name)).tobytes())
-    if spec.torque and rows.torque is not None:
-        digest.update(np.ascontiguousarray(rows.torque).tobytes())
-    content = {"rows": digest.hexdigest(), "spec": asdict(spec), "training": settings}
-    return json.dumps(content, sort_keys=True)

@@ -17,7 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.training.interaction_rows.row_tables import vehicle_name
 from swarm_envs.training.interaction_rows.rows import InteractionRows
+from swarm_envs.vehicles import VEHICLES
 
 __all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
 
@@ -25,6 +27,10 @@ QUIET_HEIGHT_M = 0.3  # A row below this height is not quiet, m
 QUIET_SPEED = 0.5  # Nor is one at this speed or above, m/s
 QUIET_LATERAL_M = 0.25  # Nor one with a neighbour laterally nearer than this, m
 QUIET_BELOW_M = 0.2  # Unless the neighbour is farther below than this, m
+LEAST_ROWS = 30
+"""Quiet rows that a vehicle's offset needs."""
+PLAUSIBLE_SHARE = 0.15
+"""Offset over weight above which the mass or the thrust curve can hardly be right."""
 PRIOR_ROWS = 100.0  # Weight of the vehicle's offset in a flight's, in rows
 
 RULE = (
@@ -79,17 +85,18 @@ def estimate_offsets(rows: InteractionRows, axis: int = 2) -> Offsets:
     """Estimate offsets from quiet training rows by the rule of `RULE`, along x, y or z.
 
     Raises:
-        ValueError: a vehicle has no quiet training row.
+        ValueError: a vehicle has fewer quiet training rows than `LEAST_ROWS`.
     """
     quiet = rows.select(quiet_rows(rows) & ~rows.validation)
     vehicles, flights = {}, {}
     for vehicle in np.unique(rows.vehicle):
         own = quiet.select(quiet.vehicle == vehicle)
-        if len(own) == 0:
+        if len(own) < LEAST_ROWS:
             raise ValueError(
-                f"vehicle {vehicle} has no training row aloft, slow and away from wakes, so its "
-                "calibration offset cannot be estimated; add such rows, leave the vehicle out, or "
-                "fit without offsets if its labels are exact"
+                f"vehicle {vehicle_name(rows, vehicle)!r} has {len(own)} training rows aloft, slow "
+                f"and away from wakes, but must have {LEAST_ROWS} for its calibration offset; fly "
+                "it alone for half a minute, leave it out, or fit with --offsets none if its "
+                "labels are exact"
             )
         usual = float(np.median(own.force_g[:, axis]))
         vehicles[int(vehicle)] = usual
@@ -104,3 +111,19 @@ def estimate_offsets(rows: InteractionRows, axis: int = 2) -> Offsets:
 def subtract_offsets(rows: InteractionRows, offsets: Offsets) -> InteractionRows:
     """Return rows whose vertical labels are free of the offsets."""
     return rows.with_vertical_force(rows.force_g[:, 2] - offsets.of(rows))
+
+
+def implausible_offsets(rows: InteractionRows, offsets: Offsets) -> list[str]:
+    """Return a note for each vehicle whose mass or thrust curve can hardly be right."""
+    notes = []
+    for vehicle, offset_g in offsets.vehicle.items():
+        kind = rows.types[int(rows.ego_type[rows.vehicle == vehicle][0])]
+        masses = [v.mass for v in VEHICLES.values() if v.interaction_type == kind]
+        share = abs(offset_g) / (1000.0 * masses[0]) if masses else 0.0
+        if share > PLAUSIBLE_SHARE:
+            notes.append(
+                f"the calibration offset of vehicle {vehicle_name(rows, vehicle)!r} is "
+                f"{100 * share:.0f} % of its weight, but {100 * PLAUSIBLE_SHARE:.0f} % is usual at "
+                "most; check mass, voltage and rotors"
+            )
+    return notes

@@ -1,4 +1,4 @@
-"""What a force model says of rows: to compare it with labels, or with another model."""
+"""The forces that a model gives for rows: to compare it with labels, or with another model."""
 
 from __future__ import annotations
 

@@ -104,7 +104,6 @@ def ablation_fit(data: Path, out: Path, cell: str, seed: int, steps: int) -> Fit
         out=out / "runs" / cell / f"seed_{seed}",
         mode="measured",
         steps=steps,
-        lipschitz_samples=0,
         seed=seed,
     )
     return replace(plain, **ABLATIONS[cell].changes)

@@ -31,9 +31,9 @@ from swarm_envs.training.belief.feedforward import SwapTrial, fly_swaps, simulat
 from swarm_envs.training.collection.collect import CollectionConfig, collect, was_cut_short
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.collection.table import CollectedFlight, interaction_rows
-from swarm_envs.training.force_model import fit, load_network
-from swarm_envs.training.force_model.evaluate import predict_rows
+from swarm_envs.training.force_model import fit
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, parse_team
 
@@ -263,7 +263,7 @@ def fit_all(options: CurriculumOptions, number: int, flights: list[CollectedFlig
 
 def unknown_g(rows: InteractionRows, weights: Path | None) -> float:
     """Return the RMS of the vertical labels less a model's prediction, g; None for no model."""
-    predicted = 0.0 if weights is None else predict_rows(load_network(weights), rows)
+    predicted = 0.0 if weights is None else modelled_force_g(rows, str(weights))[:, 2]
     return float(np.sqrt(np.mean((rows.force_g[:, 2] - predicted) ** 2)))
 
 

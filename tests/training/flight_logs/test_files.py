@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs.training.flight_logs import LogOptions, read_data, read_table, write_table
+from swarm_envs.training.flight_logs import read_data, read_table
 from swarm_envs.training.flight_logs.checks import checked_drones
 from swarm_envs.training.flight_logs.flight_table import COLUMNS, from_columns
+from tests.helpers.real_logs import columns_of, write_table
 
 
 @pytest.fixture(scope="module")
@@ -21,9 +22,9 @@ def table(flown, as_table):
 
 
 def same(a, b):
-    columns = a.columns()
-    assert list(columns) == list(b.columns())
-    assert all(np.array_equal(values, b.columns()[name]) for name, values in columns.items())
+    columns = columns_of(a)
+    assert list(columns) == list(columns_of(b))
+    assert all(np.array_equal(values, columns_of(b)[name]) for name, values in columns.items())
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -43,14 +44,12 @@ def test_parquet_without_pyarrow_names_the_extra(table, tmp_path, monkeypatch):
     (tmp_path / "flight.parquet").write_text("1")
     with pytest.raises(ImportError, match=r"pip install 'swarm-envs\[parquet\]'"):
         read_data(tmp_path)
-    with pytest.raises(ImportError, match=r"pip install 'swarm-envs\[parquet\]'"):
-        write_table(tmp_path / "b.parquet", table)
     write_table(tmp_path / "b.csv", table)
     same(read_table(tmp_path / "b.csv"), table)
 
 
 def test_columns_in_any_order_quoted_spaced_and_strange_ones_named(table, tmp_path):
-    columns = table.columns()
+    columns = columns_of(table)
     names = list(columns)[::-1]
     lines = ["\ufeff" + ", ".join(['"note"', *names])]
     for k in range(len(table)):
@@ -58,11 +57,9 @@ def test_columns_in_any_order_quoted_spaced_and_strange_ones_named(table, tmp_pa
     path = tmp_path / "flight.csv"
     lines[9:9] = ["", " "]  # blank lines are skipped
     path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
-    read = read_table(path)
-    same(read, table)
-    assert read.ignored == ("note",)
-    _, report = read_data(path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
-    assert "flight.csv: ignored columns note" in report.lines()
+    same(read_table(path), table)
+    _, (report,) = read_data(path)
+    assert report.line().endswith("; ignored columns note")
 
 
 @pytest.mark.parametrize(
@@ -109,7 +106,7 @@ def parquet_of(table, path, **changes):
     """Write a table with other columns in place of its own, as (values, type of Arrow)."""
     arrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
-    columns = {name: arrow.array(v.tolist()) for name, v in table.columns().items()}
+    columns = {name: arrow.array(v.tolist()) for name, v in columns_of(table).items()}
     given = {name: arrow.array(values, kind) for name, (values, kind) in changes.items()}
     parquet.write_table(arrow.table(columns | given), path)
     return path
@@ -142,7 +139,7 @@ def test_lines_are_read_by_drone_and_time_whatever_their_order(table, tmp_path):
     names = np.where(table.drone == "cf0", "drone_10", "drone_2")
     table = dataclasses.replace(table, drone=names)
     write_table(tmp_path / "a.parquet", table)
-    columns = table.columns()
+    columns = columns_of(table)
     for order in (
         np.lexsort((names, table.time)),
         np.random.default_rng(0).permutation(len(names)),
@@ -159,24 +156,16 @@ def test_lines_are_read_by_drone_and_time_whatever_their_order(table, tmp_path):
 def test_a_jump_of_the_clock_costs_one_file_and_no_memory(table, tmp_path):
     write_table(tmp_path / "a.csv", table)
     late = np.arange(len(table)) > len(table) // 2
-    for k, jump in enumerate((1e5, 1e9, 1e300)):
+    first = int(np.argmax(late & (table.drone == "cf0"))) + 2
+    jumps = (1e5, 1e9, 1e300)
+    for k, jump in enumerate(jumps):
         bad = dataclasses.replace(table, time=table.time + jump * late)
         write_table(tmp_path / f"bad-{k}.csv", bad)
-    _, report = read_data(tmp_path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
-    refused = [file.refused for file in report.files if file.refused]
-    assert len(refused) == 3
-    first = int(np.argmax(late & (table.drone == "cf0"))) + 2
-    assert refused[0].startswith(f"bad-0.csv: line {first}: the time of drone 'cf0'")
-    assert "jumps by 100000 s" in refused[0]
-
-
-def test_a_file_that_would_fill_the_memory_is_refused_by_its_size(table, tmp_path, monkeypatch):
-    pytest.importorskip("pyarrow")
-    monkeypatch.setattr("swarm_envs.training.flight_logs.flight_table.MOST_ROWS", 100)
-    for name in ("a.csv", "a.parquet"):
-        write_table(tmp_path / name, table)
-        with pytest.raises(ValueError, match=rf"{name}: it has .* 100"):
-            read_table(tmp_path / name)
+    _, (_, *reports) = read_data(tmp_path)
+    assert len(reports) == len(jumps)
+    said = f"bad-0.csv: line {first}: the time of drone 'cf0' jumps by 100000 s"
+    assert reports[0].refused.startswith(said)
+    assert all(report.refused for report in reports)
 
 
 def test_the_docs_list_the_columns():
@@ -241,8 +230,8 @@ ACCELERATION = ["ax", "ay", "az"]
         (scaled(ACCELERATION, 1 / 9.80665), r"az of drone 'cf0' is usually \+1 m/s\^2, but must"),
         (scaled(ACCELERATION, 1000 / 9.80665), r"column 'az' is .* between -200 and 200 m/s\^2"),
         (mirrored, r"az of drone 'cf\d' opposes the change of vz .*z up"),
-        (scaled(["z", "vz"], -1.0), r"line 2: column 'z' is -\S+, but must lie between -0.5 and"),
         (scaled(["ax"], -1.0), r"ax of drone 'cf\d' opposes .*world frame"),
+        (scaled(["z", "vz"], -1.0), r"line 2: column 'z' is -\S+, but must lie between -0.5 and"),
         (scaled(ACCELERATION, -1.0), r"az of drone 'cf0' is usually -9\.\d+ m"),
         (changed("az", lambda a: a - 9.80665), r"about \+9.81, gravity included"),
         (scaled(PWM, 1 / 65535), "motors of drone 'cf0' never run"),
@@ -256,42 +245,64 @@ ACCELERATION = ["ax", "ay", "az"]
 def test_every_rule_names_the_value_and_the_fix(edit, message, table):
     checked_drones(table)
     with pytest.raises(ValueError, match=message):
-        checked_drones(from_columns(edit(table.columns())))
+        checked_drones(from_columns(edit(columns_of(table))))
 
 
-def test_a_folder_goes_on_without_what_is_refused(flown, as_table, tmp_path):
+def test_a_bad_file_costs_that_file_alone(flown, as_table, tmp_path):
     table = as_table(flown("SL"), "SL")
     write_table(tmp_path / "a.csv", table)
+    alone, _ = read_data(tmp_path)
     write_table(tmp_path / "b.csv", dataclasses.replace(table, voltage=table.voltage * 1000))
-    lone = as_table(flown("L"), "L", names=["cf0"])
-    write_table(tmp_path / "c.csv", lone)
+    write_table(tmp_path / "c.csv", as_table(flown("L"), "L", names=["cf0"]))
+    later = dataclasses.replace(table, time=table.time + 5.0, drone=np.char.add(table.drone, "x"))
+    write_table(tmp_path / "d.csv", later)
     (tmp_path / "notes.txt").write_text("windy")
-    rows, report = read_data(tmp_path, LogOptions(min_scenario_rows=1, min_quiet_rows=0))
-    assert [file.file for file in report.files] == ["a.csv", "b.csv", "c.csv"]
-    counts = [file.rows for file in report.files]
-    assert counts[0] + counts[2] == len(rows) and counts[1] == 0
-    said = "\n".join(report.lines())
-    assert "2 of 3 files are sound" in said
-    assert "not read: notes.txt; data is .csv" in said
-    assert "refused b.csv: line 2: column 'voltage' is " in said
-    assert set(report.vehicles) == {"cf0 (S)", "cf0 (L)", "cf1"}
+    (tmp_path / "old").mkdir()
+    rows, reports = read_data(tmp_path)
+    assert np.array_equal(rows.force_g, alone.force_g)
+    assert set(rows.vehicle_names.values()) == {"cf0", "cf1"}
+    first, *others = [report.line() for report in reports]
+    assert first.startswith("a.csv: 512 rows of 8 s (not: between kept entries: ")
+    for line, said in zip(
+        others,
+        (
+            "refused b.csv: line 2: column 'voltage' is ",
+            "refused c.csv: drone 'cf0' has type L, but S in a.csv; give each vehicle a name",
+            "refused d.csv: it is a copy of a.csv, but rows that are held out may not",
+            "refused notes.txt: the name must end in .csv or .parquet",
+            "refused old: the name must end in .csv or .parquet",
+        ),
+        strict=True,
+    ):
+        assert line.startswith(said)
 
 
 def test_what_gives_no_row_says_why(flown, as_table, tmp_path):
     table = as_table(flown("SL"), "SL")
-    write_table(tmp_path / "bad.csv", dataclasses.replace(table, pwm=table.pwm / 65536))
-    with pytest.raises(ValueError, match=r"no file .* is sound: bad\.csv: motors of drone 'cf0'"):
+    write_table(tmp_path / "a.csv", dataclasses.replace(table, pwm=table.pwm / 65536))
+    with pytest.raises(ValueError, match=r"^a\.csv: motors of drone 'cf0' never run"):
         read_data(tmp_path)
-    write_table(tmp_path / "bad.csv", table)
-    with pytest.raises(ValueError, match=r"no row is left of 1 files .*scenario too small"):
-        read_data(tmp_path, LogOptions(min_scenario_rows=100_000, min_quiet_rows=0))
+    low = table.position * [1.0, 1.0, 0.0]
+    level = table.velocity * [1.0, 1.0, 0.0]
+    low = dataclasses.replace(table, position=low, velocity=level, acceleration=None)
+    write_table(tmp_path / "a.csv", low)
+    with pytest.raises(ValueError, match=r"no row is left \(a\.csv: 0 rows of 8 s .*too low: \d+"):
+        read_data(tmp_path)
     with pytest.raises(FileNotFoundError, match="no data at"):
         read_data(tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(
-        FileNotFoundError, match="has no flight log and no table of rows, only nothing"
-    ):
+    with pytest.raises(FileNotFoundError, match="has no flight log; put "):
         read_data(tmp_path / "empty")
     (tmp_path / "a.txt").write_text("windy")
     with pytest.raises(ValueError, match=r"^a\.txt: the name must end in \.csv or \.parquet"):
         read_table(tmp_path / "a.txt")
+
+
+def test_damaged_files_are_refused(tmp_path):
+    pytest.importorskip("pyarrow")
+    (tmp_path / "broken.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(ValueError, match=r"^broken\.parquet: it cannot be read .*copy it again"):
+        read_table(tmp_path / "broken.parquet")
+    (tmp_path / "void.parquet").touch()
+    with pytest.raises(ValueError, match=r"^void\.parquet: the file is empty; copy it again"):
+        read_table(tmp_path / "void.parquet")

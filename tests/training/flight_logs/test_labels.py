@@ -7,15 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from swarm_envs.training.collection.table import DroneRows
-from swarm_envs.training.flight_logs import LogOptions, read_data, write_table
-from swarm_envs.training.flight_logs.clock import filtered
+from swarm_envs.training.flight_logs import LogOptions, read_data
+from swarm_envs.training.flight_logs.clock import ClockedFlight, kept_entries
 from swarm_envs.training.flight_logs.flight_table import from_columns
-from swarm_envs.training.flight_logs.log_options import held_out_blocks, is_guarded, is_held_out
-from swarm_envs.training.interaction_rows.calibration import estimate_offsets
+from swarm_envs.training.interaction_rows.calibration import (
+    Offsets,
+    estimate_offsets,
+    implausible_offsets,
+)
+from swarm_envs.training.interaction_rows.hold_out import draw_blocks
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
+from swarm_envs.vehicles import SMALL, parse_team
+from tests.helpers.real_logs import columns_of, write_table
 
-EXACT = LogOptions(smoothing_s=0.0, keep_every=1, min_scenario_rows=1, min_quiet_rows=0)
+EXACT = LogOptions(smoothing_s=0.0, keep_every=1)
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])
@@ -26,8 +31,9 @@ def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_ta
     table = as_table(flown(team, kind), team, accelerometer=accelerometer)
     write_table(tmp_path / "flight.csv", table)
     rows, report = read_data(tmp_path / "flight.csv", EXACT)
-    (file,) = report.files
-    assert file.acceleration == ("logged" if accelerometer else "differentiated")
+    (file,) = report
+    entries = (100 * file.seconds + 1) * len(file.drones)
+    assert file.rows + sum(file.dropped.values()) == pytest.approx(entries)
     truth = modelled_force_g(rows, "learned")
     assert np.abs(truth[:, 2]).max() > 0.3  # there is something to find
     error = rows.force_g - truth
@@ -40,15 +46,21 @@ def test_planted_mass_is_recovered_from_lone_flight(flown, as_table, tmp_path):
     for team, mass_g in (("S", -2.0), ("L", 1.5)):
         table = as_table(flown(team, "walk", 25.0, mass_g), team, names=[f"cf-{team}"])
         write_table(tmp_path / f"{team}.csv", table)
-    rows, report = read_data(tmp_path, LogOptions())
-    offsets = estimate_offsets(rows)
+    rows, _ = read_data(tmp_path)
+    offsets, numbers = estimate_offsets(rows), {n: v for v, n in rows.vehicle_names.items()}
     for name, planted in (("cf-S", 2.0), ("cf-L", -1.5)):  # m a / g - T: too heavy a type, +
-        vehicle = report.vehicles[name]
-        assert vehicle.offset_g == pytest.approx(planted, abs=0.1)
-        assert offsets.vehicle[vehicle.id] == pytest.approx(planted, abs=0.1)
-        assert vehicle.quiet_rows > 100
-    said = f"cf-S: calibration offset {report.vehicles['cf-S'].offset_g:+.2f} g"
-    assert any(said in line for line in report.lines())
+        assert offsets.vehicle[numbers[name]] == pytest.approx(planted, abs=0.1)
+
+
+def test_an_offset_that_no_vehicle_has_is_noted(flown, as_table, tmp_path):
+    write_table(tmp_path / "a.csv", as_table(flown("S", "walk", 25.0), "S", names=["cf7"]))
+    rows, _ = read_data(tmp_path)
+    weight = 1000.0 * SMALL.mass
+    for sound in (0.14 * weight, -0.14 * weight):
+        assert implausible_offsets(rows, Offsets({0: sound}, {})) == []
+    for odd in (0.16 * weight, -0.16 * weight):
+        (note,) = implausible_offsets(rows, Offsets({0: odd}, {}))
+        assert note.startswith("the calibration offset of vehicle 'cf7' is 16 % of its weight")
 
 
 def test_drones_on_clocks_and_signs_of_their_own_give_the_same(flown, as_table, tmp_path):
@@ -59,7 +71,7 @@ def test_drones_on_clocks_and_signs_of_their_own_give_the_same(flown, as_table, 
     large = np.arange(len(together)) % 2 == 1
     keep = ~large | (np.arange(len(together)) // 2 % 5 != 2)  # the large drone's lines: uneven
     order = np.argsort(large[keep], kind="stable")
-    apart = {name: values[keep][order] for name, values in together.columns().items()}
+    apart = {name: values[keep][order] for name, values in columns_of(together).items()}
     flip = np.where(np.arange(len(order)) % 7 < 3, -1.0, 1.0)
     for name in ("qx", "qy", "qz", "qw"):
         apart[name] = apart[name] * flip
@@ -77,36 +89,34 @@ def test_gaps_and_standing_motors_give_no_rows(flown, as_table, tmp_path):
     table = as_table(flown("S"), "S")
     time = table.time - table.time[0]
     gap = (time > 3.0) & (time < 3.5)
-    columns = {name: values[~gap] for name, values in table.columns().items()}
+    columns = {name: values[~gap] for name, values in columns_of(table).items()}
     time = time[~gap]
     for k in range(1, 5):
         columns[f"pwm{k}"][time > 6.0] = 0.0
     write_table(tmp_path / "a.csv", from_columns(columns))
     rows, report = read_data(tmp_path / "a.csv", EXACT)
     flown_at = rows.step / 100.0
-    assert report.files[0].rate_hz == 100.0
-    assert report.files[0].gap_seconds == pytest.approx(0.5, abs=0.02)
+    assert report[0].dropped["force unknown"] > 50
     assert not ((flown_at > 3.01) & (flown_at < 3.5 + 0.3)).any()
     assert flown_at.min() >= 0.3 and flown_at.max() <= 6.01
     assert (rows.force_g[:, 2] ** 2).mean() < 1.0
-    assert any("s in gaps are left out" in line for line in report.lines())
 
 
 def test_only_common_time_counts(flown, as_table, tmp_path):
     table = as_table(flown("SL"), "SL")
     early = (table.drone == "cf0") | (table.time < 104.0)
-    cut = from_columns({name: values[early] for name, values in table.columns().items()})
+    cut = from_columns({name: values[early] for name, values in columns_of(table).items()})
     write_table(tmp_path / "a.csv", cut)
     rows, report = read_data(tmp_path / "a.csv", EXACT)
     assert rows.step.max() <= 400
-    assert report.files[0].uncommon_seconds == pytest.approx(4.0, abs=0.05)
+    assert report[0].seconds == pytest.approx(4.0, abs=0.05)
     late = dataclasses.replace(table, time=table.time + np.where(table.drone == "cf0", 50.0, 0.0))
     write_table(tmp_path / "b.csv", late)
     with pytest.raises(ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one flight a file"):
         read_data(tmp_path / "b.csv", EXACT)
 
 
-def test_a_vehicle_that_never_flew_quietly_is_left_out_and_named(flown, as_table, tmp_path):
+def test_a_vehicle_that_never_flew_quietly_is_named(flown, as_table, tmp_path):
     write_table(tmp_path / "a.csv", as_table(flown("S", "walk", 25.0), "S", names=["known"]))
     log = flown("S")
     fast = log._replace(
@@ -114,35 +124,9 @@ def test_a_vehicle_that_never_flew_quietly_is_left_out_and_named(flown, as_table
         velocity=log.velocity + np.array([1.0, 0.0, 0.0]),
     )
     write_table(tmp_path / "b.csv", as_table(fast, "S", names=["fast"]))
-    rows, report = read_data(tmp_path, LogOptions())
-    assert set(rows.vehicle) == {report.vehicles["known"].id}
-    assert report.vehicles["fast"].refused is not None
-    (file,) = (file for file in report.files if file.file == "b.csv")
-    assert file.rows == 0 and file.dropped["vehicle not calibrated"] > 100
-    assert file.rows + sum(file.dropped.values()) == file.entries
-    assert any("fast: calibration offset unknown" in line for line in report.lines())
-    every, _ = read_data(tmp_path, LogOptions(min_quiet_rows=0))
-    assert len(set(every.vehicle)) == 2
-
-
-def rows_of(height, force_z_g, shift):
-    count = len(height)
-    zeros = np.zeros((count, 3))
-    up = np.array([0.0, 0.0, 1.0])
-    neighbor = np.zeros((count, 1, 6))
-    neighbor[:, 0, :3] = shift
-    return DroneRows(
-        name="cf0",
-        ego_type=0,
-        scenario="S2S",
-        step=np.arange(count),
-        position=np.outer(height, up),
-        velocity=zeros,
-        neighbor=neighbor,
-        neighbor_type=np.zeros((count, 1), dtype=np.int64),
-        force_g=np.outer(force_z_g, up),
-        dropped={},
-    )
+    rows, _ = read_data(tmp_path)
+    with pytest.raises(ValueError, match=r"vehicle 'fast' has \d+ training rows aloft, .* have 30"):
+        estimate_offsets(rows)
 
 
 def test_the_authors_filter():
@@ -162,30 +146,39 @@ def test_the_authors_filter():
         (1.0, nan, near, "force unknown"),
     ]
     heights, forces, shifts, reasons = zip(*cases, strict=True)
-    kept = filtered(rows_of(heights, forces, shifts), 0.07)
-    assert kept.step.tolist() == [k for k, reason in enumerate(reasons) if reason is None]
+    up, count = np.array([0.0, 0.0, 1.0]), len(cases)
+    own = np.outer(heights, up)
+    position = np.stack([own, np.array([(*s[:2], 0.0) for s in shifts])], axis=1)
+    position[:, 1, 2] = np.array(heights) + [shift[2] for shift in shifts]
+    none, known = np.zeros(position.shape), np.ones(count, dtype=np.bool_)
+    flight = ClockedFlight(
+        names=("a", "b"),
+        team=parse_team("SS"),
+        rate_hz=100.0,
+        time=np.arange(count) / 100.0,
+        known=known,
+        running=known,
+        position=position,
+        velocity=none,
+        quaternion=none,
+        acceleration=None,
+        pwm=none,
+        voltage=none,
+    )
+    force = np.stack([np.outer(forces, up), none[:, 1]], axis=1)
+    keep, dropped = kept_entries(flight, force, 0, 1)
+    assert np.flatnonzero(keep).tolist() == [k for k, why in enumerate(reasons) if why is None]
     for reason in set(reasons) - {None}:
-        assert kept.dropped[reason] == reasons.count(reason)
+        assert dropped[reason] == reasons.count(reason)
+    assert np.flatnonzero(kept_entries(flight, force, 0, 5)[0]).tolist() == [0, 5, 10]
 
 
 @pytest.mark.parametrize("lengths", [[1], [2, 1], [5, 5, 5, 5], [3] * 40])
 def test_one_in_five_blocks_is_held_out(lengths):
-    chosen = held_out_blocks(lengths, 0.2, seed=0)
+    chosen = draw_blocks(lengths, seed=0)
     assert [len(blocks) for blocks in chosen] == lengths
     count = int(np.concatenate(chosen).sum())
     assert (count >= 1) == (sum(lengths) > 1)
     assert abs(count - sum(lengths) / 5) < 1
-    again = held_out_blocks(lengths, 0.2, seed=0)
+    again = draw_blocks(lengths, seed=0)
     assert all((a == b).all() for a, b in zip(chosen, again, strict=True))
-
-
-def test_the_guard_keeps_training_away_from_held_out_blocks():
-    options = LogOptions(block_s=5.0, guard_s=0.5)
-    blocks = np.array([False, True, False])
-    time = np.arange(0.0, 15.0, 0.01)
-    held_out, guarded = is_held_out(time, blocks, options), is_guarded(time, blocks, options)
-    assert (time[held_out] >= 5.0).all() and (time[held_out] < 10.0).all()
-    assert not (held_out & guarded).any()
-    training = time[~held_out & ~guarded]
-    assert np.abs(training[:, None] - time[held_out][None]).min() >= 0.5
-    assert len(training) == pytest.approx(900, abs=3)

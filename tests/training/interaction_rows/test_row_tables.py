@@ -1,4 +1,4 @@
-"""Files of rows: every rule they can break, alone and among sound ones; joining and splitting."""
+"""Files of rows: every rule they can break; joining and splitting."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarm_envs.state import BoolArray
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.flight_logs.read import read_data
 from swarm_envs.training.force_model.evaluate import mean_squared_errors
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
-from swarm_envs.training.interaction_rows.row_tables import join_rows
+from swarm_envs.training.interaction_rows.drone_rows import join_rows, rows_of_drone
+from swarm_envs.training.interaction_rows.hold_out import hold_out_blocks
 
 OPTIONS = LogOptions()
 Arrays = dict[str, Any]
@@ -99,84 +101,60 @@ def test_a_bad_table_alone_is_an_error_that_names_value_rule_and_fix(
         read_data(path, OPTIONS)
 
 
-def test_a_scenario_with_too_few_rows_is_left_out_and_said(tmp_path: Path) -> None:
-    rows = some_rows()
-    few = rows.select((rows.scenario != 2) | (np.cumsum(rows.scenario == 2) <= 90))
-    save_rows(tmp_path / "rows.npz", few)
-    used, report = read_data(tmp_path, OPTIONS)
-    assert used.scenario_names == ("Ge2S", "Ge2L", "S2L")
-    assert len(used) == len(few) - 90
-    assert [used.scenario_names[k] for k in used.scenario] == [
-        few.scenario_names[k] for k in few.scenario if k != 2
-    ]
-    said = "\n".join(report.lines())
-    assert "left out scenario L2S: it has " in said and "but must have 100; fly it" in said
-    assert "rows.npz: 990 of 1080 rows are used (left out: scenario too small: 90)" not in said
-    assert f"rows.npz: {len(used)} of {len(few)} rows are used (left out: scenario too" in said
-
-
-def test_tables_are_joined_with_flights_apart_and_vehicles_matched(tmp_path: Path) -> None:
-    first = some_rows(seed=1)
-    second = dataclasses.replace(
-        some_rows(400, seed=2, types=("XL", "S")), vehicle_names={101: "50", 50: "big"}
-    )
-    for tables in ([first, second], [first]):
-        joined = join_rows(tables)
-        assert len(joined) == sum(map(len, tables))
-        assert np.array_equal(joined.force_g[:1200], first.force_g)
-    joined = join_rows([first, second])
-    assert joined.types == ("S", "L", "XL")
-    assert np.unique(joined.flight).tolist() == [0, 1, 2, 3]
-    names = np.array([joined.vehicle_names[v] for v in joined.vehicle])
-    kinds = np.array(joined.types)[joined.ego_type]
-    assert set(zip(names, kinds, strict=True)) == {("50", "S"), ("101", "L"), ("big", "XL")}
-    assert (names[1200:] == np.where(second.ego_type == 1, "50", "big")).all()
-    has = second.has_neighbor[:, 0]
-    assert (joined.neighbor_type[1200:, 0][~has] == -1).all()
-    expected = np.array(second.types)[second.neighbor_type[has, 0]]
-    assert np.array_equal(np.array(joined.types)[joined.neighbor_type[1200:, 0][has]], expected)
-    save_rows(tmp_path / "joined.npz", joined)
-    assert read_rows(tmp_path / "joined.npz").vehicle_names == joined.vehicle_names
-
-
-def test_a_number_that_two_types_share_is_two_vehicles() -> None:
-    first = some_rows(100)
-    second = dataclasses.replace(first, types=("L", "S"))
-    joined = join_rows([first, second])
-    assert sorted(joined.vehicle_names.values()) == ["101 (L)", "101 (S)", "50 (L)", "50 (S)"]
-
-
 def test_blocks_are_held_out_with_a_guard_where_nothing_is_marked(tmp_path: Path) -> None:
-    long = some_rows(4000)
-    unmarked = dataclasses.replace(long, validation=np.zeros(4000, dtype=np.bool_))
+    marked = some_rows(12_000)
+    assert hold_out_blocks(marked, 100.0, 0) is marked
+    unmarked = dataclasses.replace(marked, validation=np.zeros(12_000, dtype=np.bool_))
     save_rows(tmp_path / "a.npz", unmarked)
-    save_rows(tmp_path / "b.npz", some_rows(seed=5))
-    options = LogOptions(block_s=2.0, validation_share=0.25, guard_s=0.4, rate_hz=50.0)
-    rows, report = read_data(tmp_path, options)
-    drawn = np.isin(rows.flight, (0, 1))
-    assert np.array_equal(rows.validation[~drawn], some_rows(seed=5).validation)
-    assert 0.2 < rows.validation[drawn].mean() < 0.3
+    options = LogOptions(rate_hz=100.0)
+    rows, _ = read_data(tmp_path / "a.npz", options)
+    assert 0.15 < rows.validation.mean() < 0.3
     for flight in (0, 1):
         own = rows.select(rows.flight == flight)
-        start = long.step[long.flight == flight].min()
-        time = (own.step - start) / 50.0
-        block = (time / 2.0).astype(int)
+        time = (own.step - unmarked.step[unmarked.flight == flight].min()) / 100.0
+        block = (time / 5.0).astype(int)
         for number in np.unique(block):
             assert np.unique(own.validation[block == number]).size == 1
         apart = np.abs(time[own.validation][:, None] - time[~own.validation])
-        assert 0.4 <= apart.min() < 0.5
-    file = report.files[0]
-    assert file.dropped["guard gap"] == 4000 - int(drawn.sum()) > 0
-    again, _ = read_data(tmp_path, dataclasses.replace(options, split_seed=1))
-    other = again.select(np.isin(again.flight, (0, 1)))
-    assert not np.array_equal(other.step[other.validation], rows.step[drawn & rows.validation])
+        assert 0.5 <= apart.min() < 0.6
+    assert 0 < 12_000 - len(rows) < 1000
+    again, _ = read_data(tmp_path / "a.npz", dataclasses.replace(options, split_seed=1))
+    assert not np.array_equal(again.step[again.validation], rows.step[rows.validation])
 
 
-def test_a_type_that_no_vehicle_has_is_fitted_and_named(tmp_path: Path) -> None:
-    save_rows(tmp_path / "a.npz", some_rows(types=("S", "XL")))
-    rows, report = read_data(tmp_path, OPTIONS)
-    assert rows.types == ("S", "XL")
-    assert "a.npz: types 'XL' belong to no vehicle that ships" in report.lines()
+def test_types_that_no_row_has_are_left_out_and_others_may_be_invented(tmp_path: Path) -> None:
+    rows = some_rows(types=("S", "XL"))
+    save_rows(tmp_path / "a.npz", rows)
+    assert read_data(tmp_path / "a.npz")[0].types == ("S", "XL")
+    alone = rows.select((rows.ego_type == 1) & ~rows.has_neighbor.any(axis=1))
+    save_rows(tmp_path / "a.npz", alone)
+    found, _ = read_data(tmp_path / "a.npz")
+    assert found.types == ("XL",) and not found.ego_type.any()
+
+
+def test_rows_of_drones_are_joined_with_room_for_all_their_neighbours() -> None:
+    rng = np.random.default_rng(0)
+    position, velocity, force = rng.uniform(-0.2, 0.2, (3, 50, 3, 3))
+    keep: BoolArray = np.asarray(np.arange(50) % 2 == 0)
+
+    def part(i: int, kinds: str, use: BoolArray, **numbers: int) -> InteractionRows:
+        p, v, f = (values[:, : len(kinds)] for values in (position, velocity, force))
+        return rows_of_drone(i, tuple(kinds), p, v, f, use, **numbers)
+
+    parts = [
+        part(0, "S", keep, flight=0, vehicle=7, validation=True),
+        part(1, "SLS", ~keep, flight=1, vehicle=101, validation=False),
+        part(0, "LL", keep & ~keep, flight=2, vehicle=101, validation=False),
+    ]
+    rows = join_rows(parts, {7: "cf7"})
+    assert rows.scenario_names == ("Ge2S", "SS2L") and rows.vehicle_names == {7: "cf7"}
+    assert rows.neighbor_type.tolist() == [[-1, -1]] * 25 + [[0, 0]] * 25
+    assert rows.step.tolist() == [*range(0, 50, 2), *range(1, 50, 2)]
+    np.testing.assert_array_equal(
+        rows.neighbor[25:, 1, :3], (position[:, 2] - position[:, 1])[1::2]
+    )
+    np.testing.assert_array_equal(rows.force_g[25:], force[1::2, 1])
+    assert rows.validation.tolist() == [True] * 25 + [False] * 25
 
 
 def published(names: tuple[str, ...]) -> Arrays:

@@ -67,6 +67,7 @@ def test_the_jacobian_is_that_of_torch(kind, tmp_path):
     from swarm_envs.training.force_model.composed import build
     from swarm_envs.training.force_model.export import save_network
     from swarm_envs.training.force_model.network import DeepSetSpec
+    from tests.helpers.torch_swarms import swarm_force_g
 
     torch.manual_seed(0)
     spec = DeepSetSpec(types=("S", "L"), input_range=None, kind=kind)
@@ -77,7 +78,8 @@ def test_the_jacobian_is_that_of_torch(kind, tmp_path):
     moving = torch.tensor(states[:, 1], requires_grad=True)
     whole = torch.tensor(states)
     whole = torch.cat((whole[:, :1], moving[:, None], whole[:, 2:]), dim=1)
-    vertical = network.force_g(whole[..., :3], whole[..., 3:], ("S", "L", "S")) * GRAM_FORCE
+    force_g = swarm_force_g(network, whole[..., :3], whole[..., 3:], ("S", "L", "S"))
+    vertical = force_g * GRAM_FORCE
     jacobian = force_jacobian(model, parse_team("SLS"), states, 1)
     rtol, atol, share = (1e-6, 1e-10, 1.0) if kind == "deep-set" else (1e-4, 1e-6, 0.98)  # kinks
     for drone in range(3):
