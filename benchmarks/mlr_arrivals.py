@@ -34,7 +34,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "circle of 64": {"compute_units": 8},
 }
 """Options of `simulate` by scene."""
-PLANES = (MlrDmpcConfig(planes="fixed"), MlrDmpcConfig())
+PLANES = (MlrDmpcConfig(planes="fixed", trigger="HT"), MlrDmpcConfig())
 
 
 def places(scene: str, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -64,10 +64,9 @@ def alone_s(starts: FloatArray, targets: FloatArray, config: MlrDmpcConfig) -> f
 def flown(scene: str, seed: int, config: MlrDmpcConfig) -> tuple[float, float]:
     """Time of a flight and its excess, s; infinite if it does not end."""
     starts, targets = places(scene, seed)
-    trigger = "HT" if config.planes == "fixed" else "WT"
     if scene == "circle of 64":
         config = replace(config, box=((-3.7, -3.7, 0.3), (3.7, 3.7, 3.0)))
-    options = {"duration_s": LIMIT_S, "config": config, "trigger": trigger, **SCENES[scene]}
+    options = {"duration_s": LIMIT_S, "config": config, **SCENES[scene]}
     flight = simulate(starts, targets, seed=seed, **options)
     assert not flight.violations
     time = np.inf if flight.arrival_time_s is None else flight.arrival_time_s

@@ -92,7 +92,7 @@ def simulate(
         config: parameters.
         stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
         progress: whether to show a bar.
-        options: further ones of `MlrDmpcSwarm`, such as `trigger`, `loss`, `recovery` or `seed`.
+        options: further ones of `MlrDmpcSwarm`, such as `loss`, `recovery` or `seed`.
 
     Returns:
         References, statistics and all messages.

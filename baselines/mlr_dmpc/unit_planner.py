@@ -193,7 +193,7 @@ Levels = npt.NDArray[np.int64]  # (N,) priorities as messages carry them, 8 bit
 
 
 def _urgency(
-    trigger: str, distances: FloatArray, ages: IntArray, num_units: int, config: MlrDmpcConfig
+    distances: FloatArray, ages: IntArray, num_units: int, config: MlrDmpcConfig
 ) -> FloatArray:
     """(N,) what priorities are made of, (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
 
@@ -205,7 +205,7 @@ def _urgency(
     share = distances / float(np.linalg.norm(np.subtract(*config.box)))
     turns = ages * num_units / len(ages)
     weighted = share * (turns + _AGE_ROUNDS * num_units / len(ages))
-    return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[trigger]
+    return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[config.trigger]
 
 
 def consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
@@ -241,12 +241,6 @@ class PlanningOptions:
     """N."""
     num_units: int
     """M."""
-    trigger: str = "WT"
-    """`WT`, `HT`, `RR` or `DT`."""
-    measure: str = "end"
-    """Distances are from the `end` of the newest trajectory, or the `next` round's position."""
-    solver: str = "daqp"
-    """Of the programs."""
     seed: int = 0
     """Of detours' noise, alike for all units."""
     obstacles: Obstacles | None = None
@@ -269,9 +263,9 @@ class Planner:
         rng = np.random.default_rng((options.seed, round_))
         self._detours = next_detours(self._detours, swarm, round_, config, rng)
         self._targets = self._detours.current(targets)
-        points = swarm.ends if options.measure == "end" else swarm.positions
+        points = swarm.ends if config.measure == "end" else swarm.positions
         distances = np.linalg.norm(self._targets - points, axis=1)
-        urgencies = _urgency(options.trigger, distances, ages, options.num_units, config)
+        urgencies = _urgency(distances, ages, options.num_units, config)
         # In 8 bit, from 2 to 254, finer where they are small; the order is kept.
         share = np.minimum(np.log1p(urgencies / _FINEST) / math.log1p(_COARSEST / _FINEST), 1.0)
         out = np.asarray(_LEAST + np.rint(share * (_MOST - _LEAST)), dtype=np.int64)
@@ -298,7 +292,6 @@ class Planner:
             neighbors,
             self._targets[drone],
             options.config,
-            options.solver,
             planes if walls is None else [*planes, walls],
         )
 

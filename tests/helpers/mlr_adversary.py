@@ -79,7 +79,7 @@ class Trouble:
 
     def swarm(self, config: MlrDmpcConfig | None = None) -> MlrDmpcSwarm:
         """The swarm at its start, in a place so narrow that drones meet at once."""
-        config = config or MlrDmpcConfig()
+        config = replace(config or MlrDmpcConfig(), trigger=self.trigger)
         rng = np.random.default_rng((self.seed, 1))
         half = 0.35 * np.sqrt(self.drones)
         place = np.array([[-half, -half, 0.5], [half, half, 2.5]])
@@ -91,7 +91,6 @@ class Trouble:
             scattered(self.drones, config, rng, config.sampled_distance_m + 0.01, place),
             config=config,
             compute_units=self.units,
-            trigger=self.trigger,
             loss=LossModel(unit_loss=self.unit_loss, drone_loss=self.drone_loss, jams=jams),
             recovery=self.recovery,
             seed=self.seed,
