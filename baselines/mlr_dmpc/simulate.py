@@ -196,7 +196,7 @@ class _FlightRecorder:
             knots[:, :, :3], knots[:, :, 3], config.input_sampling_s, config.inverse_scaling
         )
         plans = [unit.planned for report in self.reports for unit in report.units if unit.planned]
-        voided = [unit for report in self.reports for unit in report.units if unit.voided]
+        given_up = [unit for report in self.reports for unit in report.units if unit.given_up]
         failed = [p for p in plans if not p.accepted and p.shifted_slack >= -_TOLERANCE]
         return MlrDmpcResult(
             np.arange(len(references)) / REFERENCE_RATE,
@@ -206,7 +206,7 @@ class _FlightRecorder:
             arrivals,
             np.array([plan.solve_ms for plan in plans]),
             len(failed),
-            min((p.shifted_slack for p in plans), default=np.inf) if not voided else np.nan,
+            min((p.shifted_slack for p in plans), default=np.inf) if not given_up else np.nan,
             tuple(self._violations),
             float(pairs.min()),
             self._least,

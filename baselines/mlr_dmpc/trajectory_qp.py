@@ -180,7 +180,7 @@ def plan_trajectory(
     config: MlrDmpcConfig,
     planes: Sequence[HalfSpaces] = (),
 ) -> Planned:
-    """Replan from where a drone will be at the start of a round.
+    """Replan from where a drone will be at the start of a round: solveOptimization, (13).
 
     `neighbors`: what the others may fly from then on. `planes`: further half-spaces for the drone.
 

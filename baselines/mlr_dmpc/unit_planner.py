@@ -195,7 +195,7 @@ Levels = npt.NDArray[np.int64]  # (N,) priorities as messages carry them, 8 bit
 def _urgency(
     distances: FloatArray, ages: IntArray, num_units: int, config: MlrDmpcConfig
 ) -> FloatArray:
-    """(N,) what priorities are made of, (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
+    """Return urgencies (N,), (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
 
     `WT` is between `HT` and `DT`: ages count four rounds more, so that a drone whose plan still
     ends far from its target is planned again before all others had their turn. Distances (N,) from
@@ -208,8 +208,11 @@ def _urgency(
     return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[config.trigger]
 
 
-def consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
-    """(N,) priorities of all units as one, (11): the largest, but zero where any says zero."""
+def prio_consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
+    """Return the joint priorities (N,): prioConsensus of Algorithm 1, (11), the largest.
+
+    Where any unit says zero they are zero: that drone was just planned.
+    """
     joint = own.copy()
     zero = own == JUST_PLANNED
     for theirs in others:
@@ -221,7 +224,10 @@ def consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
 
 
 def rank_by_priority(priorities: Levels, round_: int) -> list[int]:
-    """Drones by priority, highest first; ties go round, so that nobody always comes last."""
+    """Return drones by priority, highest first: selectUAV of Algorithm 1 takes the first M.
+
+    Ties go round, so that no drone always comes last.
+    """
     count = len(priorities)
     turn = (np.arange(count) - round_) % count
     return [int(i) for i in np.lexsort((turn, -priorities))]
@@ -257,7 +263,10 @@ class Planner:
     def prioritise(
         self, trajectories: Sequence[Trajectory | None], targets: FloatArray, round_: int
     ) -> Levels:
-        """Priorities (N,) for plans from round k + 1 on, by newest candidates; who makes room."""
+        """Return priorities (N,) for plans from round k + 1 on: calcPrio of Algorithm 1.
+
+        They follow from the newest candidates. It also decides which drones make room.
+        """
         options, config = self.options, self.options.config
         swarm, ages = _snapshot(trajectories, targets, round_, config)
         rng = np.random.default_rng((options.seed, round_))
