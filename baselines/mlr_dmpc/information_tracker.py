@@ -33,7 +33,7 @@ class SeparationGuarantee(NamedTuple):
 class InformationTrackers:
     """Candidates of N drones at one compute unit (D_iw), in rows of C slots.
 
-    `covering`: the candidates contain the true one (Lemma 1). `sole`: and there is no other.
+    `covering`: the candidates contain the true one (Lemma L1). `sole`: and there is no other.
     All units of the view that have also heard a drone in the last round hold the same of it (Lemma
     2).
     """
@@ -58,7 +58,7 @@ class InformationTrackers:
 
     @property
     def covering(self) -> BoolArray:
-        """(N,) whether the true trajectory is among the candidates (Lemma 1)."""
+        """(N,) whether the true trajectory is among the candidates (Lemma L1)."""
         return np.asarray(self.located & ~self.lacking.any(axis=1))
 
     def sole(self, drone: int) -> Trajectory | None:

@@ -107,9 +107,9 @@ class MlrDmpcConfig:
     """For how many more rounds they then continue."""
     planes: Literal["fixed", "relinearised"] = "relinearised"
     """Where a plan keeps clear of drones that are not planned in the same round: `relinearised`
-    around its own solution, again until that stays (Lemma 3 asks for the distance alone), or
+    around its own solution, again until that stays (Lemma L3 asks for the distance alone), or
     `fixed` behind planes between what both fly, as published. The former arrives sooner, but takes
-    longer to solve, and what is lost stops more plans: no promise holds (Lemma 9)."""
+    longer to solve, and what is lost stops more plans: no promise holds (Lemma L9)."""
     turn_rad: float = 0.4
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
     from above, rad: two that meet head on then pass on the right. This is for two drones; see

@@ -91,7 +91,7 @@ class Drone:
         return bool(np.abs(plan.state - here).max() <= _CONTINUOUS)
 
     def _follows(self, message: Any) -> MembershipView:
-        """The view to which it is locked after a message (Lemma 5, docs/mlr-dmpc/proof.md).
+        """The view to which it is locked after a message (Lemma L5, docs/mlr-dmpc/proof.md).
 
         A higher one is followed only if it forgets no drone of the present one: else drones of the
         present one could still be planned for by units that do not know of the others.

@@ -46,7 +46,7 @@ class MlrDmpcResult:
     solver_failures: int
     """Plans for which no trajectory was found or accepted although the flown one was feasible."""
     least_shifted_slack_m: float
-    """Least slack of any row at the plan that was flown; by Theorem 1 not negative."""
+    """Least slack of any row at the plan that was flown; by Theorem T1 not negative."""
     violations: tuple[Violation, ...]
     """References too close at collision samples, by more than 1e-6 m."""
     least_distance_m: float

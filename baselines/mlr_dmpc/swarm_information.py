@@ -133,7 +133,7 @@ class Membership:
     def _proposed(self, round_: int) -> bool:
         """Adopt a view with all members, of an identity that was never used before.
 
-        Lemma 6 of docs/mlr-dmpc/proof.md.
+        Lemma L6 of docs/mlr-dmpc/proof.md.
         Epochs grow by at least one with each proposal, and in a round r none is above r + 1. So a
         unit that comes back uses none that it may have used before.
         """

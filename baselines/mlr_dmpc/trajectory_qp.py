@@ -164,7 +164,7 @@ class Planned(NamedTuple):
     accepted: bool  # Whether every constraint holds, so that it may be sent
     reason: str  # `accepted`, or why not
     shifted_slack: float
-    """Least slack of the rows at the trajectory that is flown, m; by Theorem 1 never negative."""
+    """Least slack of the rows at the trajectory that is flown, m; by Theorem T1 never negative."""
     solve_ms: float  # In the solver, all programs together, CPU time of this thread, ms
     total_ms: float  # From call to return, CPU time of this thread, ms
     num_rows: int  # Rows of the last program

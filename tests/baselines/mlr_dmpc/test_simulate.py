@@ -135,7 +135,7 @@ def test_bad_input_is_refused_with_the_reason(changes, reason):
 
 
 def test_distances_are_kept_between_samples_too():
-    """Theorem 2, for drones that cross at full speed; the least distance is the polynomials'."""
+    """Theorem T2, for drones that cross at full speed; the least distance is the polynomials'."""
     starts, targets = circle_swap(8, 1.5, 1.0)
     config = MlrDmpcConfig(turn_rad=0.0, soft_m=0.0)
     flown = simulate(starts, targets, seed=2, duration_s=8.0, config=config)
