@@ -249,8 +249,8 @@ class SwarmInformation:
             if message.current is not None and message.view == self.view.id:
                 self.select(last, message.current)
         for unit in self.view.units:
-            message = own if unit == self.unit and own is not None else inbox.slots.get(unit)
-            self._account(unit, message, last, given)
+            its_own = own if unit == self.unit and own is not None else inbox.slots.get(unit)
+            self._account(unit, its_own, last, given)
         sent = [*([own] if own is not None else []), *inbox.slots.values()]
         self.planned = [
             messages.Missing(message.drone, message.trajectory.identity)
