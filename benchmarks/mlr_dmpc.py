@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -36,12 +36,12 @@ def box_of(n: int, planes: Planes) -> MlrDmpcConfig:
     return MlrDmpcConfig(box=((-half, -half, 0.3), (half, half, 3.0)), planes=planes)
 
 
-def plan_row(n: int, plans: int, solver: Any, planes: Planes) -> Row:
+def plan_row(n: int, plans: int, planes: Planes) -> Row:
     """Trajectories of n drones on their way between random places."""
     config, rng = box_of(n, planes), np.random.default_rng(n)
     starts, targets = scattered(n, config, rng), scattered(n, config, rng)
     units = min(max(3, n // 8), 16)
-    swarm = MlrDmpcSwarm(starts, targets, config=config, compute_units=units, solver=solver)
+    swarm = MlrDmpcSwarm(starts, targets, config=config, compute_units=units)
     for _ in range(3):
         swarm.run_round()  # compiles
     planned: list[Planned] = []
@@ -90,14 +90,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--drones", type=int, nargs="+", default=SIZES, help="sizes of swarms")
     parser.add_argument("--plans", type=int, default=400, help="trajectories of each size")
-    parser.add_argument("--solver", default="daqp", help="daqp or osqp")
     parser.add_argument("--planes", default="relinearised", help="or fixed")
     parser.add_argument("--picture", type=Path, help="also draw the times there")
     parser.add_argument("--json", type=Path, help="also write the rows there")
     options = parser.parse_args(arguments)
     rows = []
     for n in tqdm(options.drones, unit="swarm"):
-        rows.append(plan_row(n, options.plans, options.solver, options.planes))
+        rows.append(plan_row(n, options.plans, options.planes))
         tqdm.write(sentence(rows[-1]))
     if options.picture is not None:
         draw(options.picture, rows)

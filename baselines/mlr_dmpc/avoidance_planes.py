@@ -3,7 +3,7 @@
 Obstacles (boxes and columns) are convex. The plane through the nearest point of one, across the way
 to it, has all of it behind; a plan that stays `margin` before the plane stays that far off the
 obstacle. The present plan, `margin` off or more at every sample, satisfies its own planes: as for
-other drones, it stays feasible when it is shifted (Theorem 1 with planes in place of trajectories).
+other drones, it stays feasible when it is shifted (Theorem T1, planes in place of trajectories).
 
 Of obstacles nothing is checked between samples: at speed v a drone moves v T_c / 2 from the nearer
 one, so the margin should contain that in addition to the drone's radius, or T_c be finer.
@@ -75,8 +75,8 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
 
     Planes are turned about the vertical by up to `turn_rad`, so that each drone has more room on
     its right: the weights of Appendix B alone leave two drones that meet head on where they are.
-    Any unit normal proves Lemma 3. For Corollary 1 both drones need one plane: the turn depends on
-    the gap alone, which is the same for both, and so is its sense. For Theorem 1 the present plan
+    Any unit normal proves Lemma L3. For Corollary 1 both drones need one plane: the turn depends on
+    the gap alone, which is the same for both, and so is its sense. For Theorem T1 the present plan
     must satisfy its rows: along the turned normal the gap stays above the distance kept, since the
     turn is at most `turn_share` of where it would not.
     """

@@ -37,7 +37,7 @@ from swarm_envs.baselines.mlr_dmpc.unit_planner import (
     REINITIALISED,
     Levels,
     Planner,
-    consensus,
+    prio_consensus,
     rank_by_priority,
 )
 from swarm_envs.state import BoolArray
@@ -53,7 +53,7 @@ class UnitRound:
     doing: str = "idle"  # `planned`, or why not: `donated`, `unknown selection`, `not assigned`, ..
     drone: int = NONE  # Whom it planned for
     planned: Planned | None = None  # The plan, accepted or not
-    voided: bool = False
+    given_up: bool = False
     """Whether a drone gave up its reference lately, so that nothing is promised."""
 
 
@@ -117,10 +117,10 @@ class ComputeUnit:
     def _request_order(self, missing: Missing) -> tuple[bool, bool, int]:
         """Order of requests: what stood in the way, what is surely flown, then by turns."""
         turn = (missing.drone + 5 * self.information.unit) % len(self.information.targets)
-        return missing.drone not in self._in_the_way, not self._sure(missing), turn
+        return missing.drone not in self._in_the_way, not self._confirmed_missing(missing), turn
 
-    def _sure(self, missing: Missing) -> bool:
-        """Whether the drone has said that it flies what is missing."""
+    def _confirmed_missing(self, missing: Missing) -> bool:
+        """Return whether a message of the drone has named the missing trajectory as flown."""
         confirmed = self.information.trackers.confirmed[missing.drone]
         return bool(missing.identity.start_round <= confirmed)
 
@@ -128,7 +128,7 @@ class ComputeUnit:
         info = self.information
         newest = info.trackers.newest()
         own = self.planner.prioritise(newest, info.targets, round_)
-        for drone in np.flatnonzero(info.void(round_)):
+        for drone in np.flatnonzero(info.has_given_up(round_)):
             one = newest[drone]
             if one is not None and one.identity.compute_unit == NOBODY:
                 own[drone] = REINITIALISED
@@ -148,7 +148,7 @@ class ComputeUnit:
             {drone: level for drone, level in message.priorities if drone not in barred}
             for message in info.reported.values()
         ]
-        joint = consensus(own, others)
+        joint = prio_consensus(own, others)
         ranked = rank_by_priority(joint, round_)
         order = [i for i in ranked if joint[i] > JUST_PLANNED and i in view.drones]
         chosen = assign_to_units(info, order[: len(view.units)], round_ + 1)
@@ -183,7 +183,7 @@ class ComputeUnit:
         """Give the next slots to drones, if so much is lacking that others cannot pass it on."""
         info = self.information
         asked = {drone for (_, r), drone in info.donated.items() if r > round_}
-        wanted = [m.drone for m in lacking if self._sure(m)]
+        wanted = [m.drone for m in lacking if self._confirmed_missing(m)]
         plans = any(message.kind is MessageKind.PLAN for message in info.reported.values())
         if len(wanted) <= len(info.view.units) and (plans or self._recent[0] != NONE):
             return
@@ -224,7 +224,7 @@ class ComputeUnit:
             report.doing = "no room to join"
             return None
         report.doing, report.drone = "planned", drone
-        report.voided = bool(info.void(round_).any())
+        report.given_up = bool(info.has_given_up(round_).any())
         report.planned = self.planner.plan(drone, own, neighbors, info.unit, round_, planes)
         return report.planned
 
@@ -265,8 +265,8 @@ class ComputeUnit:
         near = least_distances(path, theirs, config.inverse_scaling) < least
         if near.any() and info.membership.joining[drone]:
             return None
-        void = info.void(round_)
-        kept = ~near | void[owner] | void[drone]
+        given_up = info.has_given_up(round_)
+        kept = ~near | given_up[owner] | given_up[drone]
         return Neighbors(
             np.ascontiguousarray(theirs[kept, 1:]), owner[kept], np.isin(owner[kept], chosen)
         )

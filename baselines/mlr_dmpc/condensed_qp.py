@@ -1,24 +1,22 @@
-"""Plans as linear functions of few variables, and solvers of the quadratic programs in them.
+"""Plans as linear functions of few variables, and the solver of the quadratic programs in them.
 
 Each axis is a triple integrator with 15 jerks, of which three are spent on the rest at the end. The
-other twelve are scaled so that the quadratic part of the cost is half their squared length. So both
-solvers, DAQP and OSQP to check it by, solve min |y|^2 / 2 + slope . y, matrix @ y >= bound.
+other twelve are scaled so that the quadratic part of the cost is half their squared length. So
+DAQP solves min |y|^2 / 2 + slope . y, matrix @ y >= bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 
-__all__ = ["solver"]
+__all__ = ["solve_qp"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,72 +139,37 @@ def _instants(step: float, count: int) -> FloatArray:
     return np.arange(1, count + 1, dtype=np.float64) * step
 
 
-_OSQP_TOLERANCE = 1e-6
 _TOLERANCE = 1e-8
 
 
 class QpSolution(NamedTuple):
-    """What a solver found."""
+    """What DAQP found."""
 
     y: FloatArray  # (n,) the minimum, if there is one
     active: BoolArray  # (m,) rows that hold with equality, to start the next program from
     solved: bool  # Whether there is a minimum, to the solver's tolerance
 
 
-Solver = Callable[[FloatArray, FloatArray, FloatArray, BoolArray], QpSolution]
-"""Called with slope (n,), matrix (m, n), bound (m,) and the rows (m,) to try as active first."""
-
-
-def solver(name: str) -> Solver:
-    """A solver by its name.
-
-    Raises:
-        ValueError: there is no such solver; the message names the nearest.
-    """
-    return SOLVERS[check_name("solver", name, SOLVERS)]
-
-
-def _daqp(
+def solve_qp(
     slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
 ) -> QpSolution:
-    sense = active.astype(np.int32)
+    """Return the minimum of |y|^2 / 2 + slope y where matrix y >= bound, by DAQP.
+
+    Args:
+        slope: (n,) the linear term.
+        matrix: (m, n) the rows.
+        bound: (m,) their lower bounds.
+        active: (m,) rows to try first as equalities.
+    """
     import daqp
 
+    sense = active.astype(np.int32)
     y, _, flag, info = daqp.solve(
         _identity(len(slope)), slope, -matrix, -bound, sense=sense, primal_tol=_TOLERANCE
     )
     return QpSolution(y, np.asarray(info["lam"]) != 0.0, flag == 1)
 
 
-def _osqp(
-    slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
-) -> QpSolution:
-    import osqp
-    from scipy import sparse
-
-    program: Any = osqp.OSQP()
-    program.setup(
-        sparse.identity(len(slope), format="csc"),
-        slope,
-        sparse.csc_matrix(matrix),
-        bound,
-        np.full(len(bound), np.inf),
-        verbose=False,
-        eps_abs=_OSQP_TOLERANCE,
-        eps_rel=_OSQP_TOLERANCE,
-        max_iter=100_000,
-        polishing=True,
-    )
-    done = program.solve(raise_error=False)
-    solved = done.info.status == "solved"
-    y = np.asarray(done.x, dtype=np.float64) if solved else np.zeros_like(slope)
-    return QpSolution(y, active, solved)
-
-
 @cache
 def _identity(size: int) -> FloatArray:
     return np.eye(size)
-
-
-SOLVERS: dict[str, Solver] = {"daqp": _daqp, "osqp": _osqp}
-"""Every solver by its name."""

@@ -33,7 +33,7 @@ class SeparationGuarantee(NamedTuple):
 class InformationTrackers:
     """Candidates of N drones at one compute unit (D_iw), in rows of C slots.
 
-    `covering`: the candidates contain the true one (Lemma 1). `sole`: and there is no other.
+    `covering`: the candidates contain the true one (Lemma L1). `sole`: and there is no other.
     All units of the view that have also heard a drone in the last round hold the same of it (Lemma
     2).
     """
@@ -58,7 +58,7 @@ class InformationTrackers:
 
     @property
     def covering(self) -> BoolArray:
-        """(N,) whether the true trajectory is among the candidates (Lemma 1)."""
+        """(N,) whether the true trajectory is among the candidates (Lemma L1)."""
         return np.asarray(self.located & ~self.lacking.any(axis=1))
 
     def sole(self, drone: int) -> Trajectory | None:
@@ -90,7 +90,7 @@ class InformationTrackers:
         return newest
 
     def settled(self, round_: int) -> BoolArray:
-        """(N,) whether the newest is what the drone flies once it has said so by the next round.
+        """Return whether each newest candidate (N,) is what its drone flies once it confirms that.
 
         That is so if nothing is missing, and there is one, or one more was sent in the last round.
         """
@@ -120,7 +120,7 @@ class InformationTrackers:
         """Drones (D,), locked to the view, say what they fly in a round, by numbers (D,).
 
         Whatever else they could have flown by then they do not fly. `at_rest`: what the drone of an
-        index flies, if it rests and has thus said all of it.
+        index flies, if it rests, so that its message holds all of it.
         """
         later = self.numbers[drones] >> 8 > round_
         self.possible[drones] &= later & self.located[drones][:, None]

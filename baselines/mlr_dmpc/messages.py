@@ -42,7 +42,7 @@ class MembershipView(NamedTuple):
     id: ViewId  # Its place in the order
     units: tuple[int, ...]  # Compute units that plan, ascending
     drones: frozenset[int]  # Drones that are planned for and avoided
-    gone: frozenset[int] = frozenset()  # Drones that have said that they have left the air
+    gone: frozenset[int] = frozenset()  # Drones that have announced that they left the air
 
     def covers(self, earlier: MembershipView) -> bool:
         """Whether no drone of an earlier view is forgotten: each is in this one, or has left."""
@@ -67,7 +67,7 @@ class DroneStates:
     """What drones say in their own slots of a round. Rows of who says nothing are meaningless."""
 
     round: int  # When it is sent
-    said: BoolArray  # (N,) whose messages these are
+    present: BoolArray  # (N,) whose messages these are
     identity: IntArray  # (N,) `Identity.number` of the trajectory that each flies in this round
     lock: IntArray
     """(N,) `ViewId.number` of the view that it has locked to; it accepts plans of no other."""
@@ -83,7 +83,7 @@ class DroneStates:
 
     def heard(self, arrived: BoolArray) -> DroneStates:
         """Those messages that have arrived (N,)."""
-        return replace(self, said=self.said & arrived)
+        return replace(self, present=self.present & arrived)
 
     def at_rest(self, drone: int, config: MlrDmpcConfig) -> Trajectory | None:
         """The trajectory of a drone that rests, which its message carries whole."""
@@ -113,7 +113,7 @@ class Missing(NamedTuple):
 
 
 class UnitMessage(NamedTuple):
-    """What is said in a compute unit's slot."""
+    """The message in a compute unit's slot."""
 
     kind: MessageKind  # What it carries
     round: int  # When it is sent
@@ -207,7 +207,7 @@ class Codec:
 
     def pack_states(self, states: DroneStates) -> list[bytes]:
         """The messages of those drones that say something, at most 32 bytes each."""
-        heads = np.zeros(len(states.said), dtype=_HEAD)
+        heads = np.zeros(len(states.present), dtype=_HEAD)
         heads["round"], heads["unit"] = states.identity >> 8 & 0xFFFF, states.identity & 255
         heads["epoch"], heads["proposer"] = states.lock >> 8, states.lock & 255
         heads["flags"] = sum(getattr(states, name) << bit for bit, name in enumerate(_FLAGS))
@@ -217,7 +217,7 @@ class Codec:
             states.kinematics[i, 0].astype("<f4") if r else moving[i]
             for i, r in enumerate(states.resting)
         ]
-        return [heads[i].tobytes() + bodies[i].tobytes() for i in np.flatnonzero(states.said)]
+        return [heads[i].tobytes() + bodies[i].tobytes() for i in np.flatnonzero(states.present)]
 
     def filled(self, message: UnitMessage, order: list[tuple[int, int]]) -> UnitMessage:
         """The message with as many priorities as fit; what others can do without goes first."""

@@ -40,7 +40,6 @@ class MlrDmpcAgent(SetpointAgent):
 
     Args:
         compute_units: how many plan; None for three, or one for each drone where there are fewer.
-        trigger: who is planned next: `"WT"`, or the published `"HT"`, `"RR"` or `"DT"`.
         loss: of messages: a rate or a model.
         recovery: as for `simulate`.
         controller: configuration of the tracking loop; None for its default, which assumes no
@@ -54,7 +53,6 @@ class MlrDmpcAgent(SetpointAgent):
     def __init__(
         self,
         compute_units: int | None = None,
-        trigger: Literal["WT", "HT", "RR", "DT"] = "WT",
         loss: float | LossModel = 0.0,
         recovery: bool | Literal["paper"] = True,
         controller: ControllerConfig | None = None,
@@ -62,7 +60,6 @@ class MlrDmpcAgent(SetpointAgent):
     ) -> None:
         if compute_units is not None:
             check_integer("compute_units", compute_units)
-        check_name("trigger", trigger, ("WT", "HT", "RR", "DT"))
         check_name("recovery", str(recovery), ("True", "False", "paper"))
         self._given = MlrDmpcConfig() if config is None else config
         super().__init__(
@@ -72,7 +69,7 @@ class MlrDmpcAgent(SetpointAgent):
                 "controller": controller or ControllerConfig(),
             }
         )
-        self._compute_units, self._trigger = compute_units, trigger
+        self._compute_units = compute_units
         self._loss, self._recovery = loss, recovery
         self.config = self._given
         """Parameters of the episode."""
@@ -111,7 +108,6 @@ class MlrDmpcAgent(SetpointAgent):
             np.array(env.view.goals),
             config=self.config,
             compute_units=units,
-            trigger=self._trigger,
             loss=self._loss,
             recovery=self._recovery,
             seed=seed,

@@ -1,19 +1,25 @@
 """What MLR-DMPC is tuned by: times, bounds, distances and weights.
 
-Values are those published, unless a field says otherwise: with `planes="fixed", path_weight=0.0,
-soft_m=0.3, soft_near_m=0.8, turn_rad=0.0, collision_sampling_s=0.1` all are. The published
-trigger is `"HT"`.
+Defaults are those published, unless a field says otherwise; `MlrDmpcConfig.published()` has all as
+published, and with `recovery="paper"` a swarm is the paper's.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from swarm_envs.errors import check_array, check_integer, check_name, check_number, check_numbers
+from swarm_envs.errors import (
+    check_array,
+    check_bool,
+    check_integer,
+    check_name,
+    check_number,
+    check_numbers,
+)
 from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcConfig"]
@@ -42,7 +48,7 @@ class MlrDmpcConfig:
     """Between the instants at which bounds of the state hold (T_b), s."""
     collision_sampling_s: float = 0.025
     """Between the instants at which plans are checked for distance (T_c), s. Published: 0.1, which
-    would ask for 0.14 m more at samples; see `sampled_distance_m`."""
+    would ask for 0.14 m more at samples; see `between_samples`."""
     position_weight: float = 1.0
     """Of the squared distance to the target at the end of the plan, 1/m^2."""
     path_weight: float = 0.3
@@ -63,7 +69,10 @@ class MlrDmpcConfig:
     box: tuple[Corner, Corner] = ((-2.0, -2.0, 0.3), (2.0, 2.0, 3.0))
     """Lower and upper corner of where drones may fly, m."""
     distance_m: float = 0.25
-    """Least scaled distance between references, at any time, m."""
+    """Least scaled distance between references, m."""
+    between_samples: bool = True
+    """Whether that is kept at any time, by a greater `sampled_distance_m` at the samples (24);
+    published: False, at the samples alone."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 6.0)
     """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
     soft_m: float = 0.7
@@ -98,9 +107,9 @@ class MlrDmpcConfig:
     """For how many more rounds they then continue."""
     planes: Literal["fixed", "relinearised"] = "relinearised"
     """Where a plan keeps clear of drones that are not planned in the same round: `relinearised`
-    around its own solution, again until that stays (Lemma 3 asks for the distance alone), or
+    around its own solution, again until that stays (Lemma L3 asks for the distance alone), or
     `fixed` behind planes between what both fly, as published. The former arrives sooner, but takes
-    longer to solve, and what is lost stops more plans: no promise holds (Lemma 9)."""
+    longer to solve, and what is lost stops more plans: no promise holds (Lemma L9)."""
     turn_rad: float = 0.4
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
     from above, rad: two that meet head on then pass on the right. This is for two drones; see
@@ -108,6 +117,13 @@ class MlrDmpcConfig:
     turn_share: float = 0.5
     """Nor by more than this share of the angle at which the gap along the normal would be too
     small; below 1."""
+    trigger: Literal["WT", "HT", "RR", "DT"] = "WT"
+    """Which drones are planned next (Appendix A): by their age since the last plan, `RR` (A1); by
+    their distance from the target, `DT` (A2); by the product, `HT` (A3), as published; or `WT`, the
+    product in which ages count four rounds more."""
+    measure: Literal["end", "next"] = "end"
+    """That distance is the one from the `end` of the newest trajectory, as in the public code, or
+    from the position in the `next` round, as published in (A2) and (A3)."""
     arrival_m: float = 0.05
     """A drone has arrived when it is this close to its target, m."""
 
@@ -146,6 +162,9 @@ class MlrDmpcConfig:
         check_integer("detour_rounds", self.detour_rounds, at_least=1)
         check_integer("detour_pause_rounds", self.detour_pause_rounds, at_least=0)
         check_name("planes", self.planes, ("fixed", "relinearised"))
+        check_name("trigger", self.trigger, ("WT", "HT", "RR", "DT"))
+        check_name("measure", self.measure, ("end", "next"))
+        check_bool("between_samples", self.between_samples)
         check_number("turn_share", self.turn_share, at_least=0.0, below=1.0)
         for name in ("input_sampling_s", "state_sampling_s", "collision_sampling_s"):
             ratio = self.round_s / getattr(self, name)
@@ -159,6 +178,26 @@ class MlrDmpcConfig:
         lower, upper = check_array("box", self.box, (2, 3))
         if not (lower < upper).all():
             raise ValueError(f"box is {self.box}, but its corners must be lower and upper")
+
+    @classmethod
+    def published(cls, **others: Any) -> MlrDmpcConfig:
+        """Return the parameters of the paper (Sec. 4.2.3, Appendices A and B).
+
+        Args:
+            **others: parameters that differ, such as `trigger="RR"`.
+        """
+        paper: dict[str, Any] = {
+            "collision_sampling_s": 0.1,
+            "between_samples": False,
+            "path_weight": 0.0,
+            "soft_m": 0.3,
+            "soft_near_m": 0.8,
+            "planes": "fixed",
+            "turn_rad": 0.0,
+            "trigger": "HT",
+            "measure": "next",
+        }
+        return cls(**{**paper, **others})
 
     def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
         """The parameters with which N drones fly: planes are turned by (2 / N)^2 of `turn_rad`.
@@ -193,7 +232,9 @@ class MlrDmpcConfig:
 
     @cached_property
     def sampled_distance_m(self) -> float:
-        """What is kept at samples (d_hat_min), so that `distance_m` is between them (24), (26), m.
+        """The scaled distance that is kept at samples (d_hat_min), m.
+
+        With `between_samples` it is so great that `distance_m` is kept between them too, (24).
 
         For the scaled difference r of two references, let V and A bound |r'| and |r''|. Between two
         samples, T_c apart, r is at most A T_c^2 / 8 off its chord, which is at most V T_c long. A
@@ -202,6 +243,8 @@ class MlrDmpcConfig:
         Bounds hold at state samples, T_b apart. Between them a speed exceeds its own by at most
         j T_b^2 / 8 and an acceleration by at most j T_b / 2, where j bounds the jerk.
         """
+        if not self.between_samples:
+            return self.distance_m
         step, gap = self.collision_sampling_s, self.state_sampling_s
         relative = 2.0 * float(np.linalg.norm(self.inverse_scaling))
         speed = relative * (self.speed_limit + self.jerk_limit * gap**2 / 8.0)

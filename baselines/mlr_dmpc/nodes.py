@@ -91,7 +91,7 @@ class Drone:
         return bool(np.abs(plan.state - here).max() <= _CONTINUOUS)
 
     def _follows(self, message: Any) -> MembershipView:
-        """The view to which it is locked after a message (Lemma 5, docs/mlr-dmpc/proof.md).
+        """The view to which it is locked after a message (Lemma L5, docs/mlr-dmpc/proof.md).
 
         A higher one is followed only if it forgets no drone of the present one: else drones of the
         present one could still be planned for by units that do not know of the others.
@@ -105,10 +105,10 @@ class Drone:
         """Take in a round's messages; the plan that it accepts, flown from the next round on."""
         accepted = None
         self._granted = {key: one for key, one in self._granted.items() if key[1] > inbox.round}
-        said = [m for m in inbox.slots.values() if m.kind is not MessageKind.ANSWER]
-        for message in sorted(said, key=lambda one: one.view):
+        sent = [m for m in inbox.slots.values() if m.kind is not MessageKind.ANSWER]
+        for message in sorted(sent, key=lambda one: one.view):
             self.view = self._follows(message)
-        for message in said:
+        for message in sent:
             for ahead, drone in enumerate(message.donations, start=1):
                 if drone == self.index:
                     rest = message.donations[ahead:]
@@ -211,8 +211,8 @@ class SwarmNodes(ABC):
         accepted = {}
         for drone in self.drones:
             if drone.index in present:
-                said = {u: m for u, m in log.slots.items() if drone.minds(m)}
-                heard = {u: m for u, m in said.items() if log.arrived[log.senders[u], drone.index]}
+                sent = {u: m for u, m in log.slots.items() if drone.minds(m)}
+                heard = {u: m for u, m in sent.items() if log.arrived[log.senders[u], drone.index]}
                 plan = drone.receive(Inbox(log.round, log.states, heard))
                 accepted.update({drone.index: plan} if plan is not None else {})
         return accepted
@@ -224,7 +224,7 @@ class SwarmNodes(ABC):
             + [
                 message.trajectory
                 for message in log.slots.values()
-                if log.states.said[drone.index] and message.trajectory and drone.accepts(message)
+                if log.states.present[drone.index] and message.trajectory and drone.accepts(message)
             ]
             for drone in self.drones
         ]

@@ -29,7 +29,7 @@ from swarm_envs.baselines.mlr_dmpc.unit_planner import (
     Levels,
     Planner,
     PlanningOptions,
-    consensus,
+    prio_consensus,
     rank_by_priority,
 )
 from swarm_envs.state import FloatArray
@@ -47,7 +47,7 @@ class PaperKind(IntEnum):
 
 
 class PaperMessage(NamedTuple):
-    """What is said in a compute unit's slot."""
+    """The message in a compute unit's slot."""
 
     kind: PaperKind  # What it carries
     round: int  # When it is sent
@@ -107,7 +107,7 @@ class _UnitState(IntEnum):
 
 @dataclass
 class PaperUnit:
-    """Algorithm 1 on compute unit w, with Algorithm 2.
+    """Compute unit w as published: Algorithm 1, with Algorithm 2 for its information trackers.
 
     Ambiguities as in the public code: no match of metadata deprecates; an answer in a unit's slot
     counts as that unit's message; all units ask for the lowest number first.
@@ -127,10 +127,10 @@ class PaperUnit:
         self._just_planned = NONE
 
     def step(self, inbox: Inbox[PaperMessage] | None, round_: int) -> PaperMessage | None:
-        """Lines 8 to 34 of Algorithm 1: the message of a round, if the slot is not given away."""
+        """Return the message of a round or None (slot given away): Algorithm 1, lines 8 to 34."""
         self.report = UnitRound(self.unit, doing=self.state.name.lower())
         if inbox is not None:
-            self.update(inbox)
+            self.update_information_trackers(inbox)
         if not any(self.deprecated):
             self.state = _UnitState.RUN_DMPC
         elif self.state is _UnitState.RUN_DMPC:
@@ -156,39 +156,39 @@ class PaperUnit:
             own[self._just_planned] = JUST_PLANNED
         return message._replace(priorities=tuple(int(level) for level in own))
 
-    def update(self, inbox: Inbox[PaperMessage]) -> None:
-        """Algorithm 2."""
+    def update_information_trackers(self, inbox: Inbox[PaperMessage]) -> None:
+        """Update the trackers: Algorithm 2, updateInformationTrackers."""
         states = inbox.states
-        self.targets[states.said] = states.target[states.said]
-        for drone in np.flatnonzero(states.said).tolist():
+        self.targets[states.present] = states.target[states.present]
+        for drone in np.flatnonzero(states.present).tolist():
             identity = Identity.of(int(states.identity[drone]))
             match = self.candidates[drone].get(identity)
             self.deprecated[drone] = match is None
             if match is not None:
                 self.candidates[drone] = {identity: match}
         if any(len(known) > 1 for known in self.candidates):
-            self._deprecate_all()
+            self._set_all_deprecated()
         if len(inbox.slots) != self.planner.options.num_units:
-            self._deprecate_all()
+            self._set_all_deprecated()
         for message in inbox.slots.values():
             if message.trajectory is not None:
                 known = self.candidates[message.drone]
                 known[message.trajectory.identity] = message.trajectory
 
-    def _deprecate_all(self) -> None:
+    def _set_all_deprecated(self) -> None:
         self.deprecated = [True] * len(self.deprecated)
 
     def _run(
         self, message: PaperMessage, inbox: Inbox[PaperMessage] | None, own: Levels, round_: int
     ) -> PaperMessage:
-        """Lines 13 to 20."""
+        """Return the message of state RUN_DMPC: lines 13 to 20 of Algorithm 1."""
         heard = (
             [] if inbox is None else [m.priorities for m in inbox.slots.values() if m.priorities]
         )
         joint = own
         if heard:
             first = np.array(heard[0], dtype=np.int64)
-            joint = consensus(first, [dict(enumerate(levels)) for levels in heard[1:]])
+            joint = prio_consensus(first, [dict(enumerate(levels)) for levels in heard[1:]])
         chosen = rank_by_priority(joint, round_)[: self.planner.options.num_units]
         drone = chosen[(round_ + self.unit) % self.planner.options.num_units]
         if len(self.candidates[drone]) != 1:
@@ -218,10 +218,10 @@ class PaperUnit:
 class TrustingUnit(PaperUnit):
     """DMPC that ignores loss: whatever was sent is taken to be flown. It collides."""
 
-    def update(self, inbox: Inbox[PaperMessage]) -> None:
+    def update_information_trackers(self, inbox: Inbox[PaperMessage]) -> None:
         """Every plan heard has arrived at its drone."""
         states = inbox.states
-        self.targets[states.said] = states.target[states.said]
+        self.targets[states.present] = states.target[states.present]
         for message in inbox.slots.values():
             if message.trajectory is not None:
                 self.candidates[message.drone] = {message.trajectory.identity: message.trajectory}

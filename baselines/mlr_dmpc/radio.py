@@ -226,7 +226,7 @@ def _mixed(key: _UINT) -> _UINT:
     return key ^ (key >> np.uint64(31))
 
 
-M = TypeVar("M")  # What is said in compute units' slots
+M = TypeVar("M")  # The messages in compute units' slots
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ class Inbox(Generic[M]):
 
 @dataclass(frozen=True)
 class RoundLog(Generic[M]):
-    """All that was said in a round, and to whom it came: enough to replay it."""
+    """All messages of a round, and to whom they came: enough to replay it."""
 
     round: int  # When it was sent
     states: DroneStates  # From drones' slots
@@ -254,4 +254,4 @@ class RoundLog(Generic[M]):
         """What a node has heard."""
         heard = self.arrived[:, node]
         slots = {unit: m for unit, m in self.slots.items() if heard[self.senders[unit]]}
-        return Inbox(self.round, self.states.heard(heard[: len(self.states.said)]), slots)
+        return Inbox(self.round, self.states.heard(heard[: len(self.states.present)]), slots)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import solve_qp
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
@@ -148,12 +148,12 @@ class RowSolution(NamedTuple):
     active: IntArray  # (m, 3) rows that hold with equality, as `broken_rows` names them
 
 
-def solve_by_rows(problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> RowSolution:
+def solve_by_rows(problem: Program, first: IntArray = NO_ROWS) -> RowSolution:
     """The optimum of a program: solved with ever more rows until it breaks none of the others.
 
     `first`: rows (m, 3) as in `active`, to try as active first.
     """
-    rows, stride, solve, solve_ms = problem.rows, problem.stride, solver(solver_name), 0.0
+    rows, stride, solve_ms = problem.rows, problem.stride, 0.0
     parts, picked, active = [_working_set(rows, first)], first, np.ones(len(first), dtype=bool)
     more = broken_rows(rows, problem.shifted, _FIRST_SLACK, stride)
     z, failure = -problem.slope, f"no end of rows after {_MOST_PROGRAMS} programs"
@@ -170,7 +170,7 @@ def solve_by_rows(problem: Program, solver_name: str, first: IntArray = NO_ROWS)
         margins[soft, np.arange(len(soft))] = scale[soft]
         slope = np.concatenate([problem.slope.T.ravel(), np.zeros(len(soft))])
         begin = time.thread_time()
-        found = solve(slope, np.hstack([matrix, margins]), bound, active)
+        found = solve_qp(slope, np.hstack([matrix, margins]), bound, active)
         solve_ms += 1e3 * (time.thread_time() - begin)
         active, z = found.active, np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
         if not found.solved:

@@ -46,7 +46,7 @@ class MlrDmpcResult:
     solver_failures: int
     """Plans for which no trajectory was found or accepted although the flown one was feasible."""
     least_shifted_slack_m: float
-    """Least slack of any row at the plan that was flown; by Theorem 1 not negative."""
+    """Least slack of any row at the plan that was flown; by Theorem T1 not negative."""
     violations: tuple[Violation, ...]
     """References too close at collision samples, by more than 1e-6 m."""
     least_distance_m: float
@@ -92,7 +92,7 @@ def simulate(
         config: parameters.
         stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
         progress: whether to show a bar.
-        options: further ones of `MlrDmpcSwarm`, such as `trigger`, `loss`, `recovery` or `seed`.
+        options: further ones of `MlrDmpcSwarm`, such as `loss`, `recovery` or `seed`.
 
     Returns:
         References, statistics and all messages.
@@ -196,7 +196,7 @@ class _FlightRecorder:
             knots[:, :, :3], knots[:, :, 3], config.input_sampling_s, config.inverse_scaling
         )
         plans = [unit.planned for report in self.reports for unit in report.units if unit.planned]
-        voided = [unit for report in self.reports for unit in report.units if unit.voided]
+        given_up = [unit for report in self.reports for unit in report.units if unit.given_up]
         failed = [p for p in plans if not p.accepted and p.shifted_slack >= -_TOLERANCE]
         return MlrDmpcResult(
             np.arange(len(references)) / REFERENCE_RATE,
@@ -206,7 +206,7 @@ class _FlightRecorder:
             arrivals,
             np.array([plan.solve_ms for plan in plans]),
             len(failed),
-            min((p.shifted_slack for p in plans), default=np.inf) if not voided else np.nan,
+            min((p.shifted_slack for p in plans), default=np.inf) if not given_up else np.nan,
             tuple(self._violations),
             float(pairs.min()),
             self._least,

@@ -95,13 +95,10 @@ class MlrDmpcSwarm:
         targets: (N, 3) where they are to go, m.
         config: parameters.
         compute_units: M, at most as many as drones.
-        trigger: who is planned next: `WT`, or the published `HT`, `RR` or `DT` (Appendix A).
         loss: share of messages lost, a preset's name or a model.
         recovery: True: by trackers; "paper": Algorithms 1 and 2 to the letter; False: loss is
             ignored, and drones collide.
         seed: of losses and detours: the same seed gives the same flight.
-        solver: `daqp` or `osqp`.
-        measure: of priorities, `end` or `next` (A2).
         informed: whether the units know the starts, as in the public simulation.
         outages: of compute units.
         joins: round at which a drone, by index, switches on; the others are there from the start.
@@ -120,12 +117,9 @@ class MlrDmpcSwarm:
         *,
         config: MlrDmpcConfig | None = None,
         compute_units: int = 3,
-        trigger: Literal["WT", "HT", "RR", "DT"] = "WT",
         loss: float | str | LossModel = 0.0,
         recovery: bool | Literal["paper"] = True,
         seed: int = 0,
-        solver: Literal["daqp", "osqp"] = "daqp",
-        measure: Literal["end", "next"] = "end",
         informed: bool = True,
         outages: Sequence[UnitOutage] = (),
         joins: Mapping[int, int] | None = None,
@@ -133,10 +127,7 @@ class MlrDmpcSwarm:
         obstacles: Obstacles | None = None,
     ) -> None:
         check_integer("compute_units", compute_units, at_least=1)
-        check_name("trigger", trigger, ("WT", "HT", "RR", "DT"))
         check_integer("seed", seed, at_least=0)
-        check_name("solver", solver, ("daqp", "osqp"))
-        check_name("measure", measure, ("end", "next"))
         check_name("recovery", str(recovery), ("True", "False", "paper"))
         given = config or MlrDmpcConfig()
         starts = checked_points("starts", starts, given)
@@ -162,9 +153,6 @@ class MlrDmpcSwarm:
             config=self.config,
             num_drones=len(starts),
             num_units=compute_units,
-            trigger=trigger,
-            measure=measure,
-            solver=solver,
             seed=seed,
             obstacles=obstacles,
         )

@@ -57,9 +57,9 @@ class Membership:
         self._silent = np.zeros(num_units, dtype=np.int64)
         self._evidence = np.zeros(num_units)
         self.joining: BoolArray = np.zeros(num_drones, dtype=bool)
-        """(N,) who has said that they are not in the air yet."""
+        """(N,) the drones that have announced that they are not in the air yet."""
         self.gone: BoolArray = np.zeros(num_drones, dtype=bool)
-        """(N,) who has said that they have left the air."""
+        """(N,) the drones that have announced that they left the air."""
         self._heard_of = self.drones.copy()
         self._behind_since: int | None = None
         self._others_behind = False
@@ -68,16 +68,16 @@ class Membership:
     def update(self, inbox: Inbox[messages.UnitMessage], present: frozenset[int]) -> bool:
         """Take in a round, in which units were `present`; whether another view is now in force."""
         drones, states = len(self.view.drones), inbox.states
-        lost = max(drones - int(states.said.sum()), 0)
+        lost = max(drones - int(states.present.sum()), 0)
         silent = ~np.isin(np.arange(len(self._silent)), list(present))
         self._silent = np.where(silent, self._silent + 1, 0)
         self._evidence -= math.log((lost + 0.5) / (drones + 1))
         self._evidence[~silent] = 0.0
-        locks = states.lock[states.said]
+        locks = states.lock[states.present]
         self._highest = max(self._highest, messages.ViewId.of(int(locks.max(initial=0))))
-        self._heard_of |= states.said
-        self.gone |= states.said & states.gone
-        self.joining = np.where(states.said, states.joining, self.joining)
+        self._heard_of |= states.present
+        self.gone |= states.present & states.gone
+        self.joining = np.where(states.present, states.joining, self.joining)
         before = self.view
         for message in inbox.slots.values():
             self._highest = max(self._highest, message.view)
@@ -133,7 +133,7 @@ class Membership:
     def _proposed(self, round_: int) -> bool:
         """Adopt a view with all members, of an identity that was never used before.
 
-        Lemma 6 of docs/mlr-dmpc/proof.md.
+        Lemma L6 of docs/mlr-dmpc/proof.md.
         Epochs grow by at least one with each proposal, and in a round r none is above r + 1. So a
         unit that comes back uses none that it may have used before.
         """
@@ -156,11 +156,11 @@ class Membership:
         """(N,) the drones of the view."""
 
 
-_VOID_ROUNDS = 2
+_GIVEN_UP_ROUNDS = 2
 
 
 class SwarmInformation:
-    """What compute unit w knows: trackers of all drones, the view, what was said of next rounds.
+    """Information of compute unit w: trackers of all drones, the view, announced selections.
 
     It starts, or comes back, in round `since`, with the view at deployment and targets (N, 3), m.
     """
@@ -219,13 +219,13 @@ class SwarmInformation:
         """Trajectories that may be flown and are not known."""
         return [messages.Missing(*one) for one in self.trackers.missing(self.flying)]
 
-    def void(self, round_: int) -> BoolArray:
-        """(N,) who has given up its reference lately: no distance is promised then."""
+    def has_given_up(self, round_: int) -> BoolArray:
+        """Return the drones (N,) that gave up their references lately: no distance holds then."""
         since = round_ - self._gave_up
-        return np.asarray(since <= _VOID_ROUNDS * self._config.horizon_rounds)
+        return np.asarray(since <= _GIVEN_UP_ROUNDS * self._config.horizon_rounds)
 
-    def knew(self, unit: int, drone: int, since: int, until: int) -> bool:
-        """Whether a unit is known to have had all that a drone may fly, in one of some rounds."""
+    def had_trajectory(self, unit: int, drone: int, since: int, until: int) -> bool:
+        """Return whether a unit certainly had all that a drone may fly, in one of the rounds."""
         return any(
             since <= round_ <= until and drone not in lacking
             for round_, lacking in self._complete.get(unit, [])
@@ -249,8 +249,8 @@ class SwarmInformation:
             if message.current is not None and message.view == self.view.id:
                 self.select(last, message.current)
         for unit in self.view.units:
-            said = own if unit == self.unit and own is not None else inbox.slots.get(unit)
-            self._account(unit, said, last, given)
+            its_own = own if unit == self.unit and own is not None else inbox.slots.get(unit)
+            self._account(unit, its_own, last, given)
         sent = [*([own] if own is not None else []), *inbox.slots.values()]
         self.planned = [
             messages.Missing(message.drone, message.trajectory.identity)
@@ -285,11 +285,11 @@ class SwarmInformation:
             self.trackers.lose()
 
     def _locate(self, states: messages.DroneStates) -> None:
-        said, lock = states.said, self.view.id.number
-        self.targets[said] = states.target[said]
-        self._gave_up[said & states.reinitialised] = states.round
-        self.trackers.lose(said & (states.lock > lock))
-        (drones,) = np.nonzero(said & (states.lock == lock))
+        present, lock = states.present, self.view.id.number
+        self.targets[present] = states.target[present]
+        self._gave_up[present & states.reinitialised] = states.round
+        self.trackers.lose(present & (states.lock > lock))
+        (drones,) = np.nonzero(present & (states.lock == lock))
         self.trackers.locate(
             drones,
             states.identity[drones],
@@ -337,7 +337,7 @@ def guaranteed_planes(
 
     None are known for a drone that is not in the air: who planned for j has not minded its hover.
     """
-    if info.void(round_)[[drone, other]].any() or info.membership.joining[drone]:
+    if info.has_given_up(round_)[[drone, other]].any() or info.membership.joining[drone]:
         return None
     parents: list[Trajectory] = []
     for _, identity in info.trackers.missing(np.arange(len(info.targets)) == other):
@@ -347,7 +347,7 @@ def guaranteed_planes(
             return None
         author = identity.compute_unit
         knows = own.identity.compute_unit == author
-        if not (knows or info.knew(author, drone, start, guarantee.round)):
+        if not (knows or info.had_trajectory(author, drone, start, guarantee.round)):
             return None
         parents += guarantee.parents
     positions = sampled_positions(own, round_ + 1, config)

@@ -164,7 +164,7 @@ class Planned(NamedTuple):
     accepted: bool  # Whether every constraint holds, so that it may be sent
     reason: str  # `accepted`, or why not
     shifted_slack: float
-    """Least slack of the rows at the trajectory that is flown, m; by Theorem 1 never negative."""
+    """Least slack of the rows at the trajectory that is flown, m; by Theorem T1 never negative."""
     solve_ms: float  # In the solver, all programs together, CPU time of this thread, ms
     total_ms: float  # From call to return, CPU time of this thread, ms
     num_rows: int  # Rows of the last program
@@ -178,10 +178,9 @@ def plan_trajectory(
     neighbors: Neighbors,
     target: FloatArray,
     config: MlrDmpcConfig,
-    solver_name: str = "daqp",
     planes: Sequence[HalfSpaces] = (),
 ) -> Planned:
-    """Replan from where a drone will be at the start of a round.
+    """Replan from where a drone will be at the start of a round: solveOptimization, (13).
 
     `neighbors`: what the others may fly from then on. `planes`: further half-spaces for the drone.
 
@@ -189,7 +188,7 @@ def plan_trajectory(
         The plan if every constraint holds as it will be sent, rounded to float32; else `own`.
     """
     begin = time.thread_time()
-    task = _Task(own, start_round, compute_unit, neighbors, target, config, solver_name, planes)
+    task = _Task(own, start_round, compute_unit, neighbors, target, config, planes)
     best = first = _best(task)
     solve_ms = first.solve_ms
     for _ in range(_RELINEARISATIONS):
@@ -225,7 +224,6 @@ class _Task(NamedTuple):
     neighbors: Neighbors
     target: FloatArray
     config: MlrDmpcConfig
-    solver_name: str
     planes: Sequence[HalfSpaces]
 
 
@@ -276,7 +274,7 @@ def _solve(task: _Task, chosen: IntArray, around: _Solution | None) -> _Solution
     among = task.neighbors.some(chosen)
     plan = None if around is None else around.plan
     problem = program(task.own, task.start_round, among, task.target, config, task.planes, plan)
-    found = solve_by_rows(problem, task.solver_name, NO_ROWS if around is None else around.active)
+    found = solve_by_rows(problem, NO_ROWS if around is None else around.active)
     jerk = fixed.jerks.at(problem.state, found.z)
     jerk[-1] = 0.0  # it is not sent: the plan ends at rest
     identity = Identity(task.start_round, task.compute_unit)

@@ -193,9 +193,9 @@ Levels = npt.NDArray[np.int64]  # (N,) priorities as messages carry them, 8 bit
 
 
 def _urgency(
-    trigger: str, distances: FloatArray, ages: IntArray, num_units: int, config: MlrDmpcConfig
+    distances: FloatArray, ages: IntArray, num_units: int, config: MlrDmpcConfig
 ) -> FloatArray:
-    """(N,) what priorities are made of, (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
+    """Return urgencies (N,), (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
 
     `WT` is between `HT` and `DT`: ages count four rounds more, so that a drone whose plan still
     ends far from its target is planned again before all others had their turn. Distances (N,) from
@@ -205,11 +205,14 @@ def _urgency(
     share = distances / float(np.linalg.norm(np.subtract(*config.box)))
     turns = ages * num_units / len(ages)
     weighted = share * (turns + _AGE_ROUNDS * num_units / len(ages))
-    return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[trigger]
+    return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[config.trigger]
 
 
-def consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
-    """(N,) priorities of all units as one, (11): the largest, but zero where any says zero."""
+def prio_consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
+    """Return the joint priorities (N,): prioConsensus of Algorithm 1, (11), the largest.
+
+    Where any unit says zero they are zero: that drone was just planned.
+    """
     joint = own.copy()
     zero = own == JUST_PLANNED
     for theirs in others:
@@ -221,7 +224,10 @@ def consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
 
 
 def rank_by_priority(priorities: Levels, round_: int) -> list[int]:
-    """Drones by priority, highest first; ties go round, so that nobody always comes last."""
+    """Return drones by priority, highest first: selectUAV of Algorithm 1 takes the first M.
+
+    Ties go round, so that no drone always comes last.
+    """
     count = len(priorities)
     turn = (np.arange(count) - round_) % count
     return [int(i) for i in np.lexsort((turn, -priorities))]
@@ -241,12 +247,6 @@ class PlanningOptions:
     """N."""
     num_units: int
     """M."""
-    trigger: str = "WT"
-    """`WT`, `HT`, `RR` or `DT`."""
-    measure: str = "end"
-    """Distances are from the `end` of the newest trajectory, or the `next` round's position."""
-    solver: str = "daqp"
-    """Of the programs."""
     seed: int = 0
     """Of detours' noise, alike for all units."""
     obstacles: Obstacles | None = None
@@ -263,15 +263,18 @@ class Planner:
     def prioritise(
         self, trajectories: Sequence[Trajectory | None], targets: FloatArray, round_: int
     ) -> Levels:
-        """Priorities (N,) for plans from round k + 1 on, by newest candidates; who makes room."""
+        """Return priorities (N,) for plans from round k + 1 on: calcPrio of Algorithm 1.
+
+        They follow from the newest candidates. It also decides which drones make room.
+        """
         options, config = self.options, self.options.config
         swarm, ages = _snapshot(trajectories, targets, round_, config)
         rng = np.random.default_rng((options.seed, round_))
         self._detours = next_detours(self._detours, swarm, round_, config, rng)
         self._targets = self._detours.current(targets)
-        points = swarm.ends if options.measure == "end" else swarm.positions
+        points = swarm.ends if config.measure == "end" else swarm.positions
         distances = np.linalg.norm(self._targets - points, axis=1)
-        urgencies = _urgency(options.trigger, distances, ages, options.num_units, config)
+        urgencies = _urgency(distances, ages, options.num_units, config)
         # In 8 bit, from 2 to 254, finer where they are small; the order is kept.
         share = np.minimum(np.log1p(urgencies / _FINEST) / math.log1p(_COARSEST / _FINEST), 1.0)
         out = np.asarray(_LEAST + np.rint(share * (_MOST - _LEAST)), dtype=np.int64)
@@ -298,7 +301,6 @@ class Planner:
             neighbors,
             self._targets[drone],
             options.config,
-            options.solver,
             planes if walls is None else [*planes, walls],
         )
 

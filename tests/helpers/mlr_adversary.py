@@ -79,7 +79,7 @@ class Trouble:
 
     def swarm(self, config: MlrDmpcConfig | None = None) -> MlrDmpcSwarm:
         """The swarm at its start, in a place so narrow that drones meet at once."""
-        config = config or MlrDmpcConfig()
+        config = replace(config or MlrDmpcConfig(), trigger=self.trigger)
         rng = np.random.default_rng((self.seed, 1))
         half = 0.35 * np.sqrt(self.drones)
         place = np.array([[-half, -half, 0.5], [half, half, 2.5]])
@@ -91,7 +91,6 @@ class Trouble:
             scattered(self.drones, config, rng, config.sampled_distance_m + 0.01, place),
             config=config,
             compute_units=self.units,
-            trigger=self.trigger,
             loss=LossModel(unit_loss=self.unit_loss, drone_loss=self.drone_loss, jams=jams),
             recovery=self.recovery,
             seed=self.seed,
@@ -207,8 +206,8 @@ class Flight:
     rejected: int = 0  # plans that were not accepted
     accepted: int = 0  # by drones
     joined: int = 0  # drones that joined and are in the air at the end
-    covering: int = 0  # for how many trackers Lemma 1 was checked
-    up_to_date: int = 0  # and Lemma 2
+    covering: int = 0  # for how many trackers Lemma L1 was checked
+    up_to_date: int = 0  # and Lemma L2
     broken: list[str] = field(default_factory=list)
 
     def check(
@@ -225,7 +224,7 @@ class Flight:
             if unit.planned.shifted_slack < -TOLERANCE:
                 self.broken.append(
                     f"round {report.round}: what drone {unit.drone} flies breaks a row by "
-                    f"{-unit.planned.shifted_slack:.2e} m (Theorem 1)"
+                    f"{-unit.planned.shifted_slack:.2e} m (Theorem T1)"
                 )
         if isinstance(swarm.nodes, RecoveryNodes):
             self._lemmas(swarm.nodes, report.round, before)
@@ -262,7 +261,7 @@ class Flight:
                     if not any(same(one, flown, round_) for one in candidates):
                         self.broken.append(
                             f"round {round_}: unit {info.unit} does not know that drone {drone} "
-                            f"flies {flown.identity} (Lemma 1)"
+                            f"flies {flown.identity} (Lemma L1)"
                         )
                 heard = trackers.confirmed[drone] == round_ - 1 and trackers.covering[drone]
                 if heard and lock == info.view.id:
@@ -272,7 +271,7 @@ class Flight:
                     if theirs != mine:
                         self.broken.append(
                             f"round {round_}: units {other} and {info.unit} hold {theirs} and "
-                            f"{mine} of drone {drone} (Lemma 2)"
+                            f"{mine} of drone {drone} (Lemma L2)"
                         )
 
 

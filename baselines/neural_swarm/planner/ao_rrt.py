@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -56,6 +56,21 @@ class SearchConfig:
     """Share by which a plan must be cheaper than the best; below it, trees do not look."""
     chances: Chances = field(default_factory=Chances)
     """Probabilities of what a tree does in an iteration."""
+
+    @classmethod
+    def published(cls, **others: Any) -> SearchConfig:
+        """Return AO-RRT as in the paper (Algorithm 1, Sec. V-A): random actions alone.
+
+        Samples are uniform, or the goal in a tenth of the iterations; the nearest node holds a
+        random action for one edge; no node is steered to the goal; each outer loop plans all robots
+        anew, below the bound.
+
+        Args:
+            **others: options that differ, such as `iterations`.
+        """
+        chances = Chances(goal=0.0, action=1.0, promising=0.0, guided=0.0, biased=0.1)
+        paper = {"chances": chances, "fresh": 1.0, "least_gain": 0.0, "iterations_per_tree": 20_000}
+        return cls(**{**paper, **others})
 
     def __post_init__(self) -> None:
         """Refuse values that an option cannot have."""

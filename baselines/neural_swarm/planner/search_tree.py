@@ -46,6 +46,7 @@ class Chances(NamedTuple):
     promising: float = 0.4
     """To start from the most promising of a few random nodes; else from the nearest to a sample."""
     guided: float = 0.7  # To sample near the guide; else uniformly
+    biased: float = 0.0  # To take the goal as the sample, at a random time: goal biasing
 
 
 class SearchTree(NamedTuple):
@@ -310,6 +311,9 @@ def sample_state(
             out[3 + k] = rng.uniform(-scene.limits[0], scene.limits[0])
         out[k] = min(max(out[k], scene.lower[k]), scene.upper[k])
         out[3 + k] *= scene.free[k]
+    if chances.biased > 0.0 and rng.random() < chances.biased:
+        for k in range(3):
+            out[k], out[3 + k] = scene.goal[k], 0.0
     return knot, rng.random() * bound
 
 
@@ -429,7 +433,8 @@ def grow_tree(
         end, left = new, (states.shape[0] - 1 - tree.knot[new]) // scene.edge
         if not at_goal(scene, tree, new):
             end = NONE
-            if left > 0 and (new == 0 or rng.random() < chances.goal):
+            first = new == 0 and chances.goal > 0.0
+            if left > 0 and (first or rng.random() < chances.goal):
                 edges = left if new == 0 or rng.random() < 0.5 else rng.integers(1, left + 1)
                 end = steer_to_goal(scene, tree, new, edges, bound, work)
         if end != NONE and at_goal(scene, tree, end):

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
 
-from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import solve_qp
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.compiled import kernel
@@ -172,7 +172,6 @@ def _nearest(hulls: FloatArray, out: FloatArray) -> None:
 
 
 FIXED = 3  # Control points at either end that stay: the robot rests there
-_solve = solver("daqp")
 _TOLERANCE = 1e-6  # by which a row may be broken, m
 _AT_ONCE = 60  # broken rows that are added before the program is solved again
 _ROUNDS = 30  # how often rows are added; what is found by then is drawn towards the old way
@@ -257,7 +256,7 @@ def improve(
             return better
         chosen, active = np.r_[chosen, broken], np.r_[active, np.zeros(len(broken), np.bool_)]
         matrix = cost.rows[rows.point[chosen], :, None] * rows.normal[chosen, None, :]
-        found = _solve(slope.ravel(), matrix.reshape(len(chosen), -1), still[chosen], active)
+        found = solve_qp(slope.ravel(), matrix.reshape(len(chosen), -1), still[chosen], active)
         if not found.solved:
             return control
         y, active = found.y.reshape(slope.shape), found.active

@@ -17,8 +17,14 @@ Array = npt.NDArray[np.float64]
 
 CRASH_M = 0.12
 """Scaled distance at which the paper counts a crash, m."""
-PUBLISHED = MlrDmpcConfig(planes="fixed")
-"""Settings with the separating planes of the paper."""
+PUBLISHED: dict[str, Any] = {
+    "config": MlrDmpcConfig.published(measure="end"),
+    "recovery": "paper",
+}
+"""Options of `MlrDmpcSwarm` as published, with priorities by the end of plans: so does the public
+simulation, of which the times are; (A2) and (A3) say the position in the next round."""
+OURS: dict[str, Any] = {"config": MlrDmpcConfig(), "recovery": True}
+"""The defaults of this package."""
 _SEQUENCE_LIMIT_S, _CIRCLE_LIMIT_S = 120.0, 60.0  # when a flight is given up
 _RADIUS_M, _HEIGHT_M = 1.5, 1.0  # of the circle
 _SAMPLES = 10  # instants that are kept of each round
@@ -49,13 +55,13 @@ class ReferenceFlight:
 def fly_sequence(drones: int, **options: Any) -> ReferenceFlight:
     """Fly plane, pyramid, cube, sphere and plane (Fig. 3a); options are those of `MlrDmpcSwarm`."""
     places = [formation(name, drones) for name in SEQUENCE]
-    return fly_references(places[0], places[1:], _SEQUENCE_LIMIT_S, PUBLISHED, **options)
+    return fly_references(places[0], places[1:], _SEQUENCE_LIMIT_S, **options)
 
 
 def fly_circle(drones: int, **options: Any) -> ReferenceFlight:
     """Fly each drone to the opposite side of a circle; options are those of `MlrDmpcSwarm`."""
     starts, targets = circle_swap(drones, _RADIUS_M, _HEIGHT_M)
-    return fly_references(starts, [targets], _CIRCLE_LIMIT_S, PUBLISHED, **options)
+    return fly_references(starts, [targets], _CIRCLE_LIMIT_S, **options)
 
 
 def fly_references(
@@ -106,7 +112,7 @@ def _closest(position: Array, config: MlrDmpcConfig) -> Array:
 def fly_cases(
     fly: Any, cases: Mapping[str, Mapping[str, Any]], drones: int, seeds: Sequence[int]
 ) -> dict[str, list[ReferenceFlight]]:
-    """Fly every case once for each seed, with the trigger of the paper unless a case names one.
+    """Fly every case once for each seed.
 
     Args:
         fly: `fly_sequence` or `fly_circle`.
@@ -117,8 +123,7 @@ def fly_cases(
     flights: dict[str, list[ReferenceFlight]] = {name: [] for name in cases}
     wanted = [(name, seed) for name in cases for seed in seeds]
     for name, seed in tqdm(wanted, unit="flight"):
-        options = {"trigger": "HT", **cases[name], "seed": seed}
-        flights[name].append(fly(drones, **options))
+        flights[name].append(fly(drones, seed=seed, **cases[name]))
     return flights
 
 

@@ -346,7 +346,7 @@ def test_who_is_planned_first_by_distance_and_rounds_since_the_last_plan(trigger
         replace(hover(place, 15, 0.2), identity=Identity(21 - age, 0))
         for place, age in zip(places, ages, strict=True)
     ]
-    options = PlanningOptions(config=CONFIG, num_drones=2, num_units=1, trigger=trigger)
+    options = PlanningOptions(config=replace(CONFIG, trigger=trigger), num_drones=2, num_units=1)
     assert rank_by_priority(Planner(options).prioritise(flown, targets, 20), 20)[0] == first
 
 

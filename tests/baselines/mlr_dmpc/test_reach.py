@@ -35,7 +35,7 @@ def extreme(problem: Program, rng: np.random.Generator) -> np.ndarray:
     alone = fresh(problem.rows)
     alone.done[:], alone.soft_done[:] = True, True
     slope = rng.normal(size=problem.slope.shape) * rng.choice([1.0, 100.0, 1e3], size=(1, 3))
-    found = solve_by_rows(replace(problem, rows=alone, slope=slope), "daqp")
+    found = solve_by_rows(replace(problem, rows=alone, slope=slope))
     assert not found.failure
     return found.z
 
@@ -62,7 +62,7 @@ def test_rows_left_out_change_no_optimum(seed, rounds):
     problem = program(*situation(seed, rounds, 20, WIDE, 4), WIDE)
     assert problem.rows.done.any()
     whole = replace(problem, rows=fresh(problem.rows))
-    found, expected = solve_by_rows(problem, "daqp"), solve_by_rows(whole, "daqp")
+    found, expected = solve_by_rows(problem), solve_by_rows(whole)
     assert not found.failure and not expected.failure
     assert np.allclose(found.z, expected.z, atol=1e-6)
 

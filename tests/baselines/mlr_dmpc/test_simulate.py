@@ -20,11 +20,12 @@ SIX, OPPOSITE = circle_swap(6, 1.2, 1.0)
     "trouble",
     [
         {},
-        {"trigger": "HT"},
-        {"trigger": "RR"},
-        {"trigger": "DT"},
-        {"measure": "next"},
+        {"config": MlrDmpcConfig(trigger="HT")},
+        {"config": MlrDmpcConfig(trigger="RR")},
+        {"config": MlrDmpcConfig(trigger="DT")},
+        {"config": MlrDmpcConfig(measure="next")},
         {"recovery": "paper"},
+        {"recovery": "paper", "config": MlrDmpcConfig.published()},
         {"recovery": False},
         {"informed": False},
         {"loss": 0.1},
@@ -122,7 +123,6 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     [
         ({"targets": FAR * [0.2, 1, 1]}, r"targets\[0\] and targets\[1\] are 0.200 m apart"),
         ({"loss": 1.5}, r"loss is 1.5, but must be a share in \[0, 1\]"),
-        ({"solver": "cplex"}, "cplex"),
         ({"duration_s": 0.0}, "duration_s is 0.0, but must be a number in"),
         ({"recovery": "paper", "joins": {1: 5}}, "only recovery=True"),
         ({"targets": lambda t: FAR * [1 - 0.5 * t, 1, 1]}, "targets at 1.6 s"),
@@ -135,7 +135,7 @@ def test_bad_input_is_refused_with_the_reason(changes, reason):
 
 
 def test_distances_are_kept_between_samples_too():
-    """Theorem 2, for drones that cross at full speed; the least distance is the polynomials'."""
+    """Theorem T2, for drones that cross at full speed; the least distance is the polynomials'."""
     starts, targets = circle_swap(8, 1.5, 1.0)
     config = MlrDmpcConfig(turn_rad=0.0, soft_m=0.0)
     flown = simulate(starts, targets, seed=2, duration_s=8.0, config=config)

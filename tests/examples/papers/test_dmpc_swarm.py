@@ -15,8 +15,8 @@ from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
 
 CASES = {
-    "figure-3b": ["1 CU", "2 CUs", "3 CUs"],
-    "figure-3c": ["RR", "DT", "HT"],
+    "figure-3b": ["1 CU", "2 CUs", "3 CUs", "1 CU, ours", "2 CUs, ours", "3 CUs, ours"],
+    "figure-3c": ["RR", "DT", "HT", "RR, ours", "DT, ours", "HT, ours"],
     "figure-4": ["jam, ours", "jam, paper's", "jam, none"],
 }
 COMMON = [pytest.param(c, marks=[pytest.mark.slow] * (c == "losses"), id=c) for c in COMMANDS]
@@ -71,7 +71,7 @@ def test_each_command_writes_its_numbers(command, tmp_path, capsys):
         return
     cases = numbers["cases"]
     assert list(cases) == CASES.get(command, list(cases))
-    assert len(cases) == (24 if command == "losses" else 3)
+    assert len(cases) == (24 if command == "losses" else len(CASES[command]))
     for case in cases.values():
         assert len(case["total_s"]) == 1
         assert case["arrived"] == sum(total is not None for total in case["total_s"])

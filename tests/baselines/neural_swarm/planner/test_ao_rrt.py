@@ -227,3 +227,12 @@ def test_round_a_robot_that_hovers_it_flies_nearly_the_optimum():
         states[:, 1, :3] = MIDDLE
         costs.append(cheapest(problem, states, 40_000, np.random.default_rng(seed)))
     assert 0.95 * optimum <= np.median(costs) <= 1.15 * optimum
+
+
+def test_as_published_valid_plans_are_found_by_random_actions_at_a_higher_cost():
+    published = SearchConfig.published(iterations=40_000)
+    result = search(crossing(), published, 0)
+    assert result.trajectories is not None
+    check_valid(crossing(), result.trajectories)
+    assert result.cost > search(crossing(), QUICK, 0).cost
+    assert list(result.costs) == sorted(result.costs, reverse=True), "the bound only falls"
