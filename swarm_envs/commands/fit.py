@@ -13,9 +13,9 @@ from swarm_envs.training.force_model.force_fit_config import FitConfig, Residual
 class FitOptions(FitConfig):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
 
-    Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
-    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed. With
-    --residual, it identifies what a force model leaves over, the random force of the hall.
+    Writes the model and a report of its errors. Most fits need no more than --data, --out, --model,
+    --mode and --seed. With --residual, it identifies what a force model leaves over, the random
+    force of the hall.
 
     Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
     vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to
@@ -24,15 +24,13 @@ class FitOptions(FitConfig):
 
     residual: bool = False
     """fit no model, but write into residual.json what --force leaves over; of the other options,
-    this takes --data, --out, --seed, --progress, --json and --logs.* alone"""
+    this takes --data, --out, --steps, --seed, --progress, --json and --logs.* alone"""
     force: str = "composed"
     """with --residual: `composed`, that of environments, or `wake`, refitted for each fold of
     flights; or the file of a model, which is taken as it is, so that flights it was fitted to
     flatter it"""
     folds: int = 5
     """with --residual: parts into which the flights of each scenario are dealt"""
-    rows: int = 30_000
-    """with --residual: rows of each fit of the wake, drawn at random"""
     bootstrap: int = 400
     """with --residual: draws of flights for the 95 % intervals"""
 

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 import tyro
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, run_flights, swap_test
 from swarm_envs.control.config import ControllerConfig
+from swarm_envs.errors import check_bool, check_integer, check_type
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.tasks.swap import StackedLayout
@@ -71,7 +71,6 @@ class CompensationResult(SwapTrial):
     crashed: int  # Compensated episodes that ended in a collision or a tumble
 
 
-@typed
 @dataclass(frozen=True)
 class FeedforwardConfig:
     """The making of a model for feed-forward."""
@@ -91,11 +90,17 @@ class FeedforwardConfig:
     progress: bool = True
     """show progress bars"""
 
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_integer("seed", self.seed, at_least=0)
+        check_integer("steps", self.steps, at_least=1)
+        check_type("collection", self.collection, CollectionConfig)
+        check_bool("progress", self.progress)
+
 
 FeedforwardReport = dict[str, Any]  # The content of `belief.json`
 
 
-@typed
 def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     """Make the model: see the module. After an interruption it resumes.
 
@@ -170,7 +175,6 @@ def feedforward_command(config: FeedforwardConfig) -> str:
     return " ".join(words + changed_options(config.collection, "--collection.", ("seed",)))
 
 
-@typed
 def compare_compensation(
     trial: SwapTrial, model: InteractionModel, environment: str | InteractionModel = "learned"
 ) -> CompensationResult:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal, get_args
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
-from swarm_envs.arguments import Range, Seed, typed, typed_options
+from swarm_envs.errors import check_integer, check_name, check_number, check_type
 from swarm_envs.files import write_json
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
@@ -37,11 +36,6 @@ KINDS = ("walk", "low-walk", "swap", "low-swap")
 """Motions: random walks and stacked swaps, aloft and near the ground."""
 
 
-Flights = Annotated[int, Range(0)]
-"""The number of flights of a kind; 0 for none."""
-
-
-@typed_options
 @dataclass(frozen=True)
 class CollectionConfig:
     """A collection of flights. The same configuration gives the same logs, to the last bit."""
@@ -49,13 +43,13 @@ class CollectionConfig:
     teams: tuple[str, ...] = ("S", "L", "SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
     """vehicles of each team; each drone is in turn the one that feels the force, so that `SL` gives
     the scenarios L2S and S2L"""
-    walks: Flights = 5
+    walks: int = 5
     """flights per team that walk at random aloft"""
-    low_walks: Flights = 5
+    low_walks: int = 5
     """flights per team that walk at random near the ground"""
-    swaps: Flights = 5
+    swaps: int = 5
     """flights per team of two or more that swap places aloft, crossing every few seconds"""
-    low_swaps: Flights = 5
+    low_swaps: int = 5
     """flights per team of two or more that swap places near the ground"""
     duration_s: float = 20.0
     """length of a flight, s; a flight ends earlier at its first contact"""
@@ -76,16 +70,22 @@ class CollectionConfig:
     """what the motions are drawn from"""
     noise: SensorNoise = SensorNoise()
     """what sensors add to the logged state; the pilot flies with the true one"""
-    seed: Seed = 0
+    seed: int = 0
     """seed of every flight; each has its own generator, so that none depends on another"""
 
     def __post_init__(self) -> None:
+        for name in ("walks", "low_walks", "swaps", "low_swaps", "seed"):
+            check_integer(name, getattr(self, name), at_least=0)
+        check_number("duration_s", self.duration_s, at_least=1.0, unit="s")
+        check_name("world", self.world, ("ideal", "hall"))
+        check_name("pilot", self.pilot, ("soft", "mid", "stiff", "firm"))
+        check_name("label", self.label, get_args(Label))
+        check_type("motion", self.motion, MotionRanges)
+        check_type("noise", self.noise, SensorNoise)
         for team in self.teams:
             parse_team(team)
         if len(set(self.teams)) < len(self.teams):
             raise ValueError(f"teams are {self.teams}, but each may be named once: they name files")
-        if not (math.isfinite(self.duration_s) and self.duration_s >= 1.0):
-            raise ValueError(f"duration_s is {self.duration_s}, but must be at least 1 s")
         if not self.batches():
             raise ValueError(
                 f"teams {self.teams} and the counts walks {self.walks}, low_walks "
@@ -124,7 +124,6 @@ MANIFEST = "manifest.json"
 HELD_OUT_EVERY = 5  # Of the flights of a team and kind one in so many is for validation
 
 
-@typed
 def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[CollectedFlight]:
     """Fly what is not yet there, and read everything.
 

@@ -13,14 +13,14 @@ is as logged, the mass m is the type's. A log is all that these functions are gi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
-from swarm_envs.arguments import NOT_NEGATIVE, typed, typed_options
+from swarm_envs.errors import check_number
 from swarm_envs.files import written_whole
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
@@ -80,7 +80,6 @@ def rotate_to_body(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     return rotate(quaternion * [-1.0, -1.0, -1.0, 1.0], vector)
 
 
-@typed_options
 @dataclass(frozen=True)
 class SensorNoise:
     """White noise on every log entry, and biases; standard deviations per component.
@@ -88,23 +87,28 @@ class SensorNoise:
     White noise is drawn for each entry, a bias once for each vehicle and flight.
     """
 
-    position_m: Annotated[float, NOT_NEGATIVE] = 2e-4
+    position_m: float = 2e-4
     """of a motion-capture system, m: makers and users state tenths of a millimetre for markers in
     a room of some metres"""
-    velocity: Annotated[float, NOT_NEGATIVE] = 0.01
+    velocity: float = 0.01
     """of the state estimator, m/s: positions of 0.2 mm at 100 Hz, filtered over a few samples"""
-    attitude_rad: Annotated[float, NOT_NEGATIVE] = 3e-3
+    attitude_rad: float = 3e-3
     """of the state estimator, rad: 0.2 degrees"""
-    accelerometer: Annotated[float, NOT_NEGATIVE] = 0.2
+    accelerometer: float = 0.2
     """of the accelerometer, m/s^2: vibration of the rotors, not the chip, whose 0.175 mg per root
     of Hz (BMI088) make 0.02 m/s^2 over 100 Hz; 0.2 m/s^2 are 0.7 g of force on a small drone,
     about what is left over when models are fitted to measured flights"""
-    accelerometer_bias: Annotated[float, NOT_NEGATIVE] = 0.05
+    accelerometer_bias: float = 0.05
     """constant error of the accelerometer, m/s^2: 5 mg, what is left of the chip's 20 mg once the
     firmware has zeroed it before take-off"""
-    attitude_bias_rad: Annotated[float, NOT_NEGATIVE] = 0.0
+    attitude_bias_rad: float = 0.0
     """constant error of the attitude, rad: markers glued askew. It leans the thrust, 0.03 g of
     sideways force on a small drone per milliradian"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for option in fields(self):
+            check_number(option.name, getattr(self, option.name), at_least=0.0)
 
 
 def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> FlightLog:
@@ -185,7 +189,6 @@ def hann_average(values: FloatArray, width: int) -> FloatArray:
     return result
 
 
-@typed
 def interaction_force(
     log: FlightLog,
     team: Team,

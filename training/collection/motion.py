@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple, Protocol
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, Interval, typed_options
 from swarm_envs.compiled import kernel
+from swarm_envs.errors import check_interval, check_number
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference, ramped_line
@@ -27,57 +27,67 @@ from swarm_envs.vehicles import Team
 __all__ = ["MotionRanges"]
 
 Pair = tuple[float, float]  # Lowest and highest of what is drawn evenly
-Drawn = Annotated[Pair, Interval(NOT_NEGATIVE)]  # Such a pair, neither of them negative
+_POSITIVE = ("goal_period_s", "reach_m", "floor_reach_m", "crossing_s")
+"""Options that must not be zero."""
 
 
-@typed_options
 @dataclass(frozen=True)
 class MotionRanges:
     """The ranges that motions are drawn from. SI units; a pair is (lowest, highest)."""
 
-    half_width_m: Annotated[float, NOT_NEGATIVE] = 0.25
+    half_width_m: float = 0.25
     """half width of the box of a random walk"""
-    walk_heights_m: Drawn = (0.5, 1.7)
+    walk_heights_m: Pair = (0.5, 1.7)
     """heights of goals of a walk aloft"""
-    low_walk_heights_m: Drawn = (0.07, 0.8)
+    low_walk_heights_m: Pair = (0.07, 0.8)
     """heights of goals near the ground; a drone's goal is at least 1 cm above touching the floor"""
-    low_walk_power: Annotated[float, NOT_NEGATIVE] = 2.0
+    low_walk_power: float = 2.0
     """heights near the ground are the lowest plus the span times u^power, u uniform"""
-    goal_period_s: Annotated[float, POSITIVE] = 1.5
+    goal_period_s: float = 1.5
     """time between new goals of a walk"""
-    aligned: Annotated[float, NOT_NEGATIVE] = 0.5
+    aligned: float = 0.5
     """share of goals that are on one vertical line"""
-    attraction: Drawn = (2.0, 4.5)
+    attraction: Pair = (2.0, 4.5)
     """natural frequency of the attraction to goals, drawn per flight, rad/s"""
-    acceleration_limit: Annotated[float, NOT_NEGATIVE] = 3.0
+    acceleration_limit: float = 3.0
     """largest acceleration by attraction, m/s^2"""
-    reach_m: Annotated[float, POSITIVE] = 0.15
+    reach_m: float = 0.15
     """clearance between two spheres below which they repel"""
-    strength: Annotated[float, NOT_NEGATIVE] = 3e-3
+    strength: float = 3e-3
     """strength of the repulsion, m^4/s^2"""
-    floor_reach_m: Annotated[float, POSITIVE] = 0.04
+    floor_reach_m: float = 0.04
     """clearance from the floor below which it repels"""
-    floor_strength: Annotated[float, NOT_NEGATIVE] = 1e-5
+    floor_strength: float = 1e-5
     """strength of the floor's repulsion, m^4/s^2"""
-    repulsion_limit: Annotated[float, NOT_NEGATIVE] = 8.0
+    repulsion_limit: float = 8.0
     """largest acceleration by repulsion from one neighbour or the floor, m/s^2"""
-    radius_m: Drawn = (0.35, 0.75)
+    radius_m: Pair = (0.35, 0.75)
     """radius of the circle of a swap"""
-    gap_m: Drawn = (0.15, 0.45)
+    gap_m: Pair = (0.15, 0.45)
     """distance of neighbouring planes of a swap; more where spheres would come within
     `clearance_m`"""
-    clearance_m: Annotated[float, NOT_NEGATIVE] = 0.015
+    clearance_m: float = 0.015
     """least clearance of the spheres of drones in neighbouring planes of a swap"""
-    crossing_s: Annotated[Pair, Interval()] = (2.0, 5.0)
+    crossing_s: Pair = (2.0, 5.0)
     """time of one crossing"""
-    pause_s: Drawn = (0.2, 0.8)
+    pause_s: Pair = (0.2, 0.8)
     """rest between crossings"""
-    miss_m: Annotated[float, NOT_NEGATIVE] = 0.06
+    miss_m: float = 0.06
     """standard deviation of ends of crossings in x and y, so that drones also pass off the axis"""
-    lowest_m: Drawn = (0.6, 1.0)
+    lowest_m: Pair = (0.6, 1.0)
     """height of the lowest plane of a swap aloft"""
-    low_lowest_m: Drawn = (0.14, 0.4)
+    low_lowest_m: Pair = (0.14, 0.4)
     """the same near the ground"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for option in fields(self):
+            check = check_interval if isinstance(option.default, tuple) else check_number
+            value = getattr(self, option.name)
+            if option.name in _POSITIVE:
+                check(option.name, value, above=0.0)
+            else:
+                check(option.name, value, at_least=0.0)
 
 
 class MotionTarget(NamedTuple):

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.files import pyarrow
 from swarm_envs.state import FloatArray, IntArray
 
@@ -177,7 +176,6 @@ def _refuse(bad: npt.NDArray[np.bool_], line: IntArray, reason: str, fix: str) -
         raise ValueError(f"line {line[int(np.argmax(bad))]}: {reason}; {fix}")
 
 
-@typed
 def read_table(path: str | os.PathLike[str]) -> FlightTable:
     """Read the file of one flight.
 

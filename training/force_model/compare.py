@@ -14,14 +14,14 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import tyro
 from scipy import stats
 from tqdm import tqdm
 
-from swarm_envs.arguments import Count, Range, Seed, typed, typed_options
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.log_options import LogOptions
@@ -42,7 +42,6 @@ DRAWS = 2000  # Bootstrap samples of flights
 _ASIDE = ("data", "out", "json", "progress")  # Options that change nothing of a comparison
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class CompareConfig(FlightData):
     """The models to compare, and the flights."""
@@ -52,14 +51,14 @@ class CompareConfig(FlightData):
     stopped resumes from there"""
     models: tuple[Model, ...] = ("composed", "deep-set", "wake")
     """the models; the first is compared with each of the others"""
-    folds: Annotated[int, Range(2)] = 5
+    folds: int = 5
     """parts of the flights, each held out once"""
     hold_out: Literal["flights", "two-neighbors"] = "flights"
     """`two-neighbors`: fit to rows with at most one neighbor and test on the others, in place of
     the folds; it shows what a model makes of several neighbors"""
-    steps: Count = FitConfig.steps
+    steps: int = FitConfig.steps
     """optimizer steps of each fit"""
-    seed: Seed = 0
+    seed: int = 0
     """of the folds, the fits and the bootstrap"""
     progress: bool = True
     """show a progress bar"""
@@ -67,6 +66,15 @@ class CompareConfig(FlightData):
     """write the comparison to this file too"""
     logs: LogOptions = LogOptions()
     """how flight logs become rows"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for model in self.models:
+            check_name("models", model, get_args(Model))
+        check_name("hold_out", self.hold_out, ("flights", "two-neighbors"))
+        check_integer("folds", self.folds, at_least=2)
+        check_integer("steps", self.steps, at_least=1)
+        check_integer("seed", self.seed, at_least=0)
 
 
 @dataclass(frozen=True)
@@ -135,7 +143,6 @@ def paired_difference(
     return float(total.sum() / count.sum()), float(found.low), float(found.high)
 
 
-@typed
 def compare(config: CompareConfig) -> ModelComparison:
     """Fit every model to each part of the flights, and compare them on the rest.
 

@@ -13,7 +13,6 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from swarm_envs.arguments import typed
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.training.force_model.composed import Composed, build
 from swarm_envs.training.force_model.network import (
@@ -45,7 +44,6 @@ def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str
         partial.write_bytes(content)  # its own writer raises no OSError
 
 
-@typed
 def save_network(
     path: str | os.PathLike[str],
     network: ForceNetwork,
@@ -86,7 +84,6 @@ def save_network(
     write_safetensors(Path(path), exact, {METADATA_KEY: json.dumps(description)})
 
 
-@typed
 def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
     """Read a file that `save_network` wrote, as a float64 network.
 

@@ -4,45 +4,46 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal, get_args
 
-from swarm_envs.arguments import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    POSITIVE_M,
-    Count,
-    Range,
-    Seed,
-    typed_options,
-)
+from swarm_envs.errors import check_bool, check_integer, check_name, check_number, check_type
 from swarm_envs.training.flight_logs.log_options import LogOptions
 
 __all__ = ["REPORTS", "FitConfig", "TrainConfig"]
 
 
-@typed_options
 @dataclass(frozen=True)
 class TrainConfig:
     """The training of a network."""
 
-    steps: Count = 6000
+    steps: int = 6000
     """optimizer steps"""
-    batch_size: Count = 1024
+    batch_size: int = 1024
     """rows of a step; every row comes once in each pass, in random order"""
-    learning_rate: Annotated[float, POSITIVE] = 3e-3
+    learning_rate: float = 3e-3
     """Adam's rate at the start; it falls to zero along a cosine"""
     spectral: Literal["clip", "exact", "none"] = "clip"
     """what is done to the spectral norm of every weight matrix after each step: `clip` scales it
     down to `max_spectral_norm` if it is larger, as the models that ship were trained; `exact` sets
     it to this value, as eq. (12) is written; `none` leaves it"""
-    max_spectral_norm: Annotated[float, POSITIVE] = 3.0
+    max_spectral_norm: float = 3.0
     """that norm; the paper's gamma is its fourth power. The networks of a composed model, which
     stand for phi and rho, take its square"""
-    balance: Annotated[float, NOT_NEGATIVE] = 0.0
+    balance: float = 0.0
     """how far squared errors are weighted by the inverse mean square label of the drone's type: 0
     not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
-    seed: Seed = 0
+    seed: int = 0
     """seed of the first weights and of every draw; the same seed gives the same weights"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        for name in ("steps", "batch_size"):
+            check_integer(name, getattr(self, name), at_least=1)
+        for name in ("learning_rate", "max_spectral_norm"):
+            check_number(name, getattr(self, name), above=0.0)
+        check_name("spectral", self.spectral, ("clip", "exact", "none"))
+        check_number("balance", self.balance, at_least=0.0)
+        check_integer("seed", self.seed, at_least=0)
 
 
 Mode = Literal["anchored", "measured"]
@@ -77,7 +78,6 @@ class FitFiles(FlightData):
     `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(TrainConfig, FitFiles):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
@@ -100,11 +100,11 @@ class FitConfig(TrainConfig, FitFiles):
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
     offsets: Literal["estimated", "none"] = "estimated"
     """calibration offsets of an anchored fit; `none` if the labels are exact"""
-    anchor_height_m: Annotated[float, POSITIVE_M] = 0.6
+    anchor_height_m: float = 0.6
     """height from which a lone drone feels exactly nothing, in an anchored fit"""
-    hidden: Count = 20
+    hidden: int = 20
     """H, length of the hidden state between phi and rho"""
-    layers: Annotated[int, Range(2)] = 4
+    layers: int = 4
     """L, layers of every phi and rho"""
     relative_velocity: bool = True
     """let the network see velocities; without, it sees positions alone"""
@@ -118,6 +118,17 @@ class FitConfig(TrainConfig, FitFiles):
     """how flight logs become rows"""
 
     def __post_init__(self) -> None:
+        """Refuse values that an option cannot have, and options that exclude each other."""
+        super().__post_init__()
+        check_name("model", self.model, get_args(Model))
+        check_name("mode", self.mode, get_args(Mode))
+        check_name("offsets", self.offsets, ("estimated", "none"))
+        check_number("anchor_height_m", self.anchor_height_m, above=0.0, unit="m")
+        check_integer("hidden", self.hidden, at_least=1)
+        check_integer("layers", self.layers, at_least=2)
+        for name in ("relative_velocity", "torque", "progress"):
+            check_bool(name, getattr(self, name))
+        check_type("logs", self.logs, LogOptions)
         if self.model == "composed" and self.mode == "measured":
             raise ValueError("a composed model is for environments; fit it in anchored mode")
         if self.torque and self.model != "deep-set":
@@ -136,7 +147,6 @@ FITTED = ("composed", "wake")
 """Force models that are refitted, to flights other than those that they are judged on."""
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
 class ResidualConfig(FlightData):
     """Identify the force that a model leaves over on flights.
@@ -150,13 +160,13 @@ class ResidualConfig(FlightData):
     """the force model: `composed`, that of environments, or `wake`, refitted for each fold of
     flights; or the file of a model, which is taken as it is, so that flights it was fitted to
     flatter it"""
-    folds: Annotated[int, Range(2)] = 5
+    folds: int = 5
     """parts into which the flights of each scenario are dealt"""
-    steps: Count = FitConfig.steps
+    steps: int = FitConfig.steps
     """optimizer steps of each fit"""
-    bootstrap: Count = 400
+    bootstrap: int = 400
     """draws of flights for the 95 % intervals"""
-    seed: Seed = 0
+    seed: int = 0
     """of every draw"""
     progress: bool = True
     """show a progress bar while logs are read"""
@@ -164,3 +174,12 @@ class ResidualConfig(FlightData):
     """write the report to this file too"""
     logs: LogOptions = LogOptions()
     """how flight logs become rows"""
+
+    def __post_init__(self) -> None:
+        """Refuse values that an option cannot have."""
+        check_integer("folds", self.folds, at_least=2)
+        for name in ("steps", "bootstrap"):
+            check_integer(name, getattr(self, name), at_least=1)
+        check_integer("seed", self.seed, at_least=0)
+        check_bool("progress", self.progress)
+        check_type("logs", self.logs, LogOptions)

@@ -16,12 +16,12 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.arguments import POSITIVE_M, Count, Range, typed
+from swarm_envs.errors import check_integer, check_number
 
 __all__ = ["InputRange"]
 
@@ -62,7 +62,6 @@ OUTER_FADE = FadeWindow()
 """The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
 
 
-@typed
 @dataclass(frozen=True)
 class DeepSetSpec:
     """The function of a network, without its weights."""
@@ -73,11 +72,11 @@ class DeepSetSpec:
     """Smooth fade of pairs."""
     input_range: InputRange | None = None
     """Clamp of the inputs; None leaves them."""
-    anchor_height_m: Annotated[float, POSITIVE_M] | None = 0.6
+    anchor_height_m: float | None = 0.6
     """At and above this height a lone drone feels exactly zero; None for the paper's form."""
-    hidden: Count = 20
+    hidden: int = 20
     """H, the number of outputs of every phi and inputs of every rho (Sec. VII-C)."""
-    layers: Annotated[int, Range(2)] = 4
+    layers: int = 4
     """L, the number of layers of every phi and rho; 40-wide ones come or go (Sec. VII-C)."""
     kind: NetworkKind = "deep-set"
     """Which function of the neighbours it is."""
@@ -85,7 +84,12 @@ class DeepSetSpec:
     """True if rho gives the torque too; of a deep set alone."""
 
     def __post_init__(self) -> None:
+        """Refuse values that a network cannot have."""
         _check_types(self.types)
+        if self.anchor_height_m is not None:
+            check_number("anchor_height_m", self.anchor_height_m, above=0.0, unit="m")
+        check_integer("hidden", self.hidden, at_least=1)
+        check_integer("layers", self.layers, at_least=2)
         if self.torque and self.kind != "deep-set":
             raise ValueError(f"a {self.kind} network gives no torque; only a deep set does")
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 
-from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
@@ -74,7 +73,6 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
     check_same(path, *({k: v for k, v in c.items() if k not in aside} for c in (made, wanted)))
 
 
-@typed
 def fit(config: FitConfig) -> FitReport:
     """Fit a model to rows and write it and its report into `config.out`.
 

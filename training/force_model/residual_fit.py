@@ -27,7 +27,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json
 from swarm_envs.interactions.field import INTERACTION_VOLUME
@@ -91,7 +90,6 @@ class ResidualReport:
         return [*said, f"white noise of the labels: {noise}"]
 
 
-@typed
 def fit_residual(config: ResidualConfig) -> ResidualReport:
     """Identify what a force model leaves over, and write `residual.json` into `config.out`.
 

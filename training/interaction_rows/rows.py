@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
@@ -141,7 +140,6 @@ def _check_index(name: str, array: IntArray, low: int, high: int) -> None:
         )
 
 
-@typed
 def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
     """Write the table as a compressed npz without pickle, atomically; the path ends in `.npz`."""
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(rows, name) for name in ROW_ARRAYS}
@@ -156,7 +154,6 @@ def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
         np.savez_compressed(partial, allow_pickle=False, **arrays)
 
 
-@typed
 def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     """Read rows from a file that `save_rows` wrote, or from the published flights' table.
 
