@@ -207,7 +207,7 @@ def check_vertices(
     Raises:
         ValueError: naming the first robot for which it is not so, and why.
     """
-    found = check_places(name, given, shape, obstacles)
+    found = _check_places(name, given, shape, obstacles)
     vertices = numbers(found, shape)
     order = np.argsort(vertices, kind="stable")
     twins = np.flatnonzero(np.diff(vertices[order]) == 0)
@@ -220,7 +220,7 @@ def check_vertices(
     return found
 
 
-def check_places(
+def _check_places(
     name: str, given: npt.ArrayLike, shape: Shape, obstacles: BoolArray
 ) -> Coordinates:
     """Vertices as an (n, 3) array, in the grid and free.

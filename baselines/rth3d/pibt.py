@@ -8,16 +8,15 @@ been at its goal. There is no guarantee that all ever arrive.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, Coordinates, GridInstance, numbers
-from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, among_free, neighbor, survey
-from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, neighbor, survey
+from swarm_envs.baselines.rth3d.ways import Ints
 from swarm_envs.compiled import equation, kernel
 
 _ROBOT = np.dtype(
@@ -35,8 +34,6 @@ _ROBOT = np.dtype(
 )
 
 
-NO_LIMIT = np.iinfo(np.int32).max
-"""Of steps within which all have to arrive."""
 _MOST_AWAY = 10_000  # steps away from the goal that count for the urgency, or every step gets slow
 
 
@@ -400,20 +397,6 @@ class Pibt:
         """Go on from step `begin`; see `_run_pibt`."""
         last, left = _run_pibt(self.terrain, self.robots, self.paths, begin, end, limit, left, lost)
         return int(last), int(left)
-
-    def aim(self, robots: Ints, goals: Coordinates) -> None:
-        """Give robots (k,) other goals (k, 3)."""
-        crew = self.robots.crew
-        for name, values in zip("xyz", goals.T, strict=True):
-            crew[name][robots] = values
-        crew["away"][robots] = 0
-        if self.terrain.grid.obstacles == ANY:
-            columns = self.terrain.cells["column"][numbers(goals, self.instance.shape)]
-            self.terrain.ways[robots] = ways_to(self._free, columns)
-
-    @cached_property
-    def _free(self) -> Neighbors:
-        return among_free(neighbor_table(self.instance.shape, self.instance.obstacles))
 
     def rewind(self, begin: int) -> None:
         """Forget all after step `begin`."""

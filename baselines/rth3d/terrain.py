@@ -77,7 +77,7 @@ def survey(instance: GridInstance) -> Terrain:
     ways = np.zeros((0, 0), dtype=np.int32)
     if grid.obstacles == ANY:
         _check_ways(instance)
-        ways = ways_to(among_free(table), cells["column"].ravel()[numbers(instance.goals, shape)])
+        ways = ways_to(_among_free(table), cells["column"].ravel()[numbers(instance.goals, shape)])
     return Terrain(cells.ravel(), ways, table if narrow else table[:0], grid)
 
 
@@ -96,7 +96,7 @@ def _check_ways(instance: GridInstance) -> None:
         )
 
 
-def among_free(table: Neighbors) -> Neighbors:
+def _among_free(table: Neighbors) -> Neighbors:
     """(F, 7) the neighbours of each free vertex, numbered among the free ones."""
     free = table[:, STAY] >= 0
     place = np.append(np.cumsum(free, dtype=np.int32) - 1, np.int32(-1))  # -1 is no neighbour
