@@ -25,7 +25,6 @@ from swarm_envs.baselines.rth3d.grid_validation import (
     check_paths,
     validate,
 )
-from swarm_envs.baselines.rth3d.ways import STAY
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
@@ -165,12 +164,6 @@ class GridPlan(GridInstance):
     def makespan(self) -> int:
         """Steps until the last robot is at its goal."""
         return len(self.moves)
-
-    @cached_property
-    def sum_of_costs(self) -> int:
-        """Sum over the robots of the last step in which each moves."""
-        moves = self.moves[::-1] != STAY
-        return int(((len(moves) - moves.argmax(axis=0)) * moves.any(axis=0)).sum())
 
     @property
     def ratio(self) -> float:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +36,7 @@ from swarm_envs.baselines.rth3d.lacam import (
     stride,
 )
 from swarm_envs.baselines.rth3d.matching import assign_levels
-from swarm_envs.baselines.rth3d.negotiation import negotiate, reduce_costs
+from swarm_envs.baselines.rth3d.negotiation import negotiate
 from swarm_envs.baselines.rth3d.paper_lba import assign_levels_in_turn, balance_by_distance
 from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
 from swarm_envs.baselines.rth3d.pibt_search import (
@@ -301,7 +300,6 @@ def plan(
     watch: Callable[[str], None] | None = None,
     configurations: int | None = None,
     labels: bool = True,
-    objective: Literal["makespan", "sum_of_costs"] = "makespan",
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
@@ -330,9 +328,6 @@ def plan(
             over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
             beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal
             that robot i takes.
-        objective: `"makespan"`, or `"sum_of_costs"`, the sum over the robots of the step in which
-            last moves (`GridPlan.sum_of_costs`). It is reduced by negotiation within the makespan
-            that was found, unless vertices times steps are more than 40 million.
 
     Returns:
         A plan that `validate` has found feasible.
@@ -348,7 +343,6 @@ def plan(
         check_number("time_limit", time_limit, above=0.0, unit="s")
     if configurations is not None:
         check_integer("configurations", configurations, at_least=1)
-    check_name("objective", objective, ("makespan", "sum_of_costs"))
     instance = check_instance(starts, goals, shape, obstacles)
     check_name("method", method, METHODS)
     if time_limit is not None:
@@ -360,12 +354,6 @@ def plan(
         solution, bound = _labelled(instance, method, seed, clock), None
     else:
         solution, bound = _without_labels(instance, method, seed, clock)
-    if objective == "sum_of_costs" and clock.remaining > 0:
-        with clock.phase("sum of costs") as record:
-            ends = replace(instance, goals=points(solution.paths[-1], instance.shape))
-            paths = reduce_costs(ends, seed, clock, solution.paths)
-            record(len(paths) - 1)
-        solution = replace(solution, paths=paths)
     return _result(instance, solution, method, seed, clock, bound)
 
 
@@ -381,7 +369,7 @@ def _compile(method: str) -> None:
         small = GridInstance((6, 6, 3), free, free[::-1].copy(), walls)
         for name in ("rth3d-lba", "pibt", "lacam") if method == "auto" else (method,):
             with suppress(NoHighways, PlanNotFound):
-                paths = reduce_costs(small, 0, clock, METHODS[name](small, 0, clock).paths)
+                paths = METHODS[name](small, 0, clock).paths
                 negotiate(small, 0, clock, len(paths) + 1)
                 check_paths(paths, small)
 
