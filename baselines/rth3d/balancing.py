@@ -24,15 +24,6 @@ _MOST_NODES = 2**29
 _FAR = 2**30
 
 
-class FlowTooLarge(NoHighways):
-    """A flow would need more nodes than may be."""
-
-    def __init__(self, steps: int, message: str) -> None:
-        """`steps`: how many it would have; fewer do not suffice, if `least` was given."""
-        super().__init__(message)
-        self.steps = steps
-
-
 @kernel
 def _label(
     table: Array,
@@ -239,30 +230,27 @@ def balance(
     starts: Vertices,
     sinks: BoolArray,
     check: Callable[[], None] = lambda: None,
-    least: int | None = None,
 ) -> npt.NDArray[np.int32]:
     """Paths that take every robot, no matter which, to a sink of its own, in the fewest steps.
 
     From starts (n,), all different, to at least as many sinks (V,), on the grid of a
-    `neighbor_table`. `check` is called now and then; what it raises ends the work. `least` is the
-    number of steps to begin with, if fewer are known not to suffice.
+    `neighbor_table`. `check` is called now and then; what it raises ends the work.
 
     Returns:
-        (T + 1, n) vertices. T is the least possible if `least` is given; otherwise up to 8 steps,
-        and then of those that grow by a quarter at most.
+        (T + 1, n) vertices. T is the least possible up to 8 steps, and then of
+        those that grow by a quarter at most.
 
     Raises:
-        FlowTooLarge: the sinks cannot be reached, or only in more steps than a flow may have.
+        NoHighways: the sinks cannot be reached, or only in more steps than a flow may have.
     """
     flow = _Flow(table, starts, sinks)
-    for steps in _count_up(least or 0):
+    for steps in _count_up():
         if not flow.pending.any():
             break
-        if steps == 0 or (least is None and steps > 8 and steps % (steps // 5)):
+        if steps == 0 or (steps > 8 and steps % (steps // 5)):
             continue
         if 2 * (steps + 1) * flow.total > _MOST_NODES:
-            raise FlowTooLarge(
-                steps,
+            raise NoHighways(
                 f"after {flow.steps} steps {int(flow.pending.sum())} robots still find no slot; "
                 "the starts or goals are too unevenly spread over so large a grid",
             )

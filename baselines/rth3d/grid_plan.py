@@ -31,7 +31,7 @@ from swarm_envs.files import written_whole
 __all__ = ["plot_grid_plan"]
 
 VERSION = 1  # Of the file format; a file of another version is refused
-_KEPT = ("method", "winner", "seed", "bound", "before_compaction", "set_bound")
+_KEPT = ("method", "winner", "seed", "bound", "before_compaction")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
 
@@ -139,9 +139,6 @@ class GridPlan(GridInstance):
     """Every phase of planning, with its makespan and its seconds."""
     valid: bool
     """Whether `validate` has found the paths feasible; `plan` returns no others."""
-    set_bound: int | None = None
-    """Of plans without labels, whose `goals[i]` is the one that robot i takes: steps that no plan
-    can do without, with any assignment of goals. None for labelled plans."""
 
     @cached_property
     def paths(self) -> npt.NDArray[np.int16]:
@@ -154,11 +151,6 @@ class GridPlan(GridInstance):
         for t, move in enumerate(self.moves):
             np.add(found[t], MOVES[move], out=found[t + 1])
         return found
-
-    @cached_property
-    def lower_bound(self) -> int:
-        """Steps that no plan can do without, given the labels, if there are any."""
-        return super().lower_bound if self.set_bound is None else self.set_bound
 
     @property
     def makespan(self) -> int:
@@ -244,25 +236,20 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
     report, moves = check_paths(as_vertices(paths, instance.shape), instance)
     if not report:
         raise ValueError(f"its paths are not feasible: {report.reason}")
-    for name in ("bound", "before_compaction", "set_bound"):
-        _check_steps(name, about.get(name), report.makespan)
+    for name in ("bound", "before_compaction"):
+        _check_steps(name, about[name], report.makespan)
     return GridPlan(
         moves=moves,
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
         **instance.fields(),
-        **{name: about[name] for name in _KEPT if name in about},
+        **{name: about[name] for name in _KEPT},
     )
 
 
 def _check_steps(name: str, steps: Any, makespan: int) -> None:
     """Refuse what is no number of steps, or one that the plan contradicts."""
-    if steps is None:
-        return
-    fits = isinstance(steps, int) and (
-        0 <= steps <= makespan if name == "set_bound" else makespan <= steps
-    )
-    if not fits:
+    if steps is not None and not (isinstance(steps, int) and makespan <= steps):
         raise ValueError(f"its {name} is {steps!r}, which is none of a plan of {makespan} steps")
 
 

@@ -16,7 +16,7 @@ from functools import cache, partial
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.balancing import FlowTooLarge, balance
+from swarm_envs.baselines.rth3d.balancing import balance
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
@@ -51,8 +51,6 @@ from swarm_envs.baselines.rth3d.rubik import (
     choose_highways,
     shuffle,
 )
-from swarm_envs.baselines.rth3d.unlabelled import assign, unlabelled_bound
-from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_integer, check_name, check_number
 
@@ -61,7 +59,7 @@ from swarm_envs.errors import check_integer, check_name, check_number
 class _Solution:
     paths: Paths  # (T + 1, n) vertices of the given grid
     method: str  # What found them, as `GridPlan.winner`
-    # What the makespan could not exceed, whatever the labels; None without such a bound
+    # What the makespan could not exceed; None without such a bound
     bound: int | None
     before_compaction: int | None = None  # Makespan of RTH3D's phases one after another
 
@@ -248,34 +246,6 @@ def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock)
     return found
 
 
-def _labelled(instance: GridInstance, method: str, seed: int, clock: PlanningClock) -> _Solution:
-    if instance.lower_bound == 0:
-        return _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
-    return METHODS[method](instance, seed, clock)
-
-
-def _without_labels(
-    instance: GridInstance, method: str, seed: int, clock: PlanningClock
-) -> tuple[_Solution, int]:
-    """The fewest steps by flow, or goals assigned for a method; and a bound on the steps."""
-    assigned = assign(instance)
-    table = neighbor_table(instance.shape, instance.obstacles)
-    least = unlabelled_bound(instance, table)
-    if method == "auto":
-        starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
-        try:
-            with clock.phase("flow") as record:
-                check = partial(clock.check, "flow")
-                sinks = np.isin(np.arange(len(table)), goals)
-                paths = balance(table, starts, sinks, check, least)
-                record(len(paths) - 1)
-            return _Solution(paths, "flow", len(paths) - 1), len(paths) - 1
-        except FlowTooLarge as error:
-            least = max(least, error.steps)
-    found = _labelled(assigned, method, seed, clock)
-    return replace(found, method=f"assigned, then {found.method}"), least
-
-
 METHODS: Mapping[str, Solver] = {
     "rth3d": partial(_rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
     "rth3d-lba": _solve_rth3d_lba,
@@ -299,7 +269,6 @@ def plan(
     time_limit: float | None = None,
     watch: Callable[[str], None] | None = None,
     configurations: int | None = None,
-    labels: bool = True,
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
@@ -324,10 +293,6 @@ def plan(
         configurations: the maximum number that LaCAM* makes in each connected part of the grid.
             None: 1,000,000, or what fits into 0.8 GB. Without a time limit it makes as many again
             after its first plan to improve it, at least 1,000 (fewer for over 1,000 robots).
-        labels: False if any robot may take any goal. `"auto"` then finds the fewest steps by a flow
-            over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
-            beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal
-            that robot i takes.
 
     Returns:
         A plan that `validate` has found feasible.
@@ -350,11 +315,11 @@ def plan(
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
-    if labels:
-        solution, bound = _labelled(instance, method, seed, clock), None
+    if instance.lower_bound == 0:
+        solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
     else:
-        solution, bound = _without_labels(instance, method, seed, clock)
-    return _result(instance, solution, method, seed, clock, bound)
+        solution = METHODS[method](instance, seed, clock)
+    return _result(instance, solution, method, seed, clock)
 
 
 @cache
@@ -375,23 +340,15 @@ def _compile(method: str) -> None:
 
 
 def _result(
-    instance: GridInstance,
-    solution: _Solution,
-    method: str,
-    seed: int,
-    clock: PlanningClock,
-    set_bound: int | None,
+    instance: GridInstance, solution: _Solution, method: str, seed: int, clock: PlanningClock
 ) -> GridPlan:
     with clock.last_phase("validation") as record:
-        report, moves = check_paths(solution.paths, instance, labels=set_bound is None)
+        report, moves = check_paths(solution.paths, instance)
         record(report.makespan)
     if not report:
         raise AssertionError(f"{method!r} has made an invalid plan: {report.reason}")
-    if set_bound is not None:
-        instance = replace(instance, goals=points(solution.paths[-1], instance.shape))
     return GridPlan(
         moves=moves,
-        set_bound=set_bound,
         method=method,
         winner=solution.method,
         seed=seed,

@@ -128,14 +128,14 @@ def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple
 
 
 def check_paths(
-    paths: Paths, instance: GridInstance, labels: bool = True
+    paths: Paths, instance: GridInstance
 ) -> tuple[ValidationReport, npt.NDArray[np.int8]]:
     """A report on paths (T + 1, n) of vertices, and their moves (T, n); -1 is outside the grid."""
     starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
     count = paths.shape[1]
     last, moves = np.zeros(count, dtype=np.int32), np.empty((len(paths) - 1, count), dtype=np.int8)
-    strays = paths[-1] != goals if labels else ~np.isin(paths[-1], goals)
-    for rule, step, wrong in ((1, 0, paths[0] != starts), (2, len(paths) - 1, strays)):
+    for rule, step, ends in ((1, 0, starts), (2, len(paths) - 1, goals)):
+        wrong = paths[step] != ends
         if wrong.any():
             return _broken(rule, int(wrong.argmax()), step), moves
     _, m2, m3 = instance.shape
@@ -174,7 +174,6 @@ def validate(
     goals: npt.ArrayLike,
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
-    labels: bool = True,
 ) -> ValidationReport:
     """Check a plan against the definition of a feasible one (Sec. II-A).
 
@@ -188,7 +187,6 @@ def validate(
         goals: (n, 3) integers.
         shape: of the grid.
         obstacles: booleans of that shape, anywhere, or None.
-        labels: whether each robot must end at its own goal; else all goals must be taken.
 
     Returns:
         A report that is true if the plan is feasible, and otherwise says what is wrong.
@@ -203,4 +201,4 @@ def validate(
         raise ValueError(f"paths have shape {given.shape}, but must have {wanted}")
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"paths are of type {given.dtype}, but must be integers")
-    return check_paths(as_vertices(given, instance.shape), instance, labels)[0]
+    return check_paths(as_vertices(given, instance.shape), instance)[0]

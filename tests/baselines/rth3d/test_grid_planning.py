@@ -1,9 +1,10 @@
-"""Plans, also of any goal for any robot and of files: valid by two checkers, within bounds."""
+"""Plans, also of files: valid by two checkers, within bounds."""
 
 from __future__ import annotations
 
 import re
-from itertools import permutations, product
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,8 @@ from PIL import Image
 from swarm_envs.baselines.rth3d import (
     METHODS,
     GridPlan,
-    NoPlanExists,
     PlanNotFound,
     PlanTimeout,
-    balancing,
     building_columns,
     make_instance,
     max_density,
@@ -25,11 +24,11 @@ from swarm_envs.baselines.rth3d import (
     terrain,
     validate,
 )
+from swarm_envs.baselines.rth3d.balancing import balance
 from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark, write_benchmark
 from swarm_envs.baselines.rth3d.compaction import compact
-from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
+from swarm_envs.baselines.rth3d.grid import GridInstance, numbers, points
 from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
-from swarm_envs.baselines.rth3d.unlabelled import bottleneck, unlabelled_bound
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from tests.baselines.rth3d.cases import between, load_checker, maze, random_instance
 
@@ -282,13 +281,6 @@ def test_compaction_gives_back_the_steps_that_it_saves():
     assert found.tolist() == [[0, 5], [1, 4], [2, 4]] and found.flags.owndata
 
 
-def plan_set(instance: GridInstance, **options) -> GridPlan:
-    found = plan(**instance.fields(), labels=False, **options)
-    assert found.check() and validate(found.paths, **instance.fields(), labels=False)
-    assert sorted(found.goals.tolist()) == sorted(instance.goals.tolist())
-    return found
-
-
 def cluttered(seed: int, shape: tuple[int, int, int], count: int, part: float) -> GridInstance:
     generator = np.random.default_rng(seed)
     return between(generator.random(shape) < part, count, generator)
@@ -309,72 +301,16 @@ def fewest_steps(instance: GridInstance) -> int:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_plan_of_a_small_grid_is_shorter(seed):
+def test_balancing_takes_the_fewest_steps(seed):
+    """Any robot may take any goal: UnlabeledMRPP of the paper."""
     instance = cluttered(seed, (4, 3, 1) if seed % 2 else (3, 2, 2), 3, 0.25)
-    found = plan_set(instance)
-    assert found.makespan == found.lower_bound == fewest_steps(instance)
     table = neighbor_table(instance.shape, instance.obstacles)
-    assert unlabelled_bound(instance, table) <= found.makespan
-
-
-def test_the_bottleneck_is_that_of_the_best_permutation():
-    generator = np.random.default_rng(3)
-    for _ in range(20):
-        ways = generator.integers(0, 9, (5, 5)).astype(np.int32)
-        best = min(max(ways[range(5), p]) for p in map(list, permutations(range(5))))
-        assert bottleneck(ways) == best
-
-
-def test_random_instances_pass_the_foreign_checker(shared_data):
-    checker = load_checker(shared_data)
-    cases = [random_instance(seed) for seed in range(40, 55)]
-    cases += [cluttered(seed, (16, 8, 4), 60, 0.3) for seed in range(5)]
-    cases.append(between(maze(17, np.random.default_rng(0)), 30, np.random.default_rng(1)))
-    for instance in cases:
-        found = plan_set(instance)
-        report = checker(found, found.paths)
-        assert report["ok"], report
-        assert found.winner == "flow" and report["makespan"] == found.makespan == found.lower_bound
-
-
-def test_the_bound_knows_a_hole_in_a_wall():
-    walls = np.zeros((9, 5, 1), dtype=bool)
-    walls[4] = True
-    walls[4, 2] = False
-    free = np.argwhere(~walls)
-    instance = check_instance(free[:20], free[-20:], walls.shape, walls)
-    bound = unlabelled_bound(instance, neighbor_table(instance.shape, walls))
-    found = plan_set(instance)
-    assert 20 < bound <= found.makespan <= bound + 2
-
-
-def test_beyond_the_largest_flow_goals_are_assigned(monkeypatch):
-    instance = cluttered(5, (12, 6, 3), 40, 0.2)
-    shortest = plan_set(instance)
-    monkeypatch.setattr(balancing, "_MOST_NODES", 100)
-    found = plan_set(instance)
-    assert found.winner.startswith("assigned, then ")
-    assert found.lower_bound <= shortest.makespan <= found.makespan
-    assert plan_set(instance, method="pibt").winner == "assigned, then pibt"
-    same = check_instance(instance.starts, instance.starts[::-1], instance.shape)
-    assert plan_set(same, method="pibt").makespan == 0
-
-
-def test_goals_of_nobody_that_cannot_be_are_refused():
-    walls = np.zeros((5, 1, 1), dtype=bool)
-    walls[2] = True
-    with pytest.raises(NoPlanExists, match="shut 2 robots"):
-        plan([[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [4, 0, 0]], walls.shape, walls, labels=False)
-    with pytest.raises(PlanTimeout):
-        plan([[0, 0]], [[4, 0]], (5, 1), labels=False, time_limit=1e-9)
-
-
-def test_the_validator_wants_every_goal_taken():
-    given = ([[0, 0], [1, 0]], [[3, 0], [2, 0]], (4, 1))
-    paths = np.array([[[0, 0, 0], [1, 0, 0]], [[1, 0, 0], [2, 0, 0]], [[2, 0, 0], [3, 0, 0]]])
-    assert validate(paths, *given, labels=False) and not validate(paths, *given)
-    report = validate(paths[:2], *given, labels=False)
-    assert not report and report.robot == 0 and "end at its goal" in report.reason
+    sinks = np.zeros(len(table), dtype=bool)
+    sinks[numbers(instance.goals, instance.shape)] = True
+    paths = balance(table, numbers(instance.starts, instance.shape), sinks)
+    assert sinks[paths[-1]].all() and len(paths) - 1 == fewest_steps(instance)
+    ends = points(paths[-1], instance.shape)
+    assert validate(points(paths, instance.shape), **replace(instance, goals=ends).fields())
 
 
 MAP = "type octile\nheight 3\nwidth 5\nmap\n..@..\n.TG.S\n..O.W\n"
@@ -419,11 +355,11 @@ def test_what_is_written_is_read_again(tmp_path):
         write_benchmark(*pair, make_instance("uniform", (4, 4, 2), 3))
 
 
-@pytest.mark.parametrize(("robots", "labels"), [(None, True), (2, True), (None, False)])
-def test_a_benchmark_is_planned(tmp_path, robots, labels):
+@pytest.mark.parametrize("robots", [None, 2])
+def test_a_benchmark_is_planned(tmp_path, robots):
     given = read_benchmark(*files(tmp_path, MAP.replace("T", ".")), robots)
-    found = plan(**given.fields(), labels=labels)
-    assert validate(found.paths, **given.fields(), labels=labels)
+    found = plan(**given.fields())
+    assert validate(found.paths, **given.fields())
     assert found.shape == (5, 3, 1) and len(found.starts) == (robots or 3)
 
 
