@@ -15,7 +15,7 @@ from swarm_envs.baselines.rth3d.grid import (
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_planning import METHODS, plan
 from swarm_envs.baselines.rth3d.grid_validation import validate
-from swarm_envs.baselines.rth3d.rubik import max_density
+from swarm_envs.baselines.rth3d.highways import max_density
 
 __all__ = [
     "FAMILIES",

@@ -1,8 +1,7 @@
-"""`plan` and its methods: RTH3D, PIBT with restarts, a complete search, and the best of them.
+"""`plan` and its methods: RTH3D as the paper outlines it, PIBT, LaCAM*, and the best of them.
 
-What is shorter than a plan that is known already is found whether that plan is known or not: the
-knowledge only ends attempts that cannot get below it, and only after the last step from which
-another attempt may go on.
+Algorithm 1 of the paper is `_rth3d`, its lines 3 to 5 are `_rta3d`, and the steps stand in the
+files of `unlabeled_mrpp` and `rubik`.
 """
 
 from __future__ import annotations
@@ -10,13 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.balancing import balance
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
@@ -25,32 +23,26 @@ from swarm_envs.baselines.rth3d.grid import (
     PlanNotFound,
     check_instance,
     numbers,
-    points,
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_validation import check_paths, follow_paths
-from swarm_envs.baselines.rth3d.lacam import (
-    Lacam,
-    after_a_plan,
-    most_configurations,
-    stride,
-)
+from swarm_envs.baselines.rth3d.highways import choose_highways
 from swarm_envs.baselines.rth3d.matching import assign_levels
 from swarm_envs.baselines.rth3d.negotiation import negotiate
 from swarm_envs.baselines.rth3d.paper_lba import assign_levels_in_turn, balance_by_distance
-from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
-from swarm_envs.baselines.rth3d.pibt_search import (
-    GOOD_ENOUGH,
-    PibtSearch,
-    search_halfway,
-)
+from swarm_envs.baselines.rth3d.parts import search_parts
+from swarm_envs.baselines.rth3d.pibt_search import GOOD_ENOUGH, PibtSearch, search_halfway
 from swarm_envs.baselines.rth3d.rubik import (
-    Highways,
     Matching,
-    balance_both,
-    choose_highways,
-    shuffle,
+    RubikTable,
+    Shuffles,
+    concatenate,
+    matching_xy,
+    rubik_table,
+    xy_fitting,
+    z_fitting,
 )
+from swarm_envs.baselines.rth3d.unlabeled_mrpp import balance, unlabeled_mrpp
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_integer, check_name, check_number
 
@@ -58,14 +50,13 @@ from swarm_envs.errors import check_integer, check_name, check_number
 @dataclass(frozen=True, eq=False)
 class _Solution:
     paths: Paths  # (T + 1, n) vertices of the given grid
-    method: str  # What found them, as `GridPlan.winner`
-    # What the makespan could not exceed; None without such a bound
-    bound: int | None
+    method: str  # The method that found them, as `GridPlan.winner`
+    bound: int | None = None  # Of the makespan, guaranteed; None without one
     before_compaction: int | None = None  # Makespan of RTH3D's phases one after another
 
     @property
     def makespan(self) -> int:
-        """Steps of the plan."""
+        """The steps of the plan."""
         return len(self.paths) - 1
 
 
@@ -73,20 +64,8 @@ Solver = Callable[[GridInstance, int, PlanningClock], _Solution]
 """Finds paths from an instance, a seed and a clock."""
 
 SIDE_STEPS = 9
-"""What the five shuffles take beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they
+"""Steps of the five shuffles beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they
 run over m - 1 edges at most), 5 where they change lanes, park and form a column."""
-
-
-def _renumber(paths: Paths, highways: Highways) -> Paths:
-    """Number the vertices as in the given grid, in place."""
-    given = np.arange(np.prod(highways.shape), dtype=np.int32)
-    back = tuple(np.argsort(highways.axes))
-    shape = tuple(highways.shape[k] for k in back)
-    where = points(given, highways.shape)[:, back]
-    given = numbers(where, shape)  # type: ignore[arg-type]
-    for row in paths:
-        row[:] = given[row]
-    return paths
 
 
 def _rth3d(
@@ -97,40 +76,34 @@ def _rth3d(
     match: Matching,
     balance: Callable[..., Paths] = balance,
 ) -> _Solution:
-    """RTH3D by a way to match and one to balance; nothing in it is random."""
+    """Return the plan of RTH3D (Algorithm 1), compacted; nothing in it is random."""
     highways = choose_highways(instance)
-    axes = list(highways.axes)
-    starts, goals = (numbers(p[:, axes], highways.shape) for p in (instance.starts, instance.goals))
-    balanced = balance_both(highways, starts, goals, balance, clock)
-    paths = shuffle(highways, balanced, match, clock)
+    balanced = unlabeled_mrpp(highways, instance, balance, clock)
+    table = rubik_table(highways, balanced)
+    paths = concatenate(table, balanced, _rta3d(table, match, clock), clock)
     before = len(paths) - 1
     balancing = len(balanced.first) + len(balanced.last) - 2
     with clock.phase("compaction") as record:
         paths = compact(paths, int(np.prod(highways.shape)))
         record(len(paths) - 1)
-    return _Solution(
-        paths=_renumber(paths, highways),
-        method=name,
-        bound=highways.length + SIDE_STEPS + balancing,
-        before_compaction=before,
-    )
+    bound = highways.length + SIDE_STEPS + balancing
+    return _Solution(highways.renumber(paths), name, bound, before)
 
 
-_solve_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
+def _rta3d(table: RubikTable, match: Matching, clock: PlanningClock) -> Shuffles:
+    """Return the shuffles that solve a Rubik table (RTA3D, Sec. II-B): z, then y, x, y, then z."""
+    height, to_height = matching_xy(table, match, clock)
+    across = xy_fitting(table, height, match, clock)
+    return {"heights": to_height, **across, "heights to goals": z_fitting(table, height)}
 
 
-def _search(search: PibtSearch, clock: PlanningClock, known: int | None = None) -> Paths | None:
-    """What PIBT finds that is shorter than a plan that is known."""
-    with clock.phase("pibt") as record:
-        best = search.run(known)
-        record(search.reached if best is None else len(best) - 1)
-    return best
+_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
 
 
-def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """PIBT alone; PlanNotFound if not all robots arrive in any attempt."""
+def _pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """Return PIBT's best plan; PlanNotFound if not all robots arrive in any attempt."""
     search = PibtSearch(instance, seed, clock)
-    best = _search(search, clock)
+    best = search.improve()
     if best is None:
         if clock.remaining <= 0:
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
@@ -138,123 +111,68 @@ def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
             "try another seed, or method='auto', which has other methods as well"
         )
-    return _Solution(best, "pibt", None)
+    return _Solution(best, "pibt")
 
 
-def _shorten(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
-) -> _Solution:
-    """A shorter plan than one that is far from the lower bound; or that."""
-    for name, search in (("pibt halfway", search_halfway), ("negotiation", negotiate)):
-        if known.makespan <= GOOD_ENOUGH * instance.lower_bound:
-            break
-        with clock.phase(name) as record:
-            found = search(instance, seed, clock, known.makespan)
-            if found is not None and len(found) - 1 < known.makespan:
-                known = _Solution(found, name, known.bound)
-            record(known.makespan)
-    return known
+def _lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """Return the best plan of LaCAM*."""
+    return _Solution(search_parts(instance, seed, clock), "lacam")
 
 
-def _search_part(part: GridInstance, seed: int, clock: PlanningClock) -> Paths:
-    """The best plan of LaCAM* for robots that all can get to each other."""
-    count = len(part.starts)
-    most = clock.configurations or most_configurations(count, part.lower_bound)
-    lacam = Lacam(part, seed)
-    while not lacam.exhausted and lacam.made < most:
-        if clock.remaining <= 0 or lacam.steps == part.lower_bound:
-            break
-        first = lacam.steps is None
-        lacam.run(min(most, lacam.made + stride(count)))
-        if first and lacam.steps is not None and not clock.limited:
-            most = after_a_plan(count, lacam.made)
-    if lacam.steps is not None:
-        return lacam.paths()
-    if lacam.exhausted:
-        raise NoPlanExists(
-            f"no plan exists: the search has tried all that {count} robots can do, from robot at "
-            f"{part.starts[0].tolist()} on ({lacam.made} configurations)"
-        )
-    clock.check("lacam")
-    raise PlanNotFound(
-        f"lacam has found no plan within {lacam.made} configurations of {count} robots, and has "
-        "not shown that there is none; try another seed, or more configurations"
-    )
+def _auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """Return the shortest plan of several methods.
 
-
-def _solve_lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """LaCAM*, in each connected part of the grid by itself; then every move as early as it can."""
-    parts = connected_parts(instance)
-    check_order(instance, parts)
-    with clock.phase("lacam") as record:
-        found = [_search_part(part.instance, seed, clock) for part in parts]
-        steps = max(len(paths) for paths in found)
-        whole = np.tile(numbers(instance.starts, instance.shape), (steps, 1))
-        for part, paths in zip(parts, found, strict=True):
-            whole[: len(paths), part.robots] = paths
-            whole[len(paths) :, part.robots] = paths[-1]
-        whole = compact(whole, int(np.prod(instance.shape)))
-        record(len(whole) - 1)
-    return _Solution(whole, "lacam", None)
-
-
-def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """PIBT's first plan if none is shorter; else the best of RTH3D-LBA and PIBT.
-
-    Where the highways do not fit, the best of LaCAM* and PIBT. Then what `_shorten` finds.
+    1. PIBT, until its plan cannot be as short as the lower bound: on random instances it mostly is.
+    2. Where highways fit, RTH3D-LBA, which always succeeds; elsewhere LaCAM*, in half of the time.
+    3. PIBT to its end, with restarts: shorter than the others unless crowds meet.
+    4. For crowds, while more than 2 % may be gained: PIBT to places halfway, then negotiation.
     """
+    pibt, best, failure = None, None, None
     try:
         choose_highways(instance)
-        search = PibtSearch(instance, seed, clock)
-        with clock.phase("pibt, to the lower bound") as record:
-            shortest = search.attempt()
-            record(search.reached)
-        if shortest is not None:
-            return _Solution(shortest, "pibt", None)
-        found = sure = _solve_rth3d_lba(instance, seed, clock)
+        pibt = PibtSearch(instance, seed, clock)
+        if (shortest := pibt.attempt()) is not None:
+            return _Solution(shortest, "pibt")
+        best = _rth3d_lba(instance, seed, clock)
     except NoHighways:
-        return _solve_off_highways(instance, seed, clock)
-    if sure.makespan > instance.lower_bound:
+        try:
+            best = _lacam(instance, seed, clock.halved())
+        except (PlanNotFound, PlanTimeout) as error:
+            if isinstance(error, NoPlanExists):
+                raise
+            failure = error
+    if best is None or best.makespan > instance.lower_bound:
+        known, bound = (best.makespan, best.bound) if best else (None, None)
         with suppress(PlanTimeout):
-            best = _search(search, clock, sure.makespan)
-            if best is not None:
-                found = _Solution(best, "pibt", None)
-            found = _shorten(instance, seed, clock, found)
-    return replace(found, bound=sure.bound)
+            paths = (pibt or PibtSearch(instance, seed, clock)).improve(known)
+            best = best if paths is None else _Solution(paths, "pibt", bound)
+    if best is None:
+        assert failure is not None
+        raise failure
+    return _shorten(instance, seed, clock, best)
 
 
-def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """LaCAM* if it finds a plan, and what PIBT finds that is shorter."""
-    found, failed = None, None
-    try:
-        found = _solve_lacam(instance, seed, clock.halved())
-    except NoPlanExists:
-        raise
-    except (PlanNotFound, PlanTimeout) as error:
-        failed = error
-    known = None if found is None else found.makespan
-    if known is None or known > instance.lower_bound:
-        with suppress(PlanTimeout):
-            best = _search(PibtSearch(instance, seed, clock), clock, known)
-            if best is not None:
-                found = _Solution(best, "pibt", None)
-    if found is None:
-        assert failed is not None
-        raise failed
-    with suppress(PlanTimeout):
-        found = _shorten(instance, seed, clock, found)
-    return found
+def _shorten(instance: GridInstance, seed: int, clock: PlanningClock, best: _Solution) -> _Solution:
+    """Return a shorter plan than one that is far from the lower bound, or that plan."""
+    for name, search in (("pibt halfway", search_halfway), ("negotiation", negotiate)):
+        if best.makespan > GOOD_ENOUGH * instance.lower_bound:
+            with suppress(PlanTimeout), clock.phase(name) as record:
+                paths = search(instance, seed, clock, best.makespan)
+                if paths is not None and len(paths) - 1 < best.makespan:
+                    best = _Solution(paths, name, best.bound)
+                record(best.makespan)
+    return best
 
 
 METHODS: Mapping[str, Solver] = {
     "rth3d": partial(_rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
-    "rth3d-lba": _solve_rth3d_lba,
+    "rth3d-lba": _rth3d_lba,
     "rth3d-lba-paper": partial(
         _rth3d, name="rth3d-lba-paper", match=assign_levels_in_turn, balance=balance_by_distance
     ),
-    "pibt": _solve_pibt,
-    "lacam": _solve_lacam,
-    "auto": _solve_auto,
+    "pibt": _pibt,
+    "lacam": _lacam,
+    "auto": _auto,
 }
 """Every method by its name."""
 
@@ -316,7 +234,7 @@ def plan(
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
     if instance.lower_bound == 0:
-        solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
+        solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", bound=0)
     else:
         solution = METHODS[method](instance, seed, clock)
     return _result(instance, solution, method, seed, clock)

@@ -23,7 +23,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.grid import (
+    Array,
+    GridInstance,
+    NoPlanExists,
+    PlanNotFound,
+    numbers,
+)
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.pibt import (
     Robots,
     draw,
@@ -416,23 +423,37 @@ def _table_size(room: int) -> int:
     return 1 << (2 * room).bit_length()
 
 
-def most_configurations(count: int, bound: int) -> int:
-    """Configurations that are made by default before the first plan: at most 1,000,000.
+def best_plan(instance: GridInstance, seed: int, clock: PlanningClock) -> Paths:
+    """Return the best plan (T + 1, n) of the search within its configurations and the time limit.
 
-    Fewer for more than 100 robots, as many as fit into 0.8 GB, but enough for a plan of twice the
-    lower bound.
+    By default it makes at most 1,000,000 configurations before the first plan: fewer for more than
+    100 robots, as many as fit into 0.8 GB, but enough for a plan of twice the lower bound. After
+    the first plan it makes as many again, or 1,000 more (fewer for more than 1,000 robots).
+
+    Raises:
+        NoPlanExists: all configurations have been searched.
+        PlanTimeout: the time limit ended before the first plan.
+        PlanNotFound: there is none within the configurations.
     """
-    return max(min(_MOST, _MOST_ENTRIES // count), 2 * bound + 100)
-
-
-def after_a_plan(count: int, made: int) -> int:
-    """Configurations in all, once a plan has been found: twice as many, or 1,000 more.
-
-    For more than 1,000 robots that number is smaller.
-    """
-    return made + max(made, min(_MORE, _MORE_ENTRIES // count))
-
-
-def stride(count: int) -> int:
-    """Configurations that are made between two looks at the clock."""
-    return max(1, _GLANCE // count)
+    count, bound = len(instance.starts), instance.lower_bound
+    most = clock.configurations or max(min(_MOST, _MOST_ENTRIES // count), 2 * bound + 100)
+    search = Lacam(instance, seed)
+    while not search.exhausted and search.made < most and search.steps != bound:
+        if clock.remaining <= 0:
+            break
+        first = search.steps is None
+        search.run(min(most, search.made + max(1, _GLANCE // count)))
+        if first and search.steps is not None and not clock.limited:
+            most = search.made + max(search.made, min(_MORE, _MORE_ENTRIES // count))
+    if search.steps is not None:
+        return search.paths()
+    if search.exhausted:
+        raise NoPlanExists(
+            f"no plan exists: the search has tried all that {count} robots can do, from robot at "
+            f"{instance.starts[0].tolist()} on ({search.made} configurations)"
+        )
+    clock.check("lacam")
+    raise PlanNotFound(
+        f"lacam has found no plan within {search.made} configurations of {count} robots, and has "
+        "not shown that there is none; try another seed, or more configurations"
+    )

@@ -52,17 +52,26 @@ class PibtSearch:
         self._begin(0)
 
     def attempt(self) -> Paths | None:
-        """The first attempt's plan if it is as short as the lower bound; half of the time for it.
+        """Return the first attempt's plan if it is as short as the lower bound, or None.
 
-        It ends when it cannot be, and `run` continues from there.
+        It ends when it cannot be, or after half of the time, and `run` continues from there.
         """
-        self._limit = min(self.bound, self.cap)
-        self._advance(self._limit, self.bound, self._clock.halved())
-        self._keep()
+        with self._clock.phase("pibt, to the lower bound") as record:
+            self._limit = min(self.bound, self.cap)
+            self._advance(self._limit, self.bound, self._clock.halved())
+            self._keep()
+            record(self.reached)
         return self.best
 
+    def improve(self, known: int | None = None) -> Paths | None:
+        """Return what `run` does, as a phase of planning."""
+        with self._clock.phase("pibt") as record:
+            best = self.run(known)
+            record(self.reached if best is None else len(best) - 1)
+        return best
+
     def run(self, known: int | None = None) -> Paths | None:
-        """The best plan of the first attempt, and of restarts while there is something to gain.
+        """Return the best plan of the first attempt and of restarts, or None.
 
         `known` is the makespan of another plan; only shorter ones count.
         """

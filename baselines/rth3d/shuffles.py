@@ -97,20 +97,24 @@ Steps = npt.NDArray[np.int32]  # A whole number for each robot, such as how far 
 
 
 class Shift(NamedTuple):
-    """A shuffle across the long axis: how each robot moves."""
+    """A shuffle across the long axis, by the distance of each item."""
 
     distance: Steps  # (n,) edges along the axis, with sign
     stride: int  # Difference of the numbers of two neighbours along the axis
 
     @property
     def duration(self) -> int:
-        """Steps until the last robot has stepped back."""
+        """The steps until the last robot has stepped back."""
         longest = int(np.abs(self.distance).max(initial=0))
         return longest + 2 if longest else 0
 
+    def of(self, items: Steps) -> Shift:
+        """Return the shuffle of some items (n,) alone."""
+        return Shift(self.distance[items], self.stride)
+
 
 class LongShift(NamedTuple):
-    """A shuffle along the long axis: how each robot moves."""
+    """A shuffle along the long axis, by the moves of each item."""
 
     change: Steps
     """(n, STEPS) what is added to its vertex's number after each step of the change of lanes."""
@@ -120,10 +124,14 @@ class LongShift(NamedTuple):
 
     @property
     def duration(self) -> int:
-        """Steps until all columns are formed."""
+        """The steps until all columns are formed."""
         if not self.change.any() and not self.run.any():
             return 0
         return STEPS + int(np.abs(self.run).max(initial=0)) + 1 + 2
+
+    def of(self, items: Steps) -> LongShift:
+        """Return the shuffle of some items (n,) alone."""
+        return LongShift(*(part[items] for part in self))
 
 
 @kernel

@@ -23,10 +23,10 @@ from swarm_envs.baselines.rth3d import (
     terrain,
     validate,
 )
-from swarm_envs.baselines.rth3d.balancing import balance
 from swarm_envs.baselines.rth3d.compaction import compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, numbers, points
 from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
+from swarm_envs.baselines.rth3d.unlabeled_mrpp import balance
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from tests.baselines.rth3d.cases import between, load_checker, random_instance
 
