@@ -1,4 +1,4 @@
-"""RTH3D: labelled multi-robot path planning on 3-D grids (Guo, Feng, Yu, IROS 2022).
+"""RTH3D: labeled multi-robot path planning on 3-D grids (Guo, Feng, Yu, IROS 2022).
 
 `plan` makes a `GridPlan`, `validate` checks one by other code, `max_density` says how many robots
 the highways carry, `make_instance` draws instances of `FAMILIES`.

@@ -58,12 +58,12 @@ class PlanningClock:
     deadline: float = float("inf")  # By `time.monotonic`
     watch: Callable[[str], None] | None = None  # Called with the name of each phase when it begins
     configurations: int | None = None
-    """How many the complete search makes at most; None for its default."""
+    """The most that the complete search makes; None for its default."""
     phases: list[PhaseRecord] = field(default_factory=list)  # The phases so far
 
     @contextmanager
     def phase(self, name: str) -> Iterator[Callable[[int], None]]:
-        """Time a phase; the yielded function takes the phase's makespan.
+        """Time a phase of planning; the yielded function takes the phase's makespan.
 
         Raises:
             PlanTimeout: the time limit ended before the phase began.
@@ -89,17 +89,17 @@ class PlanningClock:
 
     @property
     def limited(self) -> bool:
-        """Whether the caller has limited the time or the configurations."""
+        """True if the caller has limited the time or the configurations."""
         return self.configurations is not None or self.deadline < float("inf")
 
     def halved(self) -> PlanningClock:
-        """The same clock, for a part of planning that may take half the time that is left."""
+        """Return the same clock, for a part of planning that may take half of the time left."""
         now = time.monotonic()
         return dataclasses.replace(self, deadline=(now + max(self.deadline, now)) / 2)
 
     @property
     def remaining(self) -> float:
-        """Seconds until the time limit ends."""
+        """The seconds until the time limit ends."""
         return self.deadline - time.monotonic()
 
     def check(self, what: str) -> None:
@@ -113,7 +113,7 @@ class PlanningClock:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GridPlan(GridInstance):
-    """Paths of all robots, and how they were found."""
+    """The paths of all robots, and the way they were found."""
 
     def __repr__(self) -> str:
         sides = " x ".join(map(str, self.shape))
@@ -124,25 +124,25 @@ class GridPlan(GridInstance):
     """(T, n) move of each robot in each step: 0 and 1 down and up x, 2 and 3 y, 4 and 5 z, 6 a
     wait; T is the makespan."""
     method: str
-    """What was asked for."""
+    """The name of the method that was asked for."""
     winner: str
-    """What the paths are by: of `auto`, "pibt", "rth3d-lba", "lacam", "pibt halfway" or
+    """The method that found the paths: of `auto`, "pibt", "rth3d-lba", "lacam", "pibt halfway" or
     "negotiation"."""
     seed: int
     """Of the planner."""
     bound: int | None
-    """What the makespan is guaranteed not to exceed, given the steps of balancing; None for PIBT
-    and LaCAM*, which have none."""
+    """Guaranteed maximum of the makespan, given the steps of balancing; None for PIBT and LaCAM*,
+    which have none."""
     before_compaction: int | None
     """Makespan of RTH3D's phases one after another; None if the paths are not by it alone."""
     phases: tuple[PhaseRecord, ...]
     """Every phase of planning, with its makespan and its seconds."""
     valid: bool
-    """Whether `validate` has found the paths feasible; `plan` returns no others."""
+    """True if `validate` has found the paths feasible; `plan` returns no others."""
 
     @cached_property
     def paths(self) -> npt.NDArray[np.int16]:
-        """(T + 1, n, 3) the vertices: `paths[t, i]` is where robot i is after t steps.
+        """The vertices (T + 1, n, 3): `paths[t, i]` is where robot i is after t steps.
 
         They use six times the memory of `moves`.
         """
@@ -154,12 +154,12 @@ class GridPlan(GridInstance):
 
     @property
     def makespan(self) -> int:
-        """Steps until the last robot is at its goal."""
+        """The steps until the last robot is at its goal."""
         return len(self.moves)
 
     @property
     def ratio(self) -> float:
-        """Makespan over lower bound, at least 1; 1 if no robot has to move.
+        """The makespan over the lower bound, at least 1; 1 if no robot has to move.
 
         A plan of ratio 1 is proven to have the shortest makespan. Others may have it, too.
         """
@@ -167,11 +167,11 @@ class GridPlan(GridInstance):
 
     @property
     def seconds(self) -> float:
-        """Wall time of all phases."""
+        """The wall time of all phases."""
         return sum(phase.seconds for phase in self.phases)
 
     def check(self) -> ValidationReport:
-        """Validate the paths again."""
+        """Return the report of another validation."""
         return validate(self.paths, **self.fields())
 
     def save(self, path: str | Path) -> None:
@@ -196,7 +196,7 @@ class GridPlan(GridInstance):
 
     @classmethod
     def load(cls, path: str | Path) -> GridPlan:
-        """Read a plan; its paths are validated again.
+        """Return the plan of a file; its paths are validated again.
 
         Raises:
             ValueError: the file is no plan, is damaged, or its paths are not feasible.

@@ -1,6 +1,6 @@
 """`plan` and its methods: RTH3D as the paper outlines it, PIBT, LaCAM*, and the best of them.
 
-Algorithm 1 of the paper is `_rth3d`, its lines 3 to 5 are `_rta3d`, and the steps stand in the
+Algorithm 1 of the paper is `rth3d`, its lines 3 to 5 are `rta3d`, and the steps stand in the
 files of `unlabeled_mrpp` and `rubik`.
 """
 
@@ -68,7 +68,7 @@ SIDE_STEPS = 9
 run over m - 1 edges at most), 5 where they change lanes, park and form a column."""
 
 
-def _rth3d(
+def rth3d(
     instance: GridInstance,
     seed: int,
     clock: PlanningClock,
@@ -80,7 +80,7 @@ def _rth3d(
     highways = choose_highways(instance)
     balanced = unlabeled_mrpp(highways, instance, balance, clock)
     table = rubik_table(highways, balanced)
-    paths = concatenate(table, balanced, _rta3d(table, match, clock), clock)
+    paths = concatenate(table, balanced, rta3d(table, match, clock), clock)
     before = len(paths) - 1
     balancing = len(balanced.first) + len(balanced.last) - 2
     with clock.phase("compaction") as record:
@@ -90,14 +90,14 @@ def _rth3d(
     return _Solution(highways.renumber(paths), name, bound, before)
 
 
-def _rta3d(table: RubikTable, match: Matching, clock: PlanningClock) -> Shuffles:
+def rta3d(table: RubikTable, match: Matching, clock: PlanningClock) -> Shuffles:
     """Return the shuffles that solve a Rubik table (RTA3D, Sec. II-B): z, then y, x, y, then z."""
     height, to_height = matching_xy(table, match, clock)
     across = xy_fitting(table, height, match, clock)
     return {"heights": to_height, **across, "heights to goals": z_fitting(table, height)}
 
 
-_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
+rth3d_lba = partial(rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
 
 
 def _pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
@@ -119,7 +119,7 @@ def _lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution
     return _Solution(search_parts(instance, seed, clock), "lacam")
 
 
-def _auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+def auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
     """Return the shortest plan of several methods.
 
     1. PIBT, until its plan cannot be as short as the lower bound: on random instances it mostly is.
@@ -133,14 +133,9 @@ def _auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
         pibt = PibtSearch(instance, seed, clock)
         if (shortest := pibt.attempt()) is not None:
             return _Solution(shortest, "pibt")
-        best = _rth3d_lba(instance, seed, clock)
+        best = rth3d_lba(instance, seed, clock)
     except NoHighways:
-        try:
-            best = _lacam(instance, seed, clock.halved())
-        except (PlanNotFound, PlanTimeout) as error:
-            if isinstance(error, NoPlanExists):
-                raise
-            failure = error
+        best, failure = _try_lacam(instance, seed, clock.halved())
     if best is None or best.makespan > instance.lower_bound:
         known, bound = (best.makespan, best.bound) if best else (None, None)
         with suppress(PlanTimeout):
@@ -150,6 +145,18 @@ def _auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
         assert failure is not None
         raise failure
     return _shorten(instance, seed, clock, best)
+
+
+def _try_lacam(
+    instance: GridInstance, seed: int, clock: PlanningClock
+) -> tuple[_Solution | None, Exception | None]:
+    """Return LaCAM*'s plan, or the reason why it has found none, though there may be one."""
+    try:
+        return _lacam(instance, seed, clock), None
+    except NoPlanExists:
+        raise
+    except (PlanNotFound, PlanTimeout) as error:
+        return None, error
 
 
 def _shorten(instance: GridInstance, seed: int, clock: PlanningClock, best: _Solution) -> _Solution:
@@ -165,14 +172,14 @@ def _shorten(instance: GridInstance, seed: int, clock: PlanningClock, best: _Sol
 
 
 METHODS: Mapping[str, Solver] = {
-    "rth3d": partial(_rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
-    "rth3d-lba": _rth3d_lba,
+    "rth3d": partial(rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
+    "rth3d-lba": rth3d_lba,
     "rth3d-lba-paper": partial(
-        _rth3d, name="rth3d-lba-paper", match=assign_levels_in_turn, balance=balance_by_distance
+        rth3d, name="rth3d-lba-paper", match=assign_levels_in_turn, balance=balance_by_distance
     ),
     "pibt": _pibt,
     "lacam": _lacam,
-    "auto": _auto,
+    "auto": auto,
 }
 """Every method by its name."""
 
@@ -188,7 +195,7 @@ def plan(
     watch: Callable[[str], None] | None = None,
     configurations: int | None = None,
 ) -> GridPlan:
-    """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
+    """Return collision-free paths on a 6-connected grid for robots that each have their own goal.
 
     Args:
         starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.

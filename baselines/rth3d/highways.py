@@ -44,7 +44,7 @@ Axes = tuple[int, int, int]  # The order of the axes
 class Highways:
     """The slots and lanes of a grid whose axes are in the order long, short, high."""
 
-    axes: Axes  # Which axis of the given grid is the long, the short, the high one
+    axes: Axes  # The axes of the given grid that are the long, the short, the high one
     shape: Shape  # The grid in that order
     obstacles: BoolArray  # In that order too
 

@@ -78,7 +78,7 @@ class _Nodes(NamedTuple):
 
 
 class _Pools(NamedTuple):
-    """What the configurations refer to, and the state of the search."""
+    """The constraints and edges of configurations, and the state of the search."""
 
     constraints: Ints  # (L, 5) parent, who, to which vertex, how many with its parents, next
     edges: Ints  # (E, 2) the configuration that it leads to, the edge before
@@ -97,7 +97,7 @@ def _hash(at: Array) -> int:
 
 @kernel
 def _place(nodes: _Nodes, table: Array, at: Array, code: int) -> int:
-    """The place of a configuration in the hash table, empty if it is new."""
+    """Return the place of a configuration in the hash table, empty if it is new."""
     mask = table.shape[0] - 1
     place = code & mask
     while table[place] >= 0:
@@ -176,7 +176,7 @@ def _add_edge(nodes: _Nodes, pools: _Pools, node: int, to: int) -> None:
 def _add_node(
     terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, parent: int, code: int
 ) -> int:
-    """Keep a new configuration, which stands at the end of `nodes.at`, and stack it."""
+    """Keep the new configuration at the end of `nodes.at`, stack it, and return its number."""
     new = int(pools.state[_NODES])
     pools.state[_NODES] += 1
     at, longest = nodes.at[new], 0
@@ -212,7 +212,7 @@ def _load(terrain: Terrain, robots: Robots, nodes: _Nodes, before: int, node: in
 
 @kernel
 def _constrain(terrain: Terrain, robots: Robots, pools: _Pools, at: Array, constraint: int) -> bool:
-    """Settle what the constraints say; whether that is possible."""
+    """Settle the moves of the constraints; return True if that is possible."""
     while pools.constraints[constraint, _PARENT] >= 0:
         entry = pools.constraints[constraint]
         who, to = entry[_WHO], entry[_TO]
@@ -309,7 +309,7 @@ def _keep(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: 
 
 @kernel
 def _search(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, most: int) -> int:
-    """Make configurations until there are `most`, the stack is empty, or the memory is full.
+    """Make configurations until there are `most`, or the stack is empty, or the memory full.
 
     It also ends where a plan is found that is shorter than the one before.
     """
@@ -361,11 +361,11 @@ class Lacam:
         code = _hash(self._nodes.at[0])
         _add_node(self._terrain, self._robots, self._nodes, self._pools, -1, code)
         self.exhausted = False
-        """Whether nothing is left to be tried: the plan is the shortest, or there is none."""
+        """True if nothing is left to be tried: the plan is the shortest, or there is none."""
 
     @property
     def made(self) -> int:
-        """How many configurations have been made or tried to make."""
+        """The number of configurations that were made, or tried to make."""
         return int(self._pools.state[_MADE])
 
     @property
@@ -398,7 +398,7 @@ class Lacam:
         self._pools = pools
 
     def paths(self) -> Paths:
-        """(T + 1, n) vertices of the best plan so far."""
+        """Return the vertices (T + 1, n) of the best plan so far."""
         chain, node = [], int(self._pools.state[_GOAL])
         while node >= 0:
             chain.append(node)

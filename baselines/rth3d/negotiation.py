@@ -32,13 +32,13 @@ _DEAREST = 8 * _PRICE
 
 
 class _Space(NamedTuple):
-    """The grid at each step, who uses it, and what that costs."""
+    """The grid at each step, its users, and the prices of its vertices."""
 
     at: Ints  # (V, 3) coordinates of each vertex
     table: Neighbors  # (V, 7) neighbours
     used: npt.NDArray[np.int16]  # (T + 1, V) robots on each vertex
     moves: npt.NDArray[np.int16]  # (T, V, 6) robots that leave it along each edge
-    dear: Ints  # (T + 1, V) what a vertex costs more, because robots have met there
+    dear: Ints  # (T + 1, V) surcharge of a vertex, because robots have met there
     back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path gets there
     # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
     cost: npt.NDArray[np.int64]
@@ -97,7 +97,7 @@ def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
 
 @equation
 def _edge(table: Array, before: int, now: int) -> int:
-    """The edge from a vertex to another, 6 to itself."""
+    """Return the edge from a vertex to another, 6 to itself."""
     edge = 0
     while table[before, edge] != now:
         edge += 1
@@ -118,7 +118,7 @@ def _use(space: _Space, path: Array, change: int) -> None:
 
 @kernel
 def _meets(space: _Space, path: Array) -> bool:
-    """Whether a path meets others; where it does becomes dearer."""
+    """Return True if a path meets others; the places where it does become dearer."""
     table, used, moves, dear = space.table, space.used, space.moves, space.dear
     found = False
     for t in range(1, path.shape[0]):
@@ -171,11 +171,11 @@ class Negotiation:
 
     @property
     def goes_on(self) -> bool:
-        """Whether there is work and time left."""
+        """True while there is work and time left."""
         return self._work > 0 and self._clock.remaining > 0
 
     def fits(self, steps: int) -> bool:
-        """Whether the grid at each of so many steps is not too much memory."""
+        """Return True if the grid at each of so many steps is not too much memory."""
         return (steps + 1) * len(self._table) <= _MOST_PLACES
 
     def plan(self, steps: int) -> Paths | None:
@@ -219,7 +219,7 @@ class Negotiation:
 
 
 def negotiate(instance: GridInstance, seed: int, clock: PlanningClock, known: int) -> Paths | None:
-    """The shortest plan that bisection finds, from the lower bound to below a known makespan."""
+    """Return the shortest plan that bisection finds below a known makespan, or None."""
     bound, best = instance.lower_bound, None
     work = min(_WORK * len(instance.starts) * bound, _MOST_WORK)
     search = Negotiation(instance, seed, clock, work)

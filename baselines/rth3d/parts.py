@@ -26,7 +26,7 @@ class Part(NamedTuple):
 
 
 def connected_parts(instance: GridInstance) -> list[Part]:
-    """The connected parts of the free vertices where not every robot is at its goal.
+    """Return the connected parts of the free vertices where not every robot is at its goal.
 
     Raises:
         NoPlanExists: a robot's start and goal are in different parts.
@@ -99,7 +99,7 @@ def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
 
 
 def _in_line(table: Neighbors, begin: int) -> list[int]:
-    """Vertices that have at most two neighbours each, one after another."""
+    """Return vertices that have at most two neighbours each, one after another."""
     line, before = [begin], -1
     while True:
         onward = [int(u) for u in table[line[-1], :6] if u >= 0 and u != before]

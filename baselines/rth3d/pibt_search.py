@@ -15,7 +15,7 @@ _PATIENCE = 1.5
 """An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
 _MARGIN = 60
 _RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
-"""From which part of the lower bound on PIBT is tried again, as long as it helps."""
+"""Parts of the lower bound from which on PIBT is tried again, as long as it helps."""
 _WORK = 250_000
 """Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
 of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
@@ -98,7 +98,7 @@ class PibtSearch:
         """Sample again, and forget what came after a step."""
         if self.best is not None and self.best.base is not None:
             self.best = self.best.copy()  # it is about to be overwritten
-        self.pibt.shuffle(self._generator)
+        self.pibt.reseed(self._generator)
         self.pibt.rewind(step)
         self.reached, self.left = step, -1
 
@@ -128,7 +128,7 @@ class PibtSearch:
 
 
 def halfway(instance: GridInstance) -> Coordinates:
-    """(n, 3) vertices, all different and spread over a grid without obstacles.
+    """Return vertices (n, 3), all different and spread over a grid without obstacles.
 
     As robots stand halfway between starts and goals, in order of x, then in each plane of y, then
     in each row of z, so they are put into planes, rows and vertices.
@@ -147,7 +147,7 @@ def halfway(instance: GridInstance) -> Coordinates:
 def search_halfway(
     instance: GridInstance, seed: int, clock: PlanningClock, known: int
 ) -> Paths | None:
-    """A plan over places halfway, or None if there are obstacles, or no plan is found.
+    """Return a plan over places halfway, or None if there are obstacles or none is found.
 
     PIBT leads robots well from a crowd to places that are spread out, and by reversing time also
     back into a crowd, but not from one crowd into another: who arrives first blocks the others.

@@ -1,4 +1,4 @@
-"""UnlabeledMRPP: from any configuration to slots, whoever to whichever (Algorithm 1, line 2).
+"""UnlabeledMRPP: from any configuration to slots, any robot to any of them (Algorithm 1, line 2).
 
 The robots are one flow over a few time steps ([51] of the paper): every vertex at every step is a
 node through which one unit may pass, and the slots at the last step are sinks. A maximum flow that
@@ -184,7 +184,7 @@ def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) ->
 
 @kernel
 def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
-    """Write where the unit that leaves each start is after each step."""
+    """Write the vertices of the unit that leaves each start."""
     total = table.shape[0]
     for i in range(starts.shape[0]):
         paths[0, i] = starts[i]

@@ -18,7 +18,7 @@ def first_attempt(instance, seed=0) -> tuple[int, int]:
     """Steps taken by PIBT without restarts, and the longest way left."""
     most = 2 * instance.lower_bound + 60
     pibt = Pibt(instance, most)
-    pibt.shuffle(np.random.default_rng(seed))
+    pibt.reseed(np.random.default_rng(seed))
     return pibt.run(0, most, most, -1, lost=False)
 
 
