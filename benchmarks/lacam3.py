@@ -22,7 +22,6 @@ from tqdm import tqdm
 
 from benchmarks.rows import aligned
 from swarm_envs.baselines.rth3d import GridInstance, PlanNotFound, plan
-from swarm_envs.baselines.rth3d.benchmark_files import write_benchmark
 from tests.baselines.rth3d.cases import load_checker
 from tests.baselines.rth3d.test_lacam import clutter, crowds, holes, mazes
 
@@ -39,12 +38,26 @@ class Found(NamedTuple):
     makespan: float  # nan without a plan
 
 
+def write_scenario(map_file: Path, scen_file: Path, instance: GridInstance) -> None:
+    """Write a flat instance in the format of movingai.com: vertex (x, y, 0) is column x, row y."""
+    width, height, _ = instance.shape
+    rows = ["".join(row) for row in np.where(instance.obstacles[:, :, 0].T, "@", ".")]
+    head = ["type octile", f"height {height}", f"width {width}", "map"]
+    map_file.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    ways = zip(instance.starts, instance.goals, instance.lengths.tolist(), strict=True)
+    robots = [
+        "\t".join(map(str, (n // 4, map_file.name, width, height, *a[:2], *b[:2], f"{n}.0")))
+        for a, b, n in ways
+    ]
+    scen_file.write_text("\n".join(["version 1", *robots]) + "\n", encoding="utf-8")
+
+
 def theirs(program: Path, instance: GridInstance) -> Found:
     """LaCAM3's first plan."""
     options = ["-t", "10", "--log_short", "--no-star", "--no-multi-thread"]
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / name for name in ("a.map", "a.scen", "found.txt")]
-        write_benchmark(files[0], files[1], instance)
+        write_scenario(files[0], files[1], instance)
         words = ["-m", str(files[0]), "-i", str(files[1]), "-o", str(files[2])]
         options += ["-N", str(len(instance.starts))]
         subprocess.run([program.resolve(), *words, *options], check=True, capture_output=True)

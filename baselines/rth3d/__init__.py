@@ -1,8 +1,7 @@
-"""RTH3D: labelled multi-robot path planning on 3-D grids (Guo, Feng, Yu, IROS 2022).
+"""RTH3D: labeled multi-robot path planning on 3-D grids (Guo, Feng, Yu, IROS 2022).
 
-`plan` makes a `GridPlan`, `plan_lifelong` one to goals after goals, `validate` checks one by other
-code, `max_density` says how many robots the highways carry, `make_instance` draws instances of
-`FAMILIES`.
+`plan` makes a `GridPlan`, `validate` checks one by other code, `max_density` says how many robots
+the highways carry, `make_instance` draws instances of `FAMILIES`.
 """
 
 from swarm_envs.baselines.rth3d.grid import (
@@ -16,15 +15,13 @@ from swarm_envs.baselines.rth3d.grid import (
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_planning import METHODS, plan
 from swarm_envs.baselines.rth3d.grid_validation import validate
-from swarm_envs.baselines.rth3d.lifelong import LifelongPlan, plan_lifelong
-from swarm_envs.baselines.rth3d.rubik import max_density
+from swarm_envs.baselines.rth3d.highways import max_density
 
 __all__ = [
     "FAMILIES",
     "METHODS",
     "GridInstance",
     "GridPlan",
-    "LifelongPlan",
     "NoPlanExists",
     "PlanNotFound",
     "PlanTimeout",
@@ -32,6 +29,5 @@ __all__ = [
     "make_instance",
     "max_density",
     "plan",
-    "plan_lifelong",
     "validate",
 ]

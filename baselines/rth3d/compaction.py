@@ -1,4 +1,4 @@
-"""Every move as early as the order in which robots visit each vertex allows.
+"""Compaction: every move as early as the order in which robots visit each vertex allows.
 
 A plan fixes, for every vertex, who visits it after whom. Kept with that order, a robot may enter a
 vertex one step after its last move, and not before the previous visitor has left (in the same step
@@ -114,7 +114,7 @@ def advance(
 
 
 def compact(paths: Paths, total: int) -> Paths:
-    """Shorten a plan (T + 1, n) without a change of who visits a vertex after whom.
+    """Return a plan (T + 1, n) shortened, every vertex visited in the same order.
 
     Its memory is used for the result. `total`: vertices of the grid.
     """

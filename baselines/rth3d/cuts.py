@@ -1,4 +1,4 @@
-"""What robots cannot do without: time to go through a plane, and steps aside to pass each other.
+"""Lower bounds: the time to go through a plane, and the steps aside to pass each other.
 
 No two robots use one of a plane's edges in the same step.
 
@@ -20,7 +20,7 @@ from swarm_envs.state import BoolArray
 def cut_bound(
     starts: Ints, goals: Ints, obstacles: BoolArray, longest: int, table: Neighbors | None
 ) -> int:
-    """The largest lower bound of all planes across an axis, or the longest way, if that is larger.
+    """Return the largest lower bound of planes across an axis, but at least the longest way.
 
     Args:
         starts: (n, 3) vertices.
@@ -58,7 +58,7 @@ def _from_plane(
     shape: tuple[int, ...],
     table: Neighbors | None,
 ) -> Ints:
-    """(k,) steps from each point (k, 3) to the plane between `c` and `c + 1`, on its own side."""
+    """Return the steps (k,) from points (k, 3) to the plane between `c` and `c + 1`."""
     left = points[:, axis] <= c
     if table is None:
         return np.where(left, c - points[:, axis], points[:, axis] - c - 1).astype(np.int32)
@@ -69,7 +69,7 @@ def _from_plane(
 
 
 def _staggered(before: Ints, behind: Ints, edges: int) -> int:
-    """The bound by the farthest robots, however far and in front or behind that is."""
+    """Return the bound by the farthest robots, over all distances in front and behind."""
     a, row = np.unique(before, return_inverse=True)
     b, column = np.unique(behind, return_inverse=True)
     count = np.zeros((len(a), len(b)), dtype=np.int64)
@@ -81,7 +81,7 @@ def _staggered(before: Ints, behind: Ints, edges: int) -> int:
 
 @kernel
 def _passing(lines: npt.NDArray[np.int64], first: Ints, last: Ints) -> int:
-    """`passing_bound` of robots in the order of their lines, which go from `first` to `last`."""
+    """Return `passing_bound` of robots in the order of their lines, from `first` to `last`."""
     best = 0
     for i in range(len(lines)):
         j = i + 1
@@ -93,7 +93,7 @@ def _passing(lines: npt.NDArray[np.int64], first: Ints, last: Ints) -> int:
 
 
 def passing_bound(starts: Ints, goals: Ints) -> int:
-    """Steps that it takes at least for robots to pass each other within a line along an axis.
+    """Return the least steps for robots to pass each other within a line along an axis.
 
     Of two whose starts and goals are in one line, in opposite orders, one has to leave the line and
     to come back: two steps more than its distance.

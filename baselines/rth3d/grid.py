@@ -1,4 +1,4 @@
-"""Labelled instances on a 6-connected grid: what is refused, what binds, and families to draw.
+"""Labeled instances on a 6-connected grid: their checks, lower bounds, and families to draw.
 
 A vertex (x, y, z) of a grid of shape (m1, m2, m3) has the number (x m2 + y) m3 + z.
 """
@@ -45,7 +45,7 @@ class NoPlanExists(PlanNotFound, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class GridInstance:
-    """Who starts where and must get where, on which grid. Made by `check_instance`."""
+    """A grid with the starts and goals of its robots. Made by `check_instance`."""
 
     shape: Shape
     """Vertices by axis."""
@@ -57,12 +57,12 @@ class GridInstance:
     """(m1, m2, m3), True where nobody may be."""
 
     def fields(self) -> dict[str, Any]:
-        """Shape, starts, goals and obstacles by name."""
+        """Return shape, starts, goals and obstacles by name."""
         return {field.name: getattr(self, field.name) for field in fields(GridInstance)}
 
     @cached_property
     def lengths(self) -> npt.NDArray[np.int32]:
-        """(n,) length of each robot's shortest way, around obstacles.
+        """The length (n,) of each robot's shortest way, around obstacles.
 
         Raises:
             NoPlanExists: obstacles cut a robot off from its goal.
@@ -82,10 +82,10 @@ class GridInstance:
 
     @cached_property
     def lower_bound(self) -> int:
-        """Steps that no plan can do without.
+        """The steps that no plan can do without.
 
-        The longest of the robots' shortest ways, or more where many have to go through a plane
-        with few openings (`cut_bound`), or to pass each other within a line (`passing_bound`).
+        They are the longest of the robots' shortest ways, or more where many have to go through a
+        plane with few openings (`cut_bound`), or to pass each other in a line (`passing_bound`).
 
         Raises:
             NoPlanExists: obstacles cut a robot off from its goal.
@@ -98,14 +98,15 @@ class GridInstance:
 
     @property
     def density(self) -> float:
-        """Robots per vertex, those of obstacles included, as the paper counts."""
+        """The robots per vertex, those of obstacles included, as the paper counts."""
         return len(self.starts) / float(np.prod(self.shape))
 
 
 def _pattern_lengths(instance: GridInstance) -> npt.NDArray[np.int32]:
-    """(n,) lengths of shortest ways among columns of the pattern: Manhattan, or two more.
+    """Return lengths (n,) of shortest ways among columns of the pattern.
 
-    It is two more where a column stands in the one row, or column, that both vertices share.
+    They are Manhattan distances, or two more where a column stands in the one row, or column, that
+    both vertices share.
     """
     columns = np.asarray(instance.obstacles.any(axis=2), dtype=np.int32)
     found = np.abs(instance.starts - instance.goals).sum(axis=1, dtype=np.int32)
@@ -118,19 +119,19 @@ def _pattern_lengths(instance: GridInstance) -> npt.NDArray[np.int32]:
 
 
 def numbers(points: npt.NDArray[np.integer], shape: Shape) -> Vertices:
-    """Numbers of vertices that are given as coordinates (..., 3)."""
+    """Return the numbers of vertices that are given as coordinates (..., 3)."""
     wide = points.astype(np.int64)
     found = (wide[..., 0] * shape[1] + wide[..., 1]) * shape[2] + wide[..., 2]
     return found.astype(np.int32)
 
 
 def points(vertices: npt.NDArray[np.integer], shape: Shape) -> Coordinates:
-    """Coordinates (..., 3) of vertices that are given by their numbers."""
+    """Return the coordinates (..., 3) of vertices that are given by their numbers."""
     return np.stack(np.unravel_index(vertices, shape), axis=-1).astype(np.int32)
 
 
 def check_shape(shape: Sequence[int]) -> Shape:
-    """The shape as three integers; a grid of two sides is one vertex high.
+    """Return the shape as three integers; a grid of two sides is one vertex high.
 
     Raises:
         ValueError: not two or three integers of at least 1, or too many vertices to number.
@@ -149,7 +150,7 @@ def check_shape(shape: Sequence[int]) -> Shape:
 
 
 def check_obstacles(obstacles: npt.ArrayLike | None, shape: Shape) -> BoolArray:
-    """The obstacles as booleans of the grid's shape.
+    """Return the obstacles as booleans of the grid's shape.
 
     Raises:
         ValueError: another shape, or not booleans.
@@ -179,7 +180,7 @@ def check_pattern(obstacles: BoolArray) -> None:
 
 
 def breaks_pattern(obstacles: BoolArray) -> str:
-    """Which vertex breaks the pattern first, and the rule; empty if none does."""
+    """Return the first vertex that breaks the pattern, and the rule; empty if none does."""
     columns: BoolArray = np.asarray(obstacles.any(axis=2))
     outside = columns.copy()
     outside[1::3, 1::3] = False
@@ -202,31 +203,10 @@ def breaks_pattern(obstacles: BoolArray) -> str:
 def check_vertices(
     name: str, given: npt.ArrayLike, shape: Shape, obstacles: BoolArray
 ) -> Coordinates:
-    """Vertices as an (n, 3) array, all different, in the grid and free.
+    """Return vertices as an (n, 3) array, all different, in the grid and free.
 
     Raises:
         ValueError: naming the first robot for which it is not so, and why.
-    """
-    found = check_places(name, given, shape, obstacles)
-    vertices = numbers(found, shape)
-    order = np.argsort(vertices, kind="stable")
-    twins = np.flatnonzero(np.diff(vertices[order]) == 0)
-    if twins.size:
-        first, second = (int(k) for k in order[twins[0] : twins[0] + 2])
-        raise ValueError(
-            f"{name}[{first}] and {name}[{second}] are both {_text(found[first])}, but all {name} "
-            "must differ"
-        )
-    return found
-
-
-def check_places(
-    name: str, given: npt.ArrayLike, shape: Shape, obstacles: BoolArray
-) -> Coordinates:
-    """Vertices as an (n, 3) array, in the grid and free.
-
-    Raises:
-        ValueError: naming the first for which it is not so, and why.
     """
     as_numbers(name, given)
     found = np.asarray(given)
@@ -245,11 +225,24 @@ def check_places(
             f"{name}[{robot}] is {_text(found[robot])}, which is outside the grid of shape {shape}"
         )
     inside = found.astype(np.int32)
-    blocked = obstacles.reshape(-1)[numbers(inside, shape)]
+    _check_free(name, inside, numbers(inside, shape), obstacles)
+    return inside
+
+
+def _check_free(name: str, found: Coordinates, vertices: Vertices, obstacles: BoolArray) -> None:
+    """Refuse vertices with obstacles, and those that two robots have."""
+    blocked = obstacles.reshape(-1)[vertices]
     if blocked.any():
         robot = int(np.argmax(blocked))
-        raise ValueError(f"{name}[{robot}] is {_text(inside[robot])}, where an obstacle stands")
-    return inside
+        raise ValueError(f"{name}[{robot}] is {_text(found[robot])}, where an obstacle stands")
+    order = np.argsort(vertices, kind="stable")
+    twins = np.flatnonzero(np.diff(vertices[order]) == 0)
+    if twins.size:
+        first, second = (int(k) for k in order[twins[0] : twins[0] + 2])
+        raise ValueError(
+            f"{name}[{first}] and {name}[{second}] are both {_text(found[first])}, but all {name} "
+            "must differ"
+        )
 
 
 def _text(point: npt.NDArray[np.integer]) -> str:
@@ -262,7 +255,7 @@ def check_instance(
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
 ) -> GridInstance:
-    """Check an instance as a user gives it (arguments as for `plan`).
+    """Return an instance as a user gives it, checked (arguments as for `plan`).
 
     Raises:
         ValueError: what is wrong, at which robot, and the rule.
@@ -289,7 +282,7 @@ class _Draw(NamedTuple):
 
 
 def building_columns(shape: Shape) -> BoolArray:
-    """The tall buildings of Fig. 1: a column at every (3i + 1, 3j + 1)."""
+    """Return the tall buildings of Fig. 1: a column at every (3i + 1, 3j + 1)."""
     shape = check_shape(shape)
     found = np.zeros(shape, dtype=np.bool_)
     found[1::3, 1::3, :] = True
@@ -308,7 +301,7 @@ def _uniform(draw: _Draw) -> _Pair:
 
 
 def _balanced_choice(draw: _Draw) -> Coordinates:
-    """Vertices of which every 3 x 3 x 3 block holds 9, or 6 with buildings, in random order."""
+    """Return vertices, 9 in every 3 x 3 x 3 block, or 6 with buildings, in random order."""
     a, b, c = (side // 3 for side in draw.shape)
     blocks = np.arange(np.prod(draw.shape)).reshape(a, 3, b, 3, c, 3)
     blocks = blocks.transpose(0, 2, 4, 1, 3, 5).reshape(-1, 27)
@@ -329,7 +322,7 @@ def _mirror(draw: _Draw) -> _Pair:
 
 
 def _rings(draw: _Draw) -> _Pair:
-    """Concentric square rings in each plane, every third one; goals by point reflection."""
+    """Return concentric square rings in each plane, every third one; goals by point reflection."""
     m1, m2, _ = draw.shape
     x, y = np.indices((m1, m2))
     depth = np.minimum.reduce([x, y, m1 - 1 - x, m2 - 1 - y])
@@ -340,7 +333,7 @@ def _rings(draw: _Draw) -> _Pair:
 
 
 def _moved_blocks(draw: _Draw, parts: Shape | None = None) -> _Pair:
-    """The grid cut into parts, each with a third of it, moved by a random permutation.
+    """Return a third of each part of the grid, the parts moved by a random permutation.
 
     If not given, parts are all blocks of 3 x 3 x 3.
     """
@@ -382,11 +375,11 @@ def _ends(draw: _Draw) -> _Pair:
 class Family(NamedTuple):
     """A kind of instance."""
 
-    summary: str  # What it is, in a line
+    summary: str  # In a line
     draw: Callable[[_Draw], _Pair]  # Draws starts and goals
     sides: int = 1  # Every side must be a multiple of it
-    free_count: bool = False  # Whether the number of robots may be chosen
-    buildings: bool = False  # Whether there are obstacles
+    free_count: bool = False  # True if the number of robots may be chosen
+    buildings: bool = False  # True if there are obstacles
 
 
 FAMILIES: Mapping[str, Family] = {
@@ -415,7 +408,7 @@ FAMILIES: Mapping[str, Family] = {
 def make_instance(
     family: str, shape: Shape, count: int | None = None, seed: int = 0
 ) -> GridInstance:
-    """Draw an instance.
+    """Return a drawn instance.
 
     Args:
         family: a name in `FAMILIES`.

@@ -42,11 +42,11 @@ class Lattice:
     shape: tuple[int, int, int]  # Vertices by axis
 
     def points(self) -> FloatArray:
-        """(X, Y, Z, 3) where the vertices stand, m."""
+        """Return the positions (X, Y, Z, 3) of the vertices, m."""
         return self.origin + self.spacing * np.moveaxis(np.indices(self.shape), 0, -1)
 
     def near(self, points: FloatArray, free: BoolArray) -> IntArray:
-        """(N, 3) a vertex for each point (N, 3) among the free ones (X, Y, Z).
+        """Return a vertex (N, 3) for each point (N, 3) among the free ones (X, Y, Z).
 
         Raises:
             ValueError: there are fewer free vertices than points.
@@ -63,7 +63,7 @@ class Lattice:
 
 
 class GridAgent(PlannedAgent[SplineFlight]):
-    """Plans every set of goals on a grid and flies the plan.
+    """An agent that plans every set of goals on a grid and flies the plan.
 
     Args:
         spacing: (x, y, z) of the grid, m, wide enough that drones keep 1.5 times the sum of their
@@ -93,11 +93,11 @@ class GridAgent(PlannedAgent[SplineFlight]):
 
     @classmethod
     def compensated(cls, belief: InteractionModel | None = None) -> GridAgent:
-        """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""
+        """Return the agent over Neural-Swarm2's controller, by default with `load_belief()`."""
         return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def plan(self, task: Task, view: View, seed: int) -> SplineFlight:
-        """Paths on the grid, as smooth and as slow as the stage allows.
+        """Return paths on the grid, as smooth and as slow as the stage allows.
 
         Raises:
             ValueError: a spacing at which drones could meet, too few vertices, or starts or goals
@@ -127,7 +127,7 @@ class GridAgent(PlannedAgent[SplineFlight]):
 
 
 def _usual_spacing(task: Task) -> FloatArray:
-    """(3,) m, for the team's largest drones."""
+    """Return the spacing (3,), m, for the team's largest drones."""
     stretch = (1.0, 1.0, 1.25)
     needed = 1.05 * NEAR_MISS * 2.0 * float(task.radius.max()) / worst_clearance(stretch)
     return max(_SPACING_M, needed) * np.array(stretch)
@@ -150,7 +150,7 @@ def _lattice(task: Task, spacing: FloatArray) -> Lattice:
 
 
 def _free(task: Task, lattice: Lattice) -> BoolArray:
-    """(X, Y, Z) which vertices are clear of obstacles."""
+    """Return True for vertices (X, Y, Z) that are clear of obstacles."""
     if not task.obstacles:
         return np.ones(lattice.shape, dtype=bool)
     gap = obstacle_distances(obstacle_rows(task.obstacles), lattice.points().reshape(-1, 3))
@@ -159,7 +159,7 @@ def _free(task: Task, lattice: Lattice) -> BoolArray:
 
 
 def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
-    """The flight, smoothed and as fast as limits allow, if no drone comes near another."""
+    """Return the flight, smoothed and as fast as limits allow, if no drone comes near another."""
     least = NEAR_MISS * 2.0 * float(task.radius.max())
     close = smallest_distance(flight, (1.0, 1.0, 1.0))
     if close < least:

@@ -25,14 +25,13 @@ from swarm_envs.baselines.rth3d.grid_validation import (
     check_paths,
     validate,
 )
-from swarm_envs.baselines.rth3d.ways import STAY
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
 __all__ = ["plot_grid_plan"]
 
 VERSION = 1  # Of the file format; a file of another version is refused
-_KEPT = ("method", "winner", "seed", "bound", "before_compaction", "set_bound")
+_KEPT = ("method", "winner", "seed", "bound", "before_compaction")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
 
@@ -59,12 +58,12 @@ class PlanningClock:
     deadline: float = float("inf")  # By `time.monotonic`
     watch: Callable[[str], None] | None = None  # Called with the name of each phase when it begins
     configurations: int | None = None
-    """How many the complete search makes at most; None for its default."""
+    """The most that the complete search makes; None for its default."""
     phases: list[PhaseRecord] = field(default_factory=list)  # The phases so far
 
     @contextmanager
     def phase(self, name: str) -> Iterator[Callable[[int], None]]:
-        """Time a phase; the yielded function takes the phase's makespan.
+        """Time a phase of planning; the yielded function takes the phase's makespan.
 
         Raises:
             PlanTimeout: the time limit ended before the phase began.
@@ -90,17 +89,17 @@ class PlanningClock:
 
     @property
     def limited(self) -> bool:
-        """Whether the caller has limited the time or the configurations."""
+        """True if the caller has limited the time or the configurations."""
         return self.configurations is not None or self.deadline < float("inf")
 
     def halved(self) -> PlanningClock:
-        """The same clock, for a part of planning that may take half the time that is left."""
+        """Return the same clock, for a part of planning that may take half of the time left."""
         now = time.monotonic()
         return dataclasses.replace(self, deadline=(now + max(self.deadline, now)) / 2)
 
     @property
     def remaining(self) -> float:
-        """Seconds until the time limit ends."""
+        """The seconds until the time limit ends."""
         return self.deadline - time.monotonic()
 
     def check(self, what: str) -> None:
@@ -114,7 +113,7 @@ class PlanningClock:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GridPlan(GridInstance):
-    """Paths of all robots, and how they were found."""
+    """The paths of all robots, and the way they were found."""
 
     def __repr__(self) -> str:
         sides = " x ".join(map(str, self.shape))
@@ -125,28 +124,25 @@ class GridPlan(GridInstance):
     """(T, n) move of each robot in each step: 0 and 1 down and up x, 2 and 3 y, 4 and 5 z, 6 a
     wait; T is the makespan."""
     method: str
-    """What was asked for."""
+    """The name of the method that was asked for."""
     winner: str
-    """What the paths are by: of `auto`, "pibt", "rth3d-lba", "lacam", "pibt halfway" or
+    """The method that found the paths: of `auto`, "pibt", "rth3d-lba", "lacam", "pibt halfway" or
     "negotiation"."""
     seed: int
     """Of the planner."""
     bound: int | None
-    """What the makespan is guaranteed not to exceed, given the steps of balancing; None for PIBT
-    and LaCAM*, which have none."""
+    """Guaranteed maximum of the makespan, given the steps of balancing; None for PIBT and LaCAM*,
+    which have none."""
     before_compaction: int | None
     """Makespan of RTH3D's phases one after another; None if the paths are not by it alone."""
     phases: tuple[PhaseRecord, ...]
     """Every phase of planning, with its makespan and its seconds."""
     valid: bool
-    """Whether `validate` has found the paths feasible; `plan` returns no others."""
-    set_bound: int | None = None
-    """Of plans without labels, whose `goals[i]` is the one that robot i takes: steps that no plan
-    can do without, with any assignment of goals. None for labelled plans."""
+    """True if `validate` has found the paths feasible; `plan` returns no others."""
 
     @cached_property
     def paths(self) -> npt.NDArray[np.int16]:
-        """(T + 1, n, 3) the vertices: `paths[t, i]` is where robot i is after t steps.
+        """The vertices (T + 1, n, 3): `paths[t, i]` is where robot i is after t steps.
 
         They use six times the memory of `moves`.
         """
@@ -156,25 +152,14 @@ class GridPlan(GridInstance):
             np.add(found[t], MOVES[move], out=found[t + 1])
         return found
 
-    @cached_property
-    def lower_bound(self) -> int:
-        """Steps that no plan can do without, given the labels, if there are any."""
-        return super().lower_bound if self.set_bound is None else self.set_bound
-
     @property
     def makespan(self) -> int:
-        """Steps until the last robot is at its goal."""
+        """The steps until the last robot is at its goal."""
         return len(self.moves)
-
-    @cached_property
-    def sum_of_costs(self) -> int:
-        """Sum over the robots of the last step in which each moves."""
-        moves = self.moves[::-1] != STAY
-        return int(((len(moves) - moves.argmax(axis=0)) * moves.any(axis=0)).sum())
 
     @property
     def ratio(self) -> float:
-        """Makespan over lower bound, at least 1; 1 if no robot has to move.
+        """The makespan over the lower bound, at least 1; 1 if no robot has to move.
 
         A plan of ratio 1 is proven to have the shortest makespan. Others may have it, too.
         """
@@ -182,11 +167,11 @@ class GridPlan(GridInstance):
 
     @property
     def seconds(self) -> float:
-        """Wall time of all phases."""
+        """The wall time of all phases."""
         return sum(phase.seconds for phase in self.phases)
 
     def check(self) -> ValidationReport:
-        """Validate the paths again."""
+        """Return the report of another validation."""
         return validate(self.paths, **self.fields())
 
     def save(self, path: str | Path) -> None:
@@ -211,7 +196,7 @@ class GridPlan(GridInstance):
 
     @classmethod
     def load(cls, path: str | Path) -> GridPlan:
-        """Read a plan; its paths are validated again.
+        """Return the plan of a file; its paths are validated again.
 
         Raises:
             ValueError: the file is no plan, is damaged, or its paths are not feasible.
@@ -251,25 +236,20 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
     report, moves = check_paths(as_vertices(paths, instance.shape), instance)
     if not report:
         raise ValueError(f"its paths are not feasible: {report.reason}")
-    for name in ("bound", "before_compaction", "set_bound"):
-        _check_steps(name, about.get(name), report.makespan)
+    for name in ("bound", "before_compaction"):
+        _check_steps(name, about[name], report.makespan)
     return GridPlan(
         moves=moves,
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
         **instance.fields(),
-        **{name: about[name] for name in _KEPT if name in about},
+        **{name: about[name] for name in _KEPT},
     )
 
 
 def _check_steps(name: str, steps: Any, makespan: int) -> None:
     """Refuse what is no number of steps, or one that the plan contradicts."""
-    if steps is None:
-        return
-    fits = isinstance(steps, int) and (
-        0 <= steps <= makespan if name == "set_bound" else makespan <= steps
-    )
-    if not fits:
+    if steps is not None and not (isinstance(steps, int) and makespan <= steps):
         raise ValueError(f"its {name} is {steps!r}, which is none of a plan of {makespan} steps")
 
 

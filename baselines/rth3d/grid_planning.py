@@ -1,8 +1,7 @@
-"""`plan` and its methods: RTH3D, PIBT with restarts, a complete search, and the best of them.
+"""`plan` and its methods: RTH3D as the paper outlines it, PIBT, LaCAM*, and the best of them.
 
-What is shorter than a plan that is known already is found whether that plan is known or not: the
-knowledge only ends attempts that cannot get below it, and only after the last step from which
-another attempt may go on.
+Algorithm 1 of the paper is `rth3d`, its lines 3 to 5 are `rta3d`, and the steps stand in the
+files of `unlabeled_mrpp` and `rubik`.
 """
 
 from __future__ import annotations
@@ -10,14 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.balancing import FlowTooLarge, balance
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
@@ -26,34 +23,26 @@ from swarm_envs.baselines.rth3d.grid import (
     PlanNotFound,
     check_instance,
     numbers,
-    points,
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_validation import check_paths, follow_paths
-from swarm_envs.baselines.rth3d.lacam import (
-    Lacam,
-    after_a_plan,
-    most_configurations,
-    stride,
-)
+from swarm_envs.baselines.rth3d.highways import choose_highways
 from swarm_envs.baselines.rth3d.matching import assign_levels
-from swarm_envs.baselines.rth3d.negotiation import negotiate, reduce_costs
+from swarm_envs.baselines.rth3d.negotiation import negotiate
 from swarm_envs.baselines.rth3d.paper_lba import assign_levels_in_turn, balance_by_distance
-from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
-from swarm_envs.baselines.rth3d.pibt_search import (
-    GOOD_ENOUGH,
-    PibtSearch,
-    search_halfway,
-)
+from swarm_envs.baselines.rth3d.parts import search_parts
+from swarm_envs.baselines.rth3d.pibt_search import GOOD_ENOUGH, PibtSearch, search_halfway
 from swarm_envs.baselines.rth3d.rubik import (
-    Highways,
     Matching,
-    balance_both,
-    choose_highways,
-    shuffle,
+    RubikTable,
+    Shuffles,
+    concatenate,
+    matching_xy,
+    rubik_table,
+    xy_fitting,
+    z_fitting,
 )
-from swarm_envs.baselines.rth3d.unlabelled import assign, unlabelled_bound
-from swarm_envs.baselines.rth3d.ways import neighbor_table
+from swarm_envs.baselines.rth3d.unlabeled_mrpp import balance, unlabeled_mrpp
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_integer, check_name, check_number
 
@@ -61,14 +50,13 @@ from swarm_envs.errors import check_integer, check_name, check_number
 @dataclass(frozen=True, eq=False)
 class _Solution:
     paths: Paths  # (T + 1, n) vertices of the given grid
-    method: str  # What found them, as `GridPlan.winner`
-    # What the makespan could not exceed, whatever the labels; None without such a bound
-    bound: int | None
+    method: str  # The method that found them, as `GridPlan.winner`
+    bound: int | None = None  # Of the makespan, guaranteed; None without one
     before_compaction: int | None = None  # Makespan of RTH3D's phases one after another
 
     @property
     def makespan(self) -> int:
-        """Steps of the plan."""
+        """The steps of the plan."""
         return len(self.paths) - 1
 
 
@@ -76,23 +64,11 @@ Solver = Callable[[GridInstance, int, PlanningClock], _Solution]
 """Finds paths from an instance, a seed and a clock."""
 
 SIDE_STEPS = 9
-"""What the five shuffles take beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they
+"""Steps of the five shuffles beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they
 run over m - 1 edges at most), 5 where they change lanes, park and form a column."""
 
 
-def _renumber(paths: Paths, highways: Highways) -> Paths:
-    """Number the vertices as in the given grid, in place."""
-    given = np.arange(np.prod(highways.shape), dtype=np.int32)
-    back = tuple(np.argsort(highways.axes))
-    shape = tuple(highways.shape[k] for k in back)
-    where = points(given, highways.shape)[:, back]
-    given = numbers(where, shape)  # type: ignore[arg-type]
-    for row in paths:
-        row[:] = given[row]
-    return paths
-
-
-def _rth3d(
+def rth3d(
     instance: GridInstance,
     seed: int,
     clock: PlanningClock,
@@ -100,40 +76,34 @@ def _rth3d(
     match: Matching,
     balance: Callable[..., Paths] = balance,
 ) -> _Solution:
-    """RTH3D by a way to match and one to balance; nothing in it is random."""
+    """Return the plan of RTH3D (Algorithm 1), compacted; nothing in it is random."""
     highways = choose_highways(instance)
-    axes = list(highways.axes)
-    starts, goals = (numbers(p[:, axes], highways.shape) for p in (instance.starts, instance.goals))
-    balanced = balance_both(highways, starts, goals, balance, clock)
-    paths = shuffle(highways, balanced, match, clock)
+    balanced = unlabeled_mrpp(highways, instance, balance, clock)
+    table = rubik_table(highways, balanced)
+    paths = concatenate(table, balanced, rta3d(table, match, clock), clock)
     before = len(paths) - 1
     balancing = len(balanced.first) + len(balanced.last) - 2
     with clock.phase("compaction") as record:
         paths = compact(paths, int(np.prod(highways.shape)))
         record(len(paths) - 1)
-    return _Solution(
-        paths=_renumber(paths, highways),
-        method=name,
-        bound=highways.length + SIDE_STEPS + balancing,
-        before_compaction=before,
-    )
+    bound = highways.length + SIDE_STEPS + balancing
+    return _Solution(highways.renumber(paths), name, bound, before)
 
 
-_solve_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
+def rta3d(table: RubikTable, match: Matching, clock: PlanningClock) -> Shuffles:
+    """Return the shuffles that solve a Rubik table (RTA3D, Sec. II-B): z, then y, x, y, then z."""
+    height, to_height = matching_xy(table, match, clock)
+    across = xy_fitting(table, height, match, clock)
+    return {"heights": to_height, **across, "heights to goals": z_fitting(table, height)}
 
 
-def _search(search: PibtSearch, clock: PlanningClock, known: int | None = None) -> Paths | None:
-    """What PIBT finds that is shorter than a plan that is known."""
-    with clock.phase("pibt") as record:
-        best = search.run(known)
-        record(search.reached if best is None else len(best) - 1)
-    return best
+rth3d_lba = partial(rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
 
 
-def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """PIBT alone; PlanNotFound if not all robots arrive in any attempt."""
+def _pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """Return PIBT's best plan; PlanNotFound if not all robots arrive in any attempt."""
     search = PibtSearch(instance, seed, clock)
-    best = _search(search, clock)
+    best = search.improve()
     if best is None:
         if clock.remaining <= 0:
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
@@ -141,151 +111,75 @@ def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
             "try another seed, or method='auto', which has other methods as well"
         )
-    return _Solution(best, "pibt", None)
+    return _Solution(best, "pibt")
 
 
-def _shorten(
-    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
-) -> _Solution:
-    """A shorter plan than one that is far from the lower bound; or that."""
-    for name, search in (("pibt halfway", search_halfway), ("negotiation", negotiate)):
-        if known.makespan <= GOOD_ENOUGH * instance.lower_bound:
-            break
-        with clock.phase(name) as record:
-            found = search(instance, seed, clock, known.makespan)
-            if found is not None and len(found) - 1 < known.makespan:
-                known = _Solution(found, name, known.bound)
-            record(known.makespan)
-    return known
+def _lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """Return the best plan of LaCAM*."""
+    return _Solution(search_parts(instance, seed, clock), "lacam")
 
 
-def _search_part(part: GridInstance, seed: int, clock: PlanningClock) -> Paths:
-    """The best plan of LaCAM* for robots that all can get to each other."""
-    count = len(part.starts)
-    most = clock.configurations or most_configurations(count, part.lower_bound)
-    lacam = Lacam(part, seed)
-    while not lacam.exhausted and lacam.made < most:
-        if clock.remaining <= 0 or lacam.steps == part.lower_bound:
-            break
-        first = lacam.steps is None
-        lacam.run(min(most, lacam.made + stride(count)))
-        if first and lacam.steps is not None and not clock.limited:
-            most = after_a_plan(count, lacam.made)
-    if lacam.steps is not None:
-        return lacam.paths()
-    if lacam.exhausted:
-        raise NoPlanExists(
-            f"no plan exists: the search has tried all that {count} robots can do, from robot at "
-            f"{part.starts[0].tolist()} on ({lacam.made} configurations)"
-        )
-    clock.check("lacam")
-    raise PlanNotFound(
-        f"lacam has found no plan within {lacam.made} configurations of {count} robots, and has "
-        "not shown that there is none; try another seed, or more configurations"
-    )
+def auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """Return the shortest plan of several methods.
 
-
-def _solve_lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """LaCAM*, in each connected part of the grid by itself; then every move as early as it can."""
-    parts = connected_parts(instance)
-    check_order(instance, parts)
-    with clock.phase("lacam") as record:
-        found = [_search_part(part.instance, seed, clock) for part in parts]
-        steps = max(len(paths) for paths in found)
-        whole = np.tile(numbers(instance.starts, instance.shape), (steps, 1))
-        for part, paths in zip(parts, found, strict=True):
-            whole[: len(paths), part.robots] = paths
-            whole[len(paths) :, part.robots] = paths[-1]
-        whole = compact(whole, int(np.prod(instance.shape)))
-        record(len(whole) - 1)
-    return _Solution(whole, "lacam", None)
-
-
-def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """PIBT's first plan if none is shorter; else the best of RTH3D-LBA and PIBT.
-
-    Where the highways do not fit, the best of LaCAM* and PIBT. Then what `_shorten` finds.
+    1. PIBT, until its plan cannot be as short as the lower bound: on random instances it mostly is.
+    2. Where highways fit, RTH3D-LBA, which always succeeds; elsewhere LaCAM*, in half of the time.
+    3. PIBT to its end, with restarts: shorter than the others unless crowds meet.
+    4. For crowds, while more than 2 % may be gained: PIBT to places halfway, then negotiation.
     """
+    pibt, best, failure = None, None, None
     try:
         choose_highways(instance)
-        search = PibtSearch(instance, seed, clock)
-        with clock.phase("pibt, to the lower bound") as record:
-            shortest = search.attempt()
-            record(search.reached)
-        if shortest is not None:
-            return _Solution(shortest, "pibt", None)
-        found = sure = _solve_rth3d_lba(instance, seed, clock)
+        pibt = PibtSearch(instance, seed, clock)
+        if (shortest := pibt.attempt()) is not None:
+            return _Solution(shortest, "pibt")
+        best = rth3d_lba(instance, seed, clock)
     except NoHighways:
-        return _solve_off_highways(instance, seed, clock)
-    if sure.makespan > instance.lower_bound:
+        best, failure = _try_lacam(instance, seed, clock.halved())
+    if best is None or best.makespan > instance.lower_bound:
+        known, bound = (best.makespan, best.bound) if best else (None, None)
         with suppress(PlanTimeout):
-            best = _search(search, clock, sure.makespan)
-            if best is not None:
-                found = _Solution(best, "pibt", None)
-            found = _shorten(instance, seed, clock, found)
-    return replace(found, bound=sure.bound)
+            paths = (pibt or PibtSearch(instance, seed, clock)).improve(known)
+            best = best if paths is None else _Solution(paths, "pibt", bound)
+    if best is None:
+        assert failure is not None
+        raise failure
+    return _shorten(instance, seed, clock, best)
 
 
-def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """LaCAM* if it finds a plan, and what PIBT finds that is shorter."""
-    found, failed = None, None
+def _try_lacam(
+    instance: GridInstance, seed: int, clock: PlanningClock
+) -> tuple[_Solution | None, Exception | None]:
+    """Return LaCAM*'s plan, or the reason why it has found none, though there may be one."""
     try:
-        found = _solve_lacam(instance, seed, clock.halved())
+        return _lacam(instance, seed, clock), None
     except NoPlanExists:
         raise
     except (PlanNotFound, PlanTimeout) as error:
-        failed = error
-    known = None if found is None else found.makespan
-    if known is None or known > instance.lower_bound:
-        with suppress(PlanTimeout):
-            best = _search(PibtSearch(instance, seed, clock), clock, known)
-            if best is not None:
-                found = _Solution(best, "pibt", None)
-    if found is None:
-        assert failed is not None
-        raise failed
-    with suppress(PlanTimeout):
-        found = _shorten(instance, seed, clock, found)
-    return found
+        return None, error
 
 
-def _labelled(instance: GridInstance, method: str, seed: int, clock: PlanningClock) -> _Solution:
-    if instance.lower_bound == 0:
-        return _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
-    return METHODS[method](instance, seed, clock)
-
-
-def _without_labels(
-    instance: GridInstance, method: str, seed: int, clock: PlanningClock
-) -> tuple[_Solution, int]:
-    """The fewest steps by flow, or goals assigned for a method; and a bound on the steps."""
-    assigned = assign(instance)
-    table = neighbor_table(instance.shape, instance.obstacles)
-    least = unlabelled_bound(instance, table)
-    if method == "auto":
-        starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
-        try:
-            with clock.phase("flow") as record:
-                check = partial(clock.check, "flow")
-                sinks = np.isin(np.arange(len(table)), goals)
-                paths = balance(table, starts, sinks, check, least)
-                record(len(paths) - 1)
-            return _Solution(paths, "flow", len(paths) - 1), len(paths) - 1
-        except FlowTooLarge as error:
-            least = max(least, error.steps)
-    found = _labelled(assigned, method, seed, clock)
-    return replace(found, method=f"assigned, then {found.method}"), least
+def _shorten(instance: GridInstance, seed: int, clock: PlanningClock, best: _Solution) -> _Solution:
+    """Return a shorter plan than one that is far from the lower bound, or that plan."""
+    for name, search in (("pibt halfway", search_halfway), ("negotiation", negotiate)):
+        if best.makespan > GOOD_ENOUGH * instance.lower_bound:
+            with suppress(PlanTimeout), clock.phase(name) as record:
+                paths = search(instance, seed, clock, best.makespan)
+                if paths is not None and len(paths) - 1 < best.makespan:
+                    best = _Solution(paths, name, best.bound)
+                record(best.makespan)
+    return best
 
 
 METHODS: Mapping[str, Solver] = {
-    "rth3d": partial(_rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
-    "rth3d-lba": _solve_rth3d_lba,
+    "rth3d": partial(rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
+    "rth3d-lba": rth3d_lba,
     "rth3d-lba-paper": partial(
-        _rth3d, name="rth3d-lba-paper", match=assign_levels_in_turn, balance=balance_by_distance
+        rth3d, name="rth3d-lba-paper", match=assign_levels_in_turn, balance=balance_by_distance
     ),
-    "pibt": _solve_pibt,
-    "lacam": _solve_lacam,
-    "auto": _solve_auto,
+    "pibt": _pibt,
+    "lacam": _lacam,
+    "auto": auto,
 }
 """Every method by its name."""
 
@@ -300,10 +194,8 @@ def plan(
     time_limit: float | None = None,
     watch: Callable[[str], None] | None = None,
     configurations: int | None = None,
-    labels: bool = True,
-    objective: Literal["makespan", "sum_of_costs"] = "makespan",
 ) -> GridPlan:
-    """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
+    """Return collision-free paths on a 6-connected grid for robots that each have their own goal.
 
     Args:
         starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.
@@ -326,13 +218,6 @@ def plan(
         configurations: the maximum number that LaCAM* makes in each connected part of the grid.
             None: 1,000,000, or what fits into 0.8 GB. Without a time limit it makes as many again
             after its first plan to improve it, at least 1,000 (fewer for over 1,000 robots).
-        labels: False if any robot may take any goal. `"auto"` then finds the fewest steps by a flow
-            over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
-            beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal
-            that robot i takes.
-        objective: `"makespan"`, or `"sum_of_costs"`, the sum over the robots of the step in which
-            last moves (`GridPlan.sum_of_costs`). It is reduced by negotiation within the makespan
-            that was found, unless vertices times steps are more than 40 million.
 
     Returns:
         A plan that `validate` has found feasible.
@@ -348,7 +233,6 @@ def plan(
         check_number("time_limit", time_limit, above=0.0, unit="s")
     if configurations is not None:
         check_integer("configurations", configurations, at_least=1)
-    check_name("objective", objective, ("makespan", "sum_of_costs"))
     instance = check_instance(starts, goals, shape, obstacles)
     check_name("method", method, METHODS)
     if time_limit is not None:
@@ -356,17 +240,11 @@ def plan(
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
-    if labels:
-        solution, bound = _labelled(instance, method, seed, clock), None
+    if instance.lower_bound == 0:
+        solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", bound=0)
     else:
-        solution, bound = _without_labels(instance, method, seed, clock)
-    if objective == "sum_of_costs" and clock.remaining > 0:
-        with clock.phase("sum of costs") as record:
-            ends = replace(instance, goals=points(solution.paths[-1], instance.shape))
-            paths = reduce_costs(ends, seed, clock, solution.paths)
-            record(len(paths) - 1)
-        solution = replace(solution, paths=paths)
-    return _result(instance, solution, method, seed, clock, bound)
+        solution = METHODS[method](instance, seed, clock)
+    return _result(instance, solution, method, seed, clock)
 
 
 @cache
@@ -381,29 +259,21 @@ def _compile(method: str) -> None:
         small = GridInstance((6, 6, 3), free, free[::-1].copy(), walls)
         for name in ("rth3d-lba", "pibt", "lacam") if method == "auto" else (method,):
             with suppress(NoHighways, PlanNotFound):
-                paths = reduce_costs(small, 0, clock, METHODS[name](small, 0, clock).paths)
+                paths = METHODS[name](small, 0, clock).paths
                 negotiate(small, 0, clock, len(paths) + 1)
                 check_paths(paths, small)
 
 
 def _result(
-    instance: GridInstance,
-    solution: _Solution,
-    method: str,
-    seed: int,
-    clock: PlanningClock,
-    set_bound: int | None,
+    instance: GridInstance, solution: _Solution, method: str, seed: int, clock: PlanningClock
 ) -> GridPlan:
     with clock.last_phase("validation") as record:
-        report, moves = check_paths(solution.paths, instance, labels=set_bound is None)
+        report, moves = check_paths(solution.paths, instance)
         record(report.makespan)
     if not report:
         raise AssertionError(f"{method!r} has made an invalid plan: {report.reason}")
-    if set_bound is not None:
-        instance = replace(instance, goals=points(solution.paths[-1], instance.shape))
     return GridPlan(
         moves=moves,
-        set_bound=set_bound,
         method=method,
         winner=solution.method,
         seed=seed,

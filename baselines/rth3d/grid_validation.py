@@ -1,4 +1,4 @@
-"""Whether a grid plan is one: checked step by step, by other code than the planners'."""
+"""The validation of grid plans: step by step, by other code than the planners'."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ _REASONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationReport:
-    """What `validate` found."""
+    """The verdict on a plan."""
 
-    ok: bool  # Whether the plan is feasible (Sec. II-A).
+    ok: bool  # True if the plan is feasible (Sec. II-A)
     # A rule that is broken, by which robot and when: the ends are checked first, then every step;
     # empty if the plan is feasible
     reason: str
     time: int | None = None  # Step after which it is broken
-    robot: int | None = None  # Who breaks it
+    robot: int | None = None  # That breaks it
     makespan: int = 0  # Last step in which anyone moves
     sum_of_costs: int = 0  # Sum over the robots of the last step in which each moves
     moves: int = 0  # Moves along edges, of all robots
@@ -95,7 +95,7 @@ def follow_paths(
 
 
 def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
-    """(V,) of `follow_paths`: which edges of each vertex lead to a free one."""
+    """Return the edges of each vertex (V,) that lead to a free one, as bits for `follow_paths`."""
     free: BoolArray = np.pad(~obstacles, 1, constant_values=False)
     found = np.zeros(obstacles.shape, dtype=np.uint8)
     for edge, step in enumerate(MOVES[:6].tolist()):
@@ -105,7 +105,7 @@ def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
 
 
 def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple[int, int]:
-    """Which rule is broken by a step that breaks one, and the robot that does."""
+    """Return the rule that is broken by a step that breaks one, and the robot that does."""
     sides = np.array(obstacles.shape)
     lengths = np.abs(now - before).sum(axis=1)
     outside = np.logical_or(now < 0, now >= sides).any(axis=1)
@@ -128,14 +128,14 @@ def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple
 
 
 def check_paths(
-    paths: Paths, instance: GridInstance, labels: bool = True
+    paths: Paths, instance: GridInstance
 ) -> tuple[ValidationReport, npt.NDArray[np.int8]]:
-    """A report on paths (T + 1, n) of vertices, and their moves (T, n); -1 is outside the grid."""
+    """Return a report on paths (T + 1, n) of vertices, -1 outside the grid, and moves (T, n)."""
     starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
     count = paths.shape[1]
     last, moves = np.zeros(count, dtype=np.int32), np.empty((len(paths) - 1, count), dtype=np.int8)
-    strays = paths[-1] != goals if labels else ~np.isin(paths[-1], goals)
-    for rule, step, wrong in ((1, 0, paths[0] != starts), (2, len(paths) - 1, strays)):
+    for rule, step, ends in ((1, 0, starts), (2, len(paths) - 1, goals)):
+        wrong = paths[step] != ends
         if wrong.any():
             return _broken(rule, int(wrong.argmax()), step), moves
     _, m2, m3 = instance.shape
@@ -150,7 +150,7 @@ def check_paths(
 
 
 def as_vertices(paths: npt.NDArray[np.integer], shape: Shape) -> Paths:
-    """The vertices (T + 1, n) of paths (T + 1, n, 3), with -1 for those outside the grid."""
+    """Return the vertices (T + 1, n) of paths (T + 1, n, 3), with -1 for those outside the grid."""
     found = np.empty(paths.shape[:2], dtype=np.int32)
     for vertices, places in zip(found, paths, strict=True):
         inside = ((places >= 0) & (places < shape)).all(axis=1)
@@ -159,7 +159,7 @@ def as_vertices(paths: npt.NDArray[np.integer], shape: Shape) -> Paths:
 
 
 def _places(vertices: Vertices, shape: Shape) -> Coordinates:
-    """Coordinates (n, 3) of vertices; three times -1 where one is outside."""
+    """Return the coordinates (n, 3) of vertices; three times -1 where one is outside."""
     return np.where(vertices[:, None] < 0, -1, points(np.maximum(vertices, 0), shape))
 
 
@@ -174,9 +174,8 @@ def validate(
     goals: npt.ArrayLike,
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
-    labels: bool = True,
 ) -> ValidationReport:
-    """Check a plan against the definition of a feasible one (Sec. II-A).
+    """Return a verdict on a plan by the definition of a feasible one (Sec. II-A).
 
     Everyone begins at its start and ends at its goal; each step is a wait or a move along one edge
     of the grid; nobody is on an obstacle, or on another's vertex, or swaps with another. To follow,
@@ -188,7 +187,6 @@ def validate(
         goals: (n, 3) integers.
         shape: of the grid.
         obstacles: booleans of that shape, anywhere, or None.
-        labels: whether each robot must end at its own goal; else all goals must be taken.
 
     Returns:
         A report that is true if the plan is feasible, and otherwise says what is wrong.
@@ -203,4 +201,4 @@ def validate(
         raise ValueError(f"paths have shape {given.shape}, but must have {wanted}")
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"paths are of type {given.dtype}, but must be integers")
-    return check_paths(as_vertices(given, instance.shape), instance, labels)[0]
+    return check_paths(as_vertices(given, instance.shape), instance)[0]

@@ -23,7 +23,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.grid import (
+    Array,
+    GridInstance,
+    NoPlanExists,
+    PlanNotFound,
+    numbers,
+)
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.pibt import (
     Robots,
     draw,
@@ -71,7 +78,7 @@ class _Nodes(NamedTuple):
 
 
 class _Pools(NamedTuple):
-    """What the configurations refer to, and the state of the search."""
+    """The constraints and edges of configurations, and the state of the search."""
 
     constraints: Ints  # (L, 5) parent, who, to which vertex, how many with its parents, next
     edges: Ints  # (E, 2) the configuration that it leads to, the edge before
@@ -90,7 +97,7 @@ def _hash(at: Array) -> int:
 
 @kernel
 def _place(nodes: _Nodes, table: Array, at: Array, code: int) -> int:
-    """The place of a configuration in the hash table, empty if it is new."""
+    """Return the place of a configuration in the hash table, empty if it is new."""
     mask = table.shape[0] - 1
     place = code & mask
     while table[place] >= 0:
@@ -169,7 +176,7 @@ def _add_edge(nodes: _Nodes, pools: _Pools, node: int, to: int) -> None:
 def _add_node(
     terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, parent: int, code: int
 ) -> int:
-    """Keep a new configuration, which stands at the end of `nodes.at`, and stack it."""
+    """Keep the new configuration at the end of `nodes.at`, stack it, and return its number."""
     new = int(pools.state[_NODES])
     pools.state[_NODES] += 1
     at, longest = nodes.at[new], 0
@@ -205,7 +212,7 @@ def _load(terrain: Terrain, robots: Robots, nodes: _Nodes, before: int, node: in
 
 @kernel
 def _constrain(terrain: Terrain, robots: Robots, pools: _Pools, at: Array, constraint: int) -> bool:
-    """Settle what the constraints say; whether that is possible."""
+    """Settle the moves of the constraints; return True if that is possible."""
     while pools.constraints[constraint, _PARENT] >= 0:
         entry = pools.constraints[constraint]
         who, to = entry[_WHO], entry[_TO]
@@ -302,7 +309,7 @@ def _keep(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: 
 
 @kernel
 def _search(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, most: int) -> int:
-    """Make configurations until there are `most`, the stack is empty, or the memory is full.
+    """Make configurations until there are `most`, or the stack is empty, or the memory full.
 
     It also ends where a plan is found that is shorter than the one before.
     """
@@ -354,11 +361,11 @@ class Lacam:
         code = _hash(self._nodes.at[0])
         _add_node(self._terrain, self._robots, self._nodes, self._pools, -1, code)
         self.exhausted = False
-        """Whether nothing is left to be tried: the plan is the shortest, or there is none."""
+        """True if nothing is left to be tried: the plan is the shortest, or there is none."""
 
     @property
     def made(self) -> int:
-        """How many configurations have been made or tried to make."""
+        """The number of configurations that were made, or tried to make."""
         return int(self._pools.state[_MADE])
 
     @property
@@ -391,7 +398,7 @@ class Lacam:
         self._pools = pools
 
     def paths(self) -> Paths:
-        """(T + 1, n) vertices of the best plan so far."""
+        """Return the vertices (T + 1, n) of the best plan so far."""
         chain, node = [], int(self._pools.state[_GOAL])
         while node >= 0:
             chain.append(node)
@@ -416,23 +423,37 @@ def _table_size(room: int) -> int:
     return 1 << (2 * room).bit_length()
 
 
-def most_configurations(count: int, bound: int) -> int:
-    """Configurations that are made by default before the first plan: at most 1,000,000.
+def best_plan(instance: GridInstance, seed: int, clock: PlanningClock) -> Paths:
+    """Return the best plan (T + 1, n) of the search within its configurations and the time limit.
 
-    Fewer for more than 100 robots, as many as fit into 0.8 GB, but enough for a plan of twice the
-    lower bound.
+    By default it makes at most 1,000,000 configurations before the first plan: fewer for more than
+    100 robots, as many as fit into 0.8 GB, but enough for a plan of twice the lower bound. After
+    the first plan it makes as many again, or 1,000 more (fewer for more than 1,000 robots).
+
+    Raises:
+        NoPlanExists: all configurations have been searched.
+        PlanTimeout: the time limit ended before the first plan.
+        PlanNotFound: there is none within the configurations.
     """
-    return max(min(_MOST, _MOST_ENTRIES // count), 2 * bound + 100)
-
-
-def after_a_plan(count: int, made: int) -> int:
-    """Configurations in all, once a plan has been found: twice as many, or 1,000 more.
-
-    For more than 1,000 robots that number is smaller.
-    """
-    return made + max(made, min(_MORE, _MORE_ENTRIES // count))
-
-
-def stride(count: int) -> int:
-    """Configurations that are made between two looks at the clock."""
-    return max(1, _GLANCE // count)
+    count, bound = len(instance.starts), instance.lower_bound
+    most = clock.configurations or max(min(_MOST, _MOST_ENTRIES // count), 2 * bound + 100)
+    search = Lacam(instance, seed)
+    while not search.exhausted and search.made < most and search.steps != bound:
+        if clock.remaining <= 0:
+            break
+        first = search.steps is None
+        search.run(min(most, search.made + max(1, _GLANCE // count)))
+        if first and search.steps is not None and not clock.limited:
+            most = search.made + max(search.made, min(_MORE, _MORE_ENTRIES // count))
+    if search.steps is not None:
+        return search.paths()
+    if search.exhausted:
+        raise NoPlanExists(
+            f"no plan exists: the search has tried all that {count} robots can do, from robot at "
+            f"{instance.starts[0].tolist()} on ({search.made} configurations)"
+        )
+    clock.check("lacam")
+    raise PlanNotFound(
+        f"lacam has found no plan within {search.made} configurations of {count} robots, and has "
+        "not shown that there is none; try another seed, or more configurations"
+    )

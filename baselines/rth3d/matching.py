@@ -1,4 +1,4 @@
-"""Rubik tables: which robot goes to which height, or row, so that one shuffle suffices (Sec. II-B).
+"""Perfect matchings: heights, or rows, from which one shuffle suffices (Sec. II-B).
 
 A table has K columns of D items, and each item belongs into a column. Its columns are one side of
 a bipartite multigraph, the columns aimed at are the other, the items are the edges: D-regular. D
@@ -26,7 +26,7 @@ Items = npt.NDArray[np.int32]  # Whole numbers that stand for items or places
 
 @equation
 def _is_flexible(level: int, middle: int, low: bool, reach: int) -> bool:
-    """Whether an item may change sides: by at most `reach` levels beyond the middle."""
+    """Return True if an item may change sides: by at most `reach` levels beyond the middle."""
     return level < 0 or (middle - level if low else level - middle + 1) <= reach
 
 
@@ -39,14 +39,13 @@ def _levels(
     at: Array,
     begin: int,
     size: int,
-    half: int,
     middle: int,
     reach: int,
     excess: Array,
     depth: Array,
     queue: Array,
 ) -> int:
-    """Number columns by their distance from overfull aims; the nearest aim with room, or -1.
+    """Number nodes by their distance from overfull aims; return that of an aim with room, or -1.
 
     Nodes 0 .. K - 1 are aims, K .. 2 K - 1 the columns that are left. An item that changes sides
     leads from one to the other: from its aim if it is low, from its column if it is not.
@@ -100,7 +99,7 @@ def _exchange(
     arcs: Array,
     last: int,
 ) -> int:
-    """Make items change sides along shortest paths from overfull aims to those with room."""
+    """Move items along shortest paths from overfull aims to those with room; return how many."""
     count, width = by_aim.shape
     done = 0
     for k in range(2 * count):
@@ -169,9 +168,7 @@ def _halve(
         left += max(room[a], 0)
     reach = 1 if bounded else 2**30
     while left > 0:
-        last = _levels(
-            aims, shift, low, by_aim, at, begin, size, half, middle, reach, room, depth, queue
-        )
+        last = _levels(aims, shift, low, by_aim, at, begin, size, middle, reach, room, depth, queue)
         if last < 0:
             reach += 1
             continue
@@ -239,7 +236,7 @@ def split_tables(aims: Array, shift: Array, bounded: bool, levels: Array) -> Non
 def assign_levels(
     aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_], bounded: bool
 ) -> Items:
-    """A level (G, K, D) for every item, so that each level of a table is a perfect matching.
+    """Return levels (G, K, D) of all items, so that each level of a table is a perfect matching.
 
     `aims` (G, K, D) says which column each item of G tables belongs into, every column D times;
     item d of a column lies in level d now. Items that are not `real` may be shifted by any distance

@@ -9,8 +9,6 @@ opposite ways, which PIBT leads into each other step by step. There is no guaran
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +24,6 @@ from swarm_envs.compiled import equation, kernel
 _MOST_PLACES = 40_000_000  # vertices times steps that are kept, 19 bytes each
 _WORK, _MOST_WORK = 6000, 1_000_000_000
 """Moves that are weighed, as a multiple of robots times bound, and at most: some five seconds."""
-_MORE_WORK = 4  # times as much for the sum of costs
 _GLANCE = 50_000_000  # the same between two looks at the clock
 _ROUNDS = 60
 _TRIES = 4  # each from other random choices; one that fails takes little of the work
@@ -35,13 +32,13 @@ _DEAREST = 8 * _PRICE
 
 
 class _Space(NamedTuple):
-    """The grid at each step, who uses it, and what that costs."""
+    """The grid at each step, its users, and the prices of its vertices."""
 
     at: Ints  # (V, 3) coordinates of each vertex
     table: Neighbors  # (V, 7) neighbours
     used: npt.NDArray[np.int16]  # (T + 1, V) robots on each vertex
     moves: npt.NDArray[np.int16]  # (T, V, 6) robots that leave it along each edge
-    dear: Ints  # (T + 1, V) what a vertex costs more, because robots have met there
+    dear: Ints  # (T + 1, V) surcharge of a vertex, because robots have met there
     back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path gets there
     # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
     cost: npt.NDArray[np.int64]
@@ -50,11 +47,10 @@ class _Space(NamedTuple):
 
 
 @kernel
-def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
+def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
     """Lead a robot along a cheapest path (T + 1,) to its goal; return the moves that were weighed.
 
-    Nothing is done if there is none in T steps. `price` is that of a collision, `haste` that of a
-    step away from the goal.
+    Nothing is done if there is none in T steps. `price` is that of a collision.
     """
     at, table, used, moves, dear, back, cost, reached, random = space
     steps, bits = path.shape[0] - 1, random[0]
@@ -75,8 +71,6 @@ def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
                 bits = following(bits)
                 value = cost[even, v] + price * used[t + 1, u] + dear[t + 1, u]
                 value += (bits >> 33) & 7  # of equals, any
-                if u != goal:
-                    value += haste
                 if edge < 6:
                     value += price * moves[t, u, edge ^ 1]
                 if cost[odd, u] < 0:
@@ -103,7 +97,7 @@ def _lead(space: _Space, path: Array, goal: int, price: int, haste: int) -> int:
 
 @equation
 def _edge(table: Array, before: int, now: int) -> int:
-    """The edge from a vertex to another, 6 to itself."""
+    """Return the edge from a vertex to another, 6 to itself."""
     edge = 0
     while table[before, edge] != now:
         edge += 1
@@ -124,7 +118,7 @@ def _use(space: _Space, path: Array, change: int) -> None:
 
 @kernel
 def _meets(space: _Space, path: Array) -> bool:
-    """Whether a path meets others; where it does becomes dearer."""
+    """Return True if a path meets others; the places where it does become dearer."""
     table, used, moves, dear = space.table, space.used, space.moves, space.dear
     found = False
     for t in range(1, path.shape[0]):
@@ -143,7 +137,6 @@ def _lead_some(
     order: Array,
     begin: int,
     price: int,
-    haste: int,
     most: int,
 ) -> tuple[int, int, int]:
     """Replan those who meet others, or have no path yet, until `most` moves have been weighed.
@@ -158,48 +151,10 @@ def _lead_some(
             if not _meets(space, paths[i]):
                 continue
             _use(space, paths[i], -1)
-        weighed += _lead(space, paths[i], goals[i], price, haste)
+        weighed += _lead(space, paths[i], goals[i], price)
         _use(space, paths[i], 1)
         count += 1
     return begin, count, weighed
-
-
-@kernel
-def _arrival(path: Array) -> int:
-    """The step in which a path arrives for good."""
-    t = path.shape[0] - 1
-    while t > 0 and path[t - 1] == path[t]:
-        t -= 1
-    return t
-
-
-@kernel
-def _hasten_some(
-    space: _Space, paths: Array, goals: Array, lengths: Array, order: Array, begin: int, most: int
-) -> tuple[int, int, int]:
-    """Replan those who arrive earlier then, until `most` moves have been weighed.
-
-    `lengths` are those of the shortest ways: no robot arrives earlier.
-    Returns the place in `order` to go on from, the steps that were saved, and the moves.
-    """
-    saved, weighed, old = 0, 0, np.empty(paths.shape[1], dtype=np.int32)
-    while begin < order.shape[0] and weighed < most:
-        i = order[begin]
-        begin += 1
-        arrival = _arrival(paths[i])
-        if arrival <= lengths[i]:
-            continue
-        old[:] = paths[i]
-        _use(space, old, -1)
-        weighed += _lead(space, paths[i, :arrival], goals[i], _DEAREST << 12, _PRICE)
-        _use(space, paths[i], 1)
-        if paths[i, arrival - 1] != goals[i] or _meets(space, paths[i]):
-            _use(space, paths[i], -1)
-            _use(space, old, 1)
-            paths[i] = old
-        else:
-            saved += arrival - _arrival(paths[i])
-    return begin, saved, weighed
 
 
 class Negotiation:
@@ -216,50 +171,37 @@ class Negotiation:
 
     @property
     def goes_on(self) -> bool:
-        """Whether there is work and time left."""
+        """True while there is work and time left."""
         return self._work > 0 and self._clock.remaining > 0
 
     def fits(self, steps: int) -> bool:
-        """Whether the grid at each of so many steps is not too much memory."""
+        """Return True if the grid at each of so many steps is not too much memory."""
         return (steps + 1) * len(self._table) <= _MOST_PLACES
 
-    def plan(self, steps: int, haste: int = 0) -> Paths | None:
-        """A plan (T + 1, n) of so many steps, or None if none was found.
-
-        With `haste` robots prefer to arrive early, so that the sum of costs is small.
-        """
+    def plan(self, steps: int) -> Paths | None:
+        """Return a plan (T + 1, n) of so many steps, or None if none was found."""
         space, count = self._new_space(steps), len(self._goals)
         paths = np.full((count, steps + 1), -1, dtype=np.int32)
         paths[:, 0] = numbers(self._instance.starts, self._instance.shape)
         order, price = self._generator.permutation(count), _PRICE
         for _ in range(1 + _ROUNDS):
-            replan = partial(_lead_some, space, paths, self._goals, order)
-            if self._round(replan, price, haste) == 0:
+            if self._round(space, paths, order, price) == 0:
                 return np.ascontiguousarray(paths.T)
             price = min(price + price // 8, _DEAREST)
         return None
 
-    def hasten(self, paths: Paths) -> Ints:
-        """(n, T + 1) paths after each was replanned, until none arrives earlier so."""
-        space, found = self._new_space(len(paths) - 1), np.ascontiguousarray(paths.T)
-        for path in found:
-            _use(space, path, 1)
-        order = self._generator.permutation(len(found))
-        replan = partial(_hasten_some, space, found, self._goals, self._instance.lengths, order)
-        while self.goes_on and self._round(replan) > 0:
-            pass
-        return found
-
-    def _round(self, replan: Callable[..., tuple[int, int, int]], *prices: int) -> int:
-        """Have all replanned who must be; what was counted, or at least 1 if work or time ended."""
-        begin, counted = 0, 0
-        while begin < len(self._goals):
+    def _round(self, space: _Space, paths: Array, order: Array, price: int) -> int:
+        """Replan all who meet others; return how many, or at least 1 if work or time ended."""
+        begin, count = 0, 0
+        while begin < len(order):
             if not self.goes_on:
-                return max(counted, 1)
-            begin, some, work = replan(begin, *prices, _GLANCE)
-            counted += some
-            self._work -= work
-        return counted
+                return max(count, 1)
+            begin, some, weighed = _lead_some(
+                space, paths, self._goals, order, begin, price, _GLANCE
+            )
+            count += some
+            self._work -= weighed
+        return count
 
     def _new_space(self, steps: int) -> _Space:
         total = len(self._table)
@@ -277,7 +219,7 @@ class Negotiation:
 
 
 def negotiate(instance: GridInstance, seed: int, clock: PlanningClock, known: int) -> Paths | None:
-    """The shortest plan that bisection finds, from the lower bound to below a known makespan."""
+    """Return the shortest plan that bisection finds below a known makespan, or None."""
     bound, best = instance.lower_bound, None
     work = min(_WORK * len(instance.starts) * bound, _MOST_WORK)
     search = Negotiation(instance, seed, clock, work)
@@ -291,21 +233,3 @@ def negotiate(instance: GridInstance, seed: int, clock: PlanningClock, known: in
             best, known = found, steps
         steps = (bound + known) // 2
     return best
-
-
-def reduce_costs(instance: GridInstance, seed: int, clock: PlanningClock, paths: Paths) -> Paths:
-    """A plan of at most as many steps with a smaller sum of costs, or the same.
-
-    One robot after the other is replanned among all others, until none arrives earlier so; and the
-    same for a plan that is negotiated from the start with `haste`.
-    """
-    steps = len(paths) - 1
-    work = _MORE_WORK * min(_WORK * len(instance.starts) * steps, _MOST_WORK)
-    search = Negotiation(instance, seed, clock, work)
-    if steps == 0 or not search.fits(steps):
-        return paths
-    found = search.hasten(paths)
-    other = search.plan(steps, _PRICE // 2) if search.goes_on else None
-    if other is not None:
-        found = min(found, search.hasten(other), key=lambda paths: sum(map(_arrival, paths)))
-    return np.ascontiguousarray(found[:, : max(map(_arrival, found)) + 1].T)

@@ -26,7 +26,7 @@ from swarm_envs.state import BoolArray
 
 
 def assign_levels_in_turn(aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_]) -> Items:
-    """A level (G, K, D) for every item, as `assign_levels`, by the paper's two assignments."""
+    """Return levels (G, K, D) of all items, as `assign_levels`, by the paper's two assignments."""
     return np.stack([_table_levels(*table) for table in zip(aims, real, strict=True)])
 
 
@@ -47,7 +47,7 @@ def _table_levels(aims: Items, real: npt.NDArray[np.bool_]) -> Items:
 
 
 def _least_bottleneck(aims: Items, costs: Items) -> Items:
-    """The item (K,) of each column in a perfect matching whose largest cost (K, D) is the least."""
+    """Return each column's item (K,) in a perfect matching whose largest cost (K, D) is least."""
     match = np.full(len(aims), -1, dtype=np.int32)
     _match(aims, costs, match)
     return np.where(aims == match[:, None], costs, FAR).argmin(axis=1).astype(np.int32)
@@ -92,7 +92,7 @@ def _match(aims: Array, costs: Array, match: Array) -> None:
 
 @kernel
 def _excess(table: Array, flow: Array, price: Array, v: int, d: int) -> int:
-    """What an edge of the residual flow costs beyond the difference of prices: 0, 1 or 2."""
+    """Return the cost of a residual edge beyond the difference of prices: 0, 1 or 2."""
     u = table[v, d]
     return int(price[v] - price[u] + (-1 if flow[u, d ^ 1] > 0 else 1))
 
@@ -101,7 +101,7 @@ def _excess(table: Array, flow: Array, price: Array, v: int, d: int) -> int:
 def _set_prices(
     table: Array, waiting: Array, sinks: Array, flow: Array, price: Array, far: Array, work: Array
 ) -> bool:
-    """Set prices (V,) at which the nearest free sinks cost nothing more; False without one."""
+    """Set prices (V,) at which the nearest free sinks cost no more; return False without one."""
     seen, ends, known = work[3], np.zeros(3, dtype=np.int64), waiting.shape[0]
     for k in range(known):
         far[waiting[k]] = 0
@@ -140,7 +140,7 @@ def _set_prices(
 def _send_at_price(
     table: Array, waiting: Array, sinks: Array, flow: Array, price: Array, arcs: Array, stack: Array
 ) -> int:
-    """Send those of the waiting to free sinks whom it costs nothing more; how many still wait."""
+    """Send the waiting to free sinks that cost nothing more; return how many still wait."""
     arcs[:] = -1  # of vertices that nobody has tried
     left = 0
     for begin in waiting:
@@ -175,7 +175,7 @@ def _send_at_price(
 
 @kernel
 def _push(table: Array, flow: Array, at: Array, holder: Array, claim: Array, aim: Array) -> None:
-    """One step along the flow, in place."""
+    """Move all by one step along the flow, in place."""
     for i in range(at.shape[0]):
         most, aim[i] = 0, -1
         for k in range(6):
@@ -207,7 +207,7 @@ def balance_by_distance(
     sinks: BoolArray,
     check: Callable[[], None] = lambda: None,
 ) -> Paths:
-    """Paths that take every robot, no matter which, to a sink of its own, of the least distance.
+    """Return paths of the least total distance that take every robot to a sink of its own.
 
     Arguments and paths are those of `balance`.
 

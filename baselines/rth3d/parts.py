@@ -1,4 +1,4 @@
-"""Connected parts of a grid, and what their shape forbids."""
+"""LaCAM* in each connected part of a grid, and what the shape of a part forbids."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import label
 
+from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, NoPlanExists, Vertices, numbers
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.lacam import best_plan
 from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table
 from swarm_envs.state import IntArray
 
@@ -23,7 +26,7 @@ class Part(NamedTuple):
 
 
 def connected_parts(instance: GridInstance) -> list[Part]:
-    """The connected parts of the free vertices where not every robot is at its goal.
+    """Return the connected parts of the free vertices where not every robot is at its goal.
 
     Raises:
         NoPlanExists: a robot's start and goal are in different parts.
@@ -40,6 +43,28 @@ def connected_parts(instance: GridInstance) -> list[Part]:
             part = replace(instance, starts=instance.starts[robots], goals=instance.goals[robots])
         found.append(Part(np.flatnonzero(names == name).astype(np.int32), robots, part))
     return found
+
+
+def search_parts(instance: GridInstance, seed: int, clock: PlanningClock) -> Paths:
+    """Return the plan (T + 1, n) of LaCAM* in each part by itself, every move as early as it can.
+
+    Raises:
+        NoPlanExists: a part has none.
+        PlanNotFound: none was found in a part.
+        PlanTimeout: the time limit ended before there was a plan.
+    """
+    parts = connected_parts(instance)
+    check_order(instance, parts)
+    with clock.phase("lacam") as record:
+        found = [best_plan(part.instance, seed, clock) for part in parts]
+        steps = max(len(paths) for paths in found)
+        whole = np.tile(numbers(instance.starts, instance.shape), (steps, 1))
+        for part, paths in zip(parts, found, strict=True):
+            whole[: len(paths), part.robots] = paths
+            whole[len(paths) :, part.robots] = paths[-1]
+        whole = compact(whole, int(np.prod(instance.shape)))
+        record(len(whole) - 1)
+    return whole
 
 
 def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
@@ -74,7 +99,7 @@ def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
 
 
 def _in_line(table: Neighbors, begin: int) -> list[int]:
-    """Vertices that have at most two neighbours each, one after another."""
+    """Return vertices that have at most two neighbours each, one after another."""
     line, before = [begin], -1
     while True:
         onward = [int(u) for u in table[line[-1], :6] if u >= 0 and u != before]

@@ -8,16 +8,15 @@ been at its goal. There is no guarantee that all ever arrive.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, Coordinates, GridInstance, numbers
-from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, among_free, neighbor, survey
-from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, neighbor, survey
+from swarm_envs.baselines.rth3d.ways import Ints
 from swarm_envs.compiled import equation, kernel
 
 _ROBOT = np.dtype(
@@ -35,8 +34,6 @@ _ROBOT = np.dtype(
 )
 
 
-NO_LIMIT = np.iinfo(np.int32).max
-"""Of steps within which all have to arrive."""
 _MOST_AWAY = 10_000  # steps away from the goal that count for the urgency, or every step gets slow
 
 
@@ -47,19 +44,19 @@ class Robots(NamedTuple):
     # (n, 18) robots that wait for an answer: who, number of vertices tried, of all, these, who is
     # pulled along or -1, and the keys by which the vertices are sorted
     asked: Ints
-    counts: Ints  # How many robots have each urgency
+    counts: Ints  # Number of robots of each urgency
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
 @equation
 def following(state: int) -> int:
-    """The state after another of a linear congruential generator; its upper bits are random."""
+    """Return the next state of a linear congruential generator; its upper bits are random."""
     return state * 6364136223846793005 + 1442695040888963407
 
 
 @equation
 def draw(random: Array) -> int:
-    """30 random bits."""
+    """Return 30 random bits."""
     random[0] = following(random[0])
     return (random[0] >> 33) & 0x3FFFFFFF
 
@@ -87,7 +84,7 @@ def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> in
 
 @equation
 def way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
-    """Length of a robot's shortest way from a vertex; two more where a column is between."""
+    """Return the length of a robot's shortest way from a vertex."""
     if terrain.grid.obstacles == OPEN:
         return _manhattan(terrain.cells[vertex], robots.crew[robot])
     return _way_around(terrain, robots, robot, vertex)
@@ -157,7 +154,7 @@ def _back_out(terrain: Terrain, robots: Robots, here: int, robot: int, entry: Ar
 
 @kernel
 def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int, int]:
-    """Number of ways on from `here`, but `back`, and the last of them.
+    """Return the number of ways on from `here`, but `back`, and the last of them.
 
     A dead end whose robot is at its goal is none: that robot need not move.
     """
@@ -180,7 +177,7 @@ def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int
 def _must_swap(
     terrain: Terrain, robots: Robots, pusher: int, puller: int, first: int, second: int
 ) -> bool:
-    """Whether a robot that pushes another along a passage would never get past it.
+    """Return True if a robot that pushes another along a passage would never get past it.
 
     They stand at `first` and `second`, or would.
     """
@@ -199,7 +196,7 @@ def _must_swap(
 
 @kernel
 def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool:
-    """Whether two robots can pass each other if the one at `second` moves on before the other.
+    """Return True if two robots can pass each other once the one at `second` has moved on.
 
     It does where the passage ends at a branch.
     """
@@ -216,10 +213,11 @@ def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool
 
 @kernel
 def _to_pull(terrain: Terrain, robots: Robots, here: int, robot: int, aim: int) -> int:
-    """Who must follow a robot that wants to be at `aim`, backwards to where both can pass; or -1.
+    """Return the robot that must follow one that wants to be at `aim`, or -1.
 
-    The swap of Okumura, "Improving LaCAM for Scalable Eventually Optimal Multi-Agent Pathfinding"
-    (IJCAI 2023), Sec. 4: with who is in the way, or with who comes from behind towards `aim`.
+    Both go backwards to where they can pass. It is the swap of Okumura, "Improving LaCAM for
+    Scalable Eventually Optimal Multi-Agent Pathfinding" (IJCAI 2023), Sec. 4, with the robot in the
+    way, or with one that comes from behind towards `aim`.
     """
     if not _may_swap(terrain, robots, aim, here):
         return -1
@@ -258,7 +256,7 @@ def take(cells: Array, crew: Array, robot: int, vertex: int) -> None:
 
 @kernel
 def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: bool) -> bool:
-    """Settle the next vertex of a robot and of all whom it pushes away; whether that went well.
+    """Settle the next vertex of a robot and of all that it pushes; return True if that went well.
 
     It always does if none of them had its vertex settled before by others.
     """
@@ -296,7 +294,7 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
 
 @kernel
 def settle_rest(terrain: Terrain, robots: Robots, at: Array, lost: bool) -> bool:
-    """Settle all who are not yet, the most urgent first, until that goes wrong; whether it did not.
+    """Settle all others, the most urgent first, until that goes wrong; return True if it did not.
 
     It never goes wrong if none was settled before.
     """
@@ -391,7 +389,7 @@ class Pibt:
         self.paths[0] = numbers(instance.starts, instance.shape)
         self.robots = new_robots(instance, most_steps)
 
-    def shuffle(self, generator: np.random.Generator) -> None:
+    def reseed(self, generator: np.random.Generator) -> None:
         """Draw another order and other random choices from here on."""
         self.robots.crew["order"] = generator.permutation(len(self.robots.crew))
         self.robots.random[0] = generator.integers(2**62)
@@ -400,20 +398,6 @@ class Pibt:
         """Go on from step `begin`; see `_run_pibt`."""
         last, left = _run_pibt(self.terrain, self.robots, self.paths, begin, end, limit, left, lost)
         return int(last), int(left)
-
-    def aim(self, robots: Ints, goals: Coordinates) -> None:
-        """Give robots (k,) other goals (k, 3)."""
-        crew = self.robots.crew
-        for name, values in zip("xyz", goals.T, strict=True):
-            crew[name][robots] = values
-        crew["away"][robots] = 0
-        if self.terrain.grid.obstacles == ANY:
-            columns = self.terrain.cells["column"][numbers(goals, self.instance.shape)]
-            self.terrain.ways[robots] = ways_to(self._free, columns)
-
-    @cached_property
-    def _free(self) -> Neighbors:
-        return among_free(neighbor_table(self.instance.shape, self.instance.obstacles))
 
     def rewind(self, begin: int) -> None:
         """Forget all after step `begin`."""
@@ -425,7 +409,7 @@ class Pibt:
 
 
 def new_robots(instance: GridInstance, most_steps: int) -> Robots:
-    """The robots of an instance at their starts, told apart by up to `most_steps` of urgency."""
+    """Return the robots of an instance at their starts, with up to `most_steps` of urgency."""
     count = len(instance.starts)
     crew = np.zeros(count, dtype=_ROBOT)
     crew["x"], crew["y"], crew["z"] = instance.goals.T

@@ -15,7 +15,7 @@ _PATIENCE = 1.5
 """An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
 _MARGIN = 60
 _RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
-"""From which part of the lower bound on PIBT is tried again, as long as it helps."""
+"""Parts of the lower bound from which on PIBT is tried again, as long as it helps."""
 _WORK = 250_000
 """Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
 of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
@@ -52,17 +52,26 @@ class PibtSearch:
         self._begin(0)
 
     def attempt(self) -> Paths | None:
-        """The first attempt's plan if it is as short as the lower bound; half of the time for it.
+        """Return the first attempt's plan if it is as short as the lower bound, or None.
 
-        It ends when it cannot be, and `run` continues from there.
+        It ends when it cannot be, or after half of the time, and `run` continues from there.
         """
-        self._limit = min(self.bound, self.cap)
-        self._advance(self._limit, self.bound, self._clock.halved())
-        self._keep()
+        with self._clock.phase("pibt, to the lower bound") as record:
+            self._limit = min(self.bound, self.cap)
+            self._advance(self._limit, self.bound, self._clock.halved())
+            self._keep()
+            record(self.reached)
         return self.best
 
+    def improve(self, known: int | None = None) -> Paths | None:
+        """Return what `run` does, as a phase of planning."""
+        with self._clock.phase("pibt") as record:
+            best = self.run(known)
+            record(self.reached if best is None else len(best) - 1)
+        return best
+
     def run(self, known: int | None = None) -> Paths | None:
-        """The best plan of the first attempt, and of restarts while there is something to gain.
+        """Return the best plan of the first attempt and of restarts, or None.
 
         `known` is the makespan of another plan; only shorter ones count.
         """
@@ -89,7 +98,7 @@ class PibtSearch:
         """Sample again, and forget what came after a step."""
         if self.best is not None and self.best.base is not None:
             self.best = self.best.copy()  # it is about to be overwritten
-        self.pibt.shuffle(self._generator)
+        self.pibt.reseed(self._generator)
         self.pibt.rewind(step)
         self.reached, self.left = step, -1
 
@@ -119,7 +128,7 @@ class PibtSearch:
 
 
 def halfway(instance: GridInstance) -> Coordinates:
-    """(n, 3) vertices, all different and spread over a grid without obstacles.
+    """Return vertices (n, 3), all different and spread over a grid without obstacles.
 
     As robots stand halfway between starts and goals, in order of x, then in each plane of y, then
     in each row of z, so they are put into planes, rows and vertices.
@@ -138,7 +147,7 @@ def halfway(instance: GridInstance) -> Coordinates:
 def search_halfway(
     instance: GridInstance, seed: int, clock: PlanningClock, known: int
 ) -> Paths | None:
-    """A plan over places halfway, or None if there are obstacles, or no plan is found.
+    """Return a plan over places halfway, or None if there are obstacles or none is found.
 
     PIBT leads robots well from a crowd to places that are spread out, and by reversing time also
     back into a crowd, but not from one crowd into another: who arrives first blocks the others.

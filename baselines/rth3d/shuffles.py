@@ -32,7 +32,7 @@ _Walk = npt.NDArray[np.int64]
 
 @cache
 def _walks(row: int, heading: int, obstacle: bool) -> tuple[tuple[_Walk, int], ...]:
-    """Walks from (1, row) into the right lane, (STEPS + 1, 2), each with its cost."""
+    """Return walks (STEPS + 1, 2) from (1, row) into the right lane, each with its cost."""
     found = []
     for moves in product(_MOVES, repeat=STEPS):
         walk = np.cumsum([(1, row), *moves], axis=0)
@@ -47,7 +47,7 @@ def _walks(row: int, heading: int, obstacle: bool) -> tuple[tuple[_Walk, int], .
 
 
 def _apart(first: _Walk, second: _Walk) -> bool:
-    """Whether two walks never share a vertex and never swap."""
+    """Return True if two walks never share a vertex and never swap."""
     same = (first == second).all(axis=1).any()
     there = (first[1:] == second[:-1]).all(axis=1)
     back = (first[:-1] == second[1:]).all(axis=1)
@@ -55,7 +55,7 @@ def _apart(first: _Walk, second: _Walk) -> bool:
 
 
 def _cheapest(rows: tuple[int, ...], headings: tuple[int, ...], obstacle: bool) -> list[_Walk]:
-    """Walks of all robots of a cell that fit together, with the least cost."""
+    """Return walks of all robots of a cell that fit together, with the least cost."""
     best: tuple[float, list[_Walk]] = (np.inf, [])
 
     def extend(chosen: list[_Walk], cost: int) -> None:
@@ -79,10 +79,10 @@ def _cheapest(rows: tuple[int, ...], headings: tuple[int, ...], obstacle: bool) 
 
 @cache
 def lane_changes(held: int) -> npt.NDArray[np.int8]:
-    """All changes of lanes in a cell that holds 3 robots, or 2 around an obstacle.
+    """Return all changes of lanes in a cell that holds 3 robots, or 2 around an obstacle.
 
-    (3 ** held, held, STEPS, 2) where each robot is after each step, for every combination of
-    headings; the first robot's heading counts 1, the next one's 3, the last one's 9.
+    They are (3 ** held, held, STEPS, 2): the place of each robot after each step, for every
+    combination of headings; the first robot's heading counts 1, the next one's 3, the last one's 9.
     """
     rows = (0, 1, 2) if held == 3 else (0, 2)
     found = np.empty((3**held, held, STEPS, 2), dtype=np.int8)
@@ -97,33 +97,41 @@ Steps = npt.NDArray[np.int32]  # A whole number for each robot, such as how far 
 
 
 class Shift(NamedTuple):
-    """A shuffle across the long axis: how each robot moves."""
+    """A shuffle across the long axis, by the distance of each item."""
 
     distance: Steps  # (n,) edges along the axis, with sign
     stride: int  # Difference of the numbers of two neighbours along the axis
 
     @property
     def duration(self) -> int:
-        """Steps until the last robot has stepped back."""
+        """The steps until the last robot has stepped back."""
         longest = int(np.abs(self.distance).max(initial=0))
         return longest + 2 if longest else 0
 
+    def of(self, items: Steps) -> Shift:
+        """Return the shuffle of some items (n,) alone."""
+        return Shift(self.distance[items], self.stride)
+
 
 class LongShift(NamedTuple):
-    """A shuffle along the long axis: how each robot moves."""
+    """A shuffle along the long axis, by the moves of each item."""
 
     change: Steps
-    """(n, STEPS) what is added to its vertex's number after each step of the change of lanes."""
+    """(n, STEPS) difference of its vertex's number after each step of the change of lanes."""
     run: Steps  # (n,) vertices to run, with sign
-    park: Steps  # (n,) what is added to its vertex's number when it parks
-    leave: Steps  # (n, 2) what is added to it in each of the last two steps
+    park: Steps  # (n,) difference of its vertex's number when it parks
+    leave: Steps  # (n, 2) difference in each of the last two steps
 
     @property
     def duration(self) -> int:
-        """Steps until all columns are formed."""
+        """The steps until all columns are formed."""
         if not self.change.any() and not self.run.any():
             return 0
         return STEPS + int(np.abs(self.run).max(initial=0)) + 1 + 2
+
+    def of(self, items: Steps) -> LongShift:
+        """Return the shuffle of some items (n,) alone."""
+        return LongShift(*(part[items] for part in self))
 
 
 @kernel

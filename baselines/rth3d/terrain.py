@@ -18,8 +18,8 @@ from swarm_envs.state import BoolArray
 
 _MOST_WAYS = 250_000_000  # lengths that are kept at most, four bytes each
 
-# What belongs together lies together, in one array. An array more that a kernel is given is counted
-# twice at each of its calls, which took three quarters of PIBT's time.
+# One array for all, because every array that a kernel is given is counted twice at each of its
+# calls, which took three quarters of PIBT's time.
 _CELL = np.dtype(
     [
         *((name, np.int32) for name in ("x", "y", "z")),
@@ -31,12 +31,12 @@ _CELL = np.dtype(
     ]
 )
 WALL = np.iinfo(np.int32).max
-"""Who has taken an obstacle's vertex, for all time."""
+"""The robot that has taken an obstacle's vertex, for all time."""
 OPEN, PATTERN, ANY = range(3)  # obstacles: none, columns that follow the pattern, others
 
 
 class Grid(NamedTuple):
-    """What the shape says of distances, and of who is next to whom."""
+    """The shape of the grid, for distances and neighbours."""
 
     obstacles: int  # `OPEN`, `PATTERN` or `ANY`
     m1: int
@@ -45,7 +45,7 @@ class Grid(NamedTuple):
 
 
 class Terrain(NamedTuple):
-    """The grid, and how far it is to the goals."""
+    """The grid, and the lengths of ways to the goals."""
 
     cells: Array  # (V,) of `_CELL`: each vertex
     # (n, F) length of the shortest way from free vertices to each robot's goal; (0, 0) where a
@@ -56,7 +56,7 @@ class Terrain(NamedTuple):
 
 
 def survey(instance: GridInstance) -> Terrain:
-    """The terrain of an instance, no robot on it.
+    """Return the terrain of an instance, no robot on it.
 
     Raises:
         NoPlanExists: obstacles cut a robot off from its goal.
@@ -77,7 +77,7 @@ def survey(instance: GridInstance) -> Terrain:
     ways = np.zeros((0, 0), dtype=np.int32)
     if grid.obstacles == ANY:
         _check_ways(instance)
-        ways = ways_to(among_free(table), cells["column"].ravel()[numbers(instance.goals, shape)])
+        ways = ways_to(_among_free(table), cells["column"].ravel()[numbers(instance.goals, shape)])
     return Terrain(cells.ravel(), ways, table if narrow else table[:0], grid)
 
 
@@ -96,8 +96,8 @@ def _check_ways(instance: GridInstance) -> None:
         )
 
 
-def among_free(table: Neighbors) -> Neighbors:
-    """(F, 7) the neighbours of each free vertex, numbered among the free ones."""
+def _among_free(table: Neighbors) -> Neighbors:
+    """Return the neighbours (F, 7) of each free vertex, numbered among the free ones."""
     free = table[:, STAY] >= 0
     place = np.append(np.cumsum(free, dtype=np.int32) - 1, np.int32(-1))  # -1 is no neighbour
     return place[table[free]]
@@ -105,7 +105,7 @@ def among_free(table: Neighbors) -> Neighbors:
 
 @equation
 def neighbor(grid: Grid, cell: Array, here: int, k: int) -> int:
-    """Neighbour k of a vertex, which is its seventh itself; -1 if it would be outside."""
+    """Return neighbour k of a vertex, itself as the seventh; -1 if it would be outside."""
     step, axis = 2 * (k & 1) - 1, k >> 1
     if axis == 0:
         side, at, to = grid.m1, cell["x"] + step, here + step * grid.m2 * grid.m3

@@ -18,7 +18,7 @@ FAR = 1 << 29  # Stands for the length of a way where there is none; no grid has
 
 
 def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbors:
-    """The neighbours of every vertex, none across the border or into an obstacle."""
+    """Return the neighbours of every vertex, none across the border or into an obstacle."""
     vertex = np.arange(np.prod(shape), dtype=np.int32).reshape(shape)
     vertex = np.where(obstacles, np.int32(-1), vertex)
     wide = np.pad(vertex, 1, constant_values=-1)
@@ -34,7 +34,7 @@ def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbo
 
 @kernel
 def _spread(table: Ints, goals: Ints, start: int, way: Ints, queue: Ints) -> None:
-    """Breadth-first search from goals, all different, until it has found the start (-1: all)."""
+    """Search breadth-first from goals, all different, until the start is found (-1: all)."""
     way[:] = FAR
     for k in range(goals.shape[0]):
         way[goals[k]] = 0
@@ -67,7 +67,7 @@ def _measure(table: Ints, starts: Ints, goals: Ints, found: Ints, work: Ints) ->
 
 
 def ways_to(table: Neighbors, goals: Ints) -> Ints:
-    """(n, V) length of the shortest way from each vertex to each goal (n,); `FAR` without one."""
+    """Return lengths (n, V) of shortest ways from each vertex to goals (n,); `FAR` without one."""
     total = len(table)
     ways = np.empty((len(goals), total), dtype=np.int32)
     _spread_all(table, goals, ways, np.empty(total, dtype=np.int32))
@@ -75,14 +75,14 @@ def ways_to(table: Neighbors, goals: Ints) -> Ints:
 
 
 def shortest_ways(table: Neighbors, starts: Ints, goals: Ints) -> Ints:
-    """(n,) length of the shortest way from each start (n,) to its goal (n,); `FAR` without one."""
+    """Return lengths (n,) of shortest ways from starts (n,) to goals (n,); `FAR` without one."""
     found = np.empty(len(goals), dtype=np.int32)
     _measure(table, starts, goals, found, np.empty((2, len(table)), dtype=np.int32))
     return found
 
 
 def ways_to_any(table: Neighbors, goals: Ints) -> Ints:
-    """(V,) length of the shortest way from each vertex to the nearest of goals (k,)."""
+    """Return lengths (V,) of shortest ways from each vertex to the nearest of goals (k,)."""
     way, queue = np.empty((2, len(table)), dtype=np.int32)
     _spread(table, goals, -1, way, queue)
     return way

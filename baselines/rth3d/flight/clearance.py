@@ -27,7 +27,7 @@ positions, of two robots that each turn back, are at most this many spacings lon
 
 @cache
 def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
-    """Least distance of two robots on any valid plan's splines, by the spacing along x.
+    """Return the least distance of robots on any valid plan's splines, by the spacing along x.
 
     Args:
         stretch: spacing by axis over that along x, in the metric in which distances count: for a
@@ -52,7 +52,7 @@ def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> fl
 
 @kernel
 def _worst_square(moves: FloatArray, stretch: FloatArray, weights: FloatArray) -> float:
-    """Least square of the stretched distance over all windows whose inner differences are small."""
+    """Return the least square of the stretched distance over windows of small inner differences."""
     least = np.inf
     d = np.zeros((4, 3))
     for cell in range(125):
@@ -76,7 +76,7 @@ def _worst_square(moves: FloatArray, stretch: FloatArray, weights: FloatArray) -
 
 @kernel
 def _apart(difference: FloatArray) -> bool:
-    """Whether it is not zero: as a difference, one vertex; as a sum of two, an exchange."""
+    """Return True if it is not zero: as a difference, one vertex; as a sum of two, an exchange."""
     return bool(difference[0] != 0.0 or difference[1] != 0.0 or difference[2] != 0.0)
 
 
@@ -97,7 +97,7 @@ def _least_square(d: FloatArray, stretch: FloatArray, weights: FloatArray) -> fl
 def smallest_distance(
     flight: SplineFlight, scaling: tuple[float, float, float], samples: int = 8
 ) -> float:
-    """Smallest scaled distance of any two robots of a flight, at samples of each step, m."""
+    """Return the smallest scaled distance of robots of a flight, at samples of each step, m."""
     from scipy.spatial import cKDTree
 
     if flight.num_robots < 2:

@@ -46,7 +46,7 @@ class _Planes(NamedTuple):
     offset: FloatArray  # (P, 4) one for each Bezier point, m
 
     def some(self, which: IntArray | slice) -> _Planes:
-        """Those of a selection."""
+        """Return the planes of a selection."""
         robot, step = self.robot[which], self.step[which]
         return _Planes(robot, step, self.normal[which], self.offset[which])
 
@@ -56,7 +56,7 @@ def _join(parts: Sequence[_Planes]) -> _Planes:
 
 
 def bezier_points(control: FloatArray) -> FloatArray:
-    """(steps, ..., 4, 3) Bezier points of every step, m, for control points (K, ..., 3)."""
+    """Return Bezier points (steps, ..., 4, 3) of every step, m, for control points (K, ..., 3)."""
     windows = np.stack([control[k : len(control) - 3 + k] for k in range(4)], axis=-2)
     return np.asarray(np.einsum("bk,...kx->...bx", BEZIER, windows))
 
@@ -64,7 +64,7 @@ def bezier_points(control: FloatArray) -> FloatArray:
 def planes_between(
     flight: SplineFlight, distance: float, scaling: FloatArray, travel: float
 ) -> _Planes:
-    """Planes half way between robots that could meet, for both of each pair.
+    """Return planes half way between robots that could meet, for both of each pair.
 
     The flight as it is now satisfies every plane: pairs that are closer than `distance` keep what
     they have. Who is farther off than control points may travel by axis, m, cannot meet.
@@ -90,7 +90,7 @@ def planes_between(
 def _near_pairs(
     points: FloatArray, distance: float, travel: float
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Steps and pairs of robots, first below second, that could come within a distance."""
+    """Return steps and pairs of robots, first below second, that could come within a distance."""
     middle = points.mean(axis=2)
     radius = np.linalg.norm(points - middle[:, :, None], axis=-1).max(axis=2)
     apart = distance + 2.0 * np.sqrt(3.0) * travel
@@ -107,7 +107,7 @@ def _near_pairs(
 def planes_to_boxes(
     flight: SplineFlight, boxes: FloatArray, distance: float, travel: float
 ) -> _Planes:
-    """The face of each near box (B, 2, 3) from which a robot is farthest, at a distance, m.
+    """Return the face of each near box (B, 2, 3) from which a robot is farthest, at a distance, m.
 
     Where a robot is closer now, it keeps what it has. `travel` as for `planes_between`.
     """
@@ -128,7 +128,7 @@ def planes_to_boxes(
 
 
 def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors (P, 3) to the point of each hull (P, 4, 3) nearest to zero, and distances."""
+    """Return unit vectors (P, 3) to each hull's (P, 4, 3) point nearest to zero, and distances."""
     nearest = np.empty((len(hulls), 3))
     _nearest(hulls, nearest)
     apart = np.linalg.norm(nearest, axis=1)
@@ -139,7 +139,7 @@ def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @kernel
 def _nearest(hulls: FloatArray, out: FloatArray) -> None:
-    """The point of each hull nearest to zero, by Gilbert's iteration (Frank-Wolfe with away steps).
+    """Write the point of each hull nearest to zero, by Gilbert's iteration with away steps.
 
     Converged when no vertex is nearer along the direction, to 1e-10.
     """
@@ -187,7 +187,7 @@ class _Smoothness(NamedTuple):
 
 
 def smoothness(count: int, jerk_weight: float) -> _Smoothness:
-    """The cost of K control points, at least 7: squared second and weighted third differences."""
+    """Return the cost of K control points, at least 7, by squared second and third differences."""
     eye = np.eye(count)
     second, third = np.diff(eye, n=2, axis=0), np.diff(eye, n=3, axis=0)
     hessian = second.T @ second + jerk_weight * (third.T @ third)
@@ -213,7 +213,7 @@ class _Rows(NamedTuple):
 
 
 def _rows(planes: _Planes, low: FloatArray, high: FloatArray) -> _Rows:
-    """Those of planes, and of boxes (F, 3) around the free control points."""
+    """Return the rows of planes, and of boxes (F, 3) around the free control points."""
     count = len(low)
     point = (4 * planes.step[:, None] + np.arange(4)).ravel()
     own = np.repeat(4 * (count + FIXED) + np.arange(count), 3)
@@ -226,12 +226,12 @@ def _rows(planes: _Planes, low: FloatArray, high: FloatArray) -> _Rows:
 
 
 def _points(control: FloatArray) -> FloatArray:
-    """(4 S + F, 3) Bezier points of each step, then the free control points."""
+    """Return the Bezier points of each step, then the free control points (4 S + F, 3)."""
     return np.concatenate([bezier_points(control).reshape(-1, 3), control[FIXED:-FIXED]])
 
 
 def _slack(rows: _Rows, control: FloatArray) -> FloatArray:
-    """(R,) by how much control points (K, 3) keep each row, m."""
+    """Return by how much (R,) control points (K, 3) keep each row, m."""
     points = _points(control)[rows.point]
     return np.asarray(np.einsum("rx,rx->r", points, rows.normal) - rows.offset)
 
@@ -239,7 +239,7 @@ def _slack(rows: _Rows, control: FloatArray) -> FloatArray:
 def improve(
     control: FloatArray, planes: _Planes, low: FloatArray, high: FloatArray, cost: _Smoothness
 ) -> FloatArray:
-    """Better control points (K, 3) of one robot within its planes, or the same.
+    """Return better control points (K, 3) of one robot within its planes, or the same.
 
     The free ones (F, 3) stay between `low` and `high`, m. `control` keeps every row.
     """
@@ -271,7 +271,7 @@ def _worst(slack: FloatArray) -> IntArray:
 
 
 def _between(rows: _Rows, control: FloatArray, better: FloatArray) -> FloatArray:
-    """The farthest point on the way from the old to the better that keeps every row."""
+    """Return the farthest point on the way from the old to the better that keeps every row."""
     before, after = _slack(rows, control), _slack(rows, better)
     worse = after < np.minimum(before, -_TOLERANCE)
     room = np.maximum(before + _TOLERANCE, 0.0)
@@ -284,7 +284,7 @@ _ROUNDING = 1e-5  # by which robots may come closer, m: what planes are broken b
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothingConfig:
-    """How far and how often a flight is smoothed.
+    """The distances, limits and rounds of smoothing.
 
     Raises:
         ValueError: a number is out of range.
@@ -301,9 +301,9 @@ class SmoothingConfig:
     obstacle_distance: float = 0.1
     """Distance kept to them, m, where it is kept now."""
     travel: float = 0.25
-    """How far a control point moves by axis in a round, m."""
+    """The farthest that a control point moves by axis in a round, m."""
     rounds: int = 5
-    """How often."""
+    """The number of rounds."""
     jerk_weight: float = 1.0
     """Of squared third differences, relative to squared second differences."""
     speed: float = 2.0
@@ -327,7 +327,7 @@ class SmoothingConfig:
 
 
 def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
-    """A valid flight on the same vertices' way with less acceleration, and no longer than before.
+    """Return a valid flight along the same vertices with less acceleration, no longer than before.
 
     It has the shortest step that keeps speed and acceleration. Planes keep the hulls of the steps
     apart, which may be closer than the robots are: a round after which robots come closer than they
@@ -345,7 +345,7 @@ def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
 
 
 def faster(flight: SplineFlight, speed: float, acceleration: float) -> SplineFlight:
-    """The flight with the shortest step that keeps speed, m/s, and acceleration, m/s^2, by axis."""
+    """Return the flight with the shortest step that keeps speed and acceleration by axis, in SI."""
     fast, hard, _ = flight.largest()
     factor = max(fast / speed, (hard / acceleration) ** 0.5)
     return replace(flight, step_s=flight.step_s * factor) if factor > 0.0 else flight
@@ -372,7 +372,7 @@ def _round(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
 def _reach(
     flight: SplineFlight, robot: int, config: SmoothingConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Bounds (F, 3) of a robot's free control points in a round."""
+    """Return the bounds (F, 3) of a robot's free control points in a round."""
     control = flight.control[:, robot]
     low = np.minimum(np.array(config.box[0]), control.min(axis=0))
     high = np.maximum(np.array(config.box[1]), control.max(axis=0))

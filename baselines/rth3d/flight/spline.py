@@ -63,21 +63,21 @@ class SplineFlight:
 
     @property
     def num_robots(self) -> int:
-        """How many fly (n)."""
+        """The number of robots (n)."""
         return self.control.shape[1]
 
     @property
     def num_steps(self) -> int:
-        """Pieces of constant jerk."""
+        """The number of pieces of constant jerk."""
         return len(self.control) - DEGREE
 
     @property
     def duration_s(self) -> float:
-        """From rest to rest, s."""
+        """The duration from rest to rest, s."""
         return self.num_steps * self.step_s
 
     def reference(self, time: float) -> Reference:
-        """Where the robots should be at a time since the start, s: arrays (n, 3).
+        """Return the set-points of the robots at a time since the start, s: arrays (n, 3).
 
         They rest before the start and after the end.
         """
@@ -96,7 +96,7 @@ class SplineFlight:
         return Reference(*parts)
 
     def largest(self) -> tuple[float, float, float]:
-        """Largest speed, m/s, acceleration, m/s^2, and jerk, m/s^3, by axis.
+        """Return the largest speed, m/s, acceleration, m/s^2, and jerk, m/s^3, by axis.
 
         Speed is bounded by the hull of its own control points; the others are exact.
         """
@@ -108,7 +108,7 @@ class SplineFlight:
 def on_grid(
     paths: npt.NDArray[np.integer], spacing: FloatArray, origin: FloatArray, step_s: float
 ) -> SplineFlight:
-    """The flight along paths (T + 1, n, 3) on a grid of a spacing (3,) and an origin (3,), m.
+    """Return the flight along paths (T + 1, n, 3) on a grid of spacing (3,) and origin (3,), m.
 
     Steps last `step_s`; `shortest_step` says how short they may be.
     """
@@ -118,7 +118,7 @@ def on_grid(
 
 
 def shortest_step(spacing: FloatArray, speed: float, acceleration: float) -> float:
-    """Duration of a step, s, that keeps any path on a grid within bounds by axis.
+    """Return the duration of a step, s, that keeps any path on a grid within bounds by axis.
 
     A path moves along one axis a step, so that control points of the speed are at most a spacing
     apart from rest, those of the acceleration at most two spacings (a turn back). SI units.

@@ -1,10 +1,10 @@
-"""Plans, also of any goal for any robot and of files: valid by two checkers, within bounds."""
+"""Plans: valid by two checkers, within bounds."""
 
 from __future__ import annotations
 
 import re
-from itertools import permutations, product
-from pathlib import Path
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,10 +13,8 @@ from PIL import Image
 from swarm_envs.baselines.rth3d import (
     METHODS,
     GridPlan,
-    NoPlanExists,
     PlanNotFound,
     PlanTimeout,
-    balancing,
     building_columns,
     make_instance,
     max_density,
@@ -25,13 +23,12 @@ from swarm_envs.baselines.rth3d import (
     terrain,
     validate,
 )
-from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark, write_benchmark
 from swarm_envs.baselines.rth3d.compaction import compact
-from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
+from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, numbers, points
 from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
-from swarm_envs.baselines.rth3d.unlabelled import bottleneck, unlabelled_bound
+from swarm_envs.baselines.rth3d.unlabeled_mrpp import balance
 from swarm_envs.baselines.rth3d.ways import neighbor_table
-from tests.baselines.rth3d.cases import between, load_checker, maze, random_instance
+from tests.baselines.rth3d.cases import between, load_checker, random_instance
 
 SLOW = pytest.mark.slow
 
@@ -282,13 +279,6 @@ def test_compaction_gives_back_the_steps_that_it_saves():
     assert found.tolist() == [[0, 5], [1, 4], [2, 4]] and found.flags.owndata
 
 
-def plan_set(instance: GridInstance, **options) -> GridPlan:
-    found = plan(**instance.fields(), labels=False, **options)
-    assert found.check() and validate(found.paths, **instance.fields(), labels=False)
-    assert sorted(found.goals.tolist()) == sorted(instance.goals.tolist())
-    return found
-
-
 def cluttered(seed: int, shape: tuple[int, int, int], count: int, part: float) -> GridInstance:
     generator = np.random.default_rng(seed)
     return between(generator.random(shape) < part, count, generator)
@@ -309,162 +299,31 @@ def fewest_steps(instance: GridInstance) -> int:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_plan_of_a_small_grid_is_shorter(seed):
+def test_balancing_takes_the_fewest_steps(seed):
+    """Any robot may take any goal: UnlabeledMRPP of the paper."""
     instance = cluttered(seed, (4, 3, 1) if seed % 2 else (3, 2, 2), 3, 0.25)
-    found = plan_set(instance)
-    assert found.makespan == found.lower_bound == fewest_steps(instance)
     table = neighbor_table(instance.shape, instance.obstacles)
-    assert unlabelled_bound(instance, table) <= found.makespan
-
-
-def test_the_bottleneck_is_that_of_the_best_permutation():
-    generator = np.random.default_rng(3)
-    for _ in range(20):
-        ways = generator.integers(0, 9, (5, 5)).astype(np.int32)
-        best = min(max(ways[range(5), p]) for p in map(list, permutations(range(5))))
-        assert bottleneck(ways) == best
-
-
-def test_random_instances_pass_the_foreign_checker(shared_data):
-    checker = load_checker(shared_data)
-    cases = [random_instance(seed) for seed in range(40, 55)]
-    cases += [cluttered(seed, (16, 8, 4), 60, 0.3) for seed in range(5)]
-    cases.append(between(maze(17, np.random.default_rng(0)), 30, np.random.default_rng(1)))
-    for instance in cases:
-        found = plan_set(instance)
-        report = checker(found, found.paths)
-        assert report["ok"], report
-        assert found.winner == "flow" and report["makespan"] == found.makespan == found.lower_bound
-
-
-def test_the_bound_knows_a_hole_in_a_wall():
-    walls = np.zeros((9, 5, 1), dtype=bool)
-    walls[4] = True
-    walls[4, 2] = False
-    free = np.argwhere(~walls)
-    instance = check_instance(free[:20], free[-20:], walls.shape, walls)
-    bound = unlabelled_bound(instance, neighbor_table(instance.shape, walls))
-    found = plan_set(instance)
-    assert 20 < bound <= found.makespan <= bound + 2
-
-
-def test_beyond_the_largest_flow_goals_are_assigned(monkeypatch):
-    instance = cluttered(5, (12, 6, 3), 40, 0.2)
-    shortest = plan_set(instance)
-    monkeypatch.setattr(balancing, "_MOST_NODES", 100)
-    found = plan_set(instance)
-    assert found.winner.startswith("assigned, then ")
-    assert found.lower_bound <= shortest.makespan <= found.makespan
-    assert plan_set(instance, method="pibt").winner == "assigned, then pibt"
-    same = check_instance(instance.starts, instance.starts[::-1], instance.shape)
-    assert plan_set(same, method="pibt").makespan == 0
-
-
-def test_goals_of_nobody_that_cannot_be_are_refused():
-    walls = np.zeros((5, 1, 1), dtype=bool)
-    walls[2] = True
-    with pytest.raises(NoPlanExists, match="shut 2 robots"):
-        plan([[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [4, 0, 0]], walls.shape, walls, labels=False)
-    with pytest.raises(PlanTimeout):
-        plan([[0, 0]], [[4, 0]], (5, 1), labels=False, time_limit=1e-9)
-
-
-def test_the_validator_wants_every_goal_taken():
-    given = ([[0, 0], [1, 0]], [[3, 0], [2, 0]], (4, 1))
-    paths = np.array([[[0, 0, 0], [1, 0, 0]], [[1, 0, 0], [2, 0, 0]], [[2, 0, 0], [3, 0, 0]]])
-    assert validate(paths, *given, labels=False) and not validate(paths, *given)
-    report = validate(paths[:2], *given, labels=False)
-    assert not report and report.robot == 0 and "end at its goal" in report.reason
-
-
-MAP = "type octile\nheight 3\nwidth 5\nmap\n..@..\n.TG.S\n..O.W\n"
-SCEN = (
-    "version 1\n"
-    "0\tsmall.map\t5\t3\t0\t0\t4\t0\t5.82842712\n"
-    "0\tsmall.map\t5\t3\t4\t1\t0\t2\t5.0\n"
-    "1\tsmall.map\t5\t3\t1\t0\t3\t2\t4.0\n"
-)
-
-
-def files(folder: Path, map_text: str = MAP, scen_text: str = SCEN) -> tuple[Path, Path]:
-    found = folder / "small.map", folder / "small.scen"
-    for path, text in zip(found, (map_text, scen_text), strict=True):
-        path.write_bytes(text.encode("latin-1"))
-    return found
-
-
-@pytest.mark.parametrize("ends", ["\n", "\r\n"])
-def test_columns_are_x_and_rows_are_y(tmp_path, ends):
-    pair = files(tmp_path, MAP.replace("\n", ends), SCEN.replace("\n", ends))
-    instance = read_benchmark(*pair)
-    assert instance.shape == (5, 3, 1)
-    blocked = np.argwhere(instance.obstacles[:, :, 0]).tolist()
-    assert blocked == [[1, 1], [2, 0], [2, 2], [4, 2]]
-    assert instance.starts[:, :2].tolist() == [[0, 0], [4, 1], [1, 0]]
-    assert instance.goals[:, :2].tolist() == [[4, 0], [0, 2], [3, 2]]
-    assert len(read_benchmark(*pair, robots=2).starts) == 2
-
-
-def test_what_is_written_is_read_again(tmp_path):
-    pair = str(tmp_path / "a.map"), tmp_path / "a.scen"
-    generator = np.random.default_rng(0)
-    cases = [between(maze(11, generator), 9, generator), make_instance("uniform", (7, 4, 1), 5)]
-    for instance in cases:
-        write_benchmark(*pair, instance)
-        again = read_benchmark(*pair)
-        for name, value in instance.fields().items():
-            assert np.array_equal(getattr(again, name), value)
-    assert pair[1].read_text().splitlines()[1].split("\t")[1:4] == ["a.map", "7", "4"]
-    with pytest.raises(ValueError, match="one vertex high"):
-        write_benchmark(*pair, make_instance("uniform", (4, 4, 2), 3))
-
-
-@pytest.mark.parametrize(("robots", "labels"), [(None, True), (2, True), (None, False)])
-def test_a_benchmark_is_planned(tmp_path, robots, labels):
-    given = read_benchmark(*files(tmp_path, MAP.replace("T", ".")), robots)
-    found = plan(**given.fields(), labels=labels)
-    assert validate(found.paths, **given.fields(), labels=labels)
-    assert found.shape == (5, 3, 1) and len(found.starts) == (robots or 3)
+    sinks = np.zeros(len(table), dtype=bool)
+    sinks[numbers(instance.goals, instance.shape)] = True
+    paths = balance(table, numbers(instance.starts, instance.shape), sinks)
+    assert sinks[paths[-1]].all() and len(paths) - 1 == fewest_steps(instance)
+    ends = points(paths[-1], instance.shape)
+    assert validate(points(paths, instance.shape), **replace(instance, goals=ends).fields())
 
 
 @pytest.mark.parametrize("method", ["pibt", "lacam"])
-def test_only_free_vertices_of_a_map_take_memory(tmp_path, monkeypatch, method):
-    """As in published maps of large buildings, of which most is wall."""
-    rows = ["@" * 60] * 40 + ["@" * 20 + "." * 20 + "@" * 20] * 6
-    text = f"type octile\nheight {len(rows)}\nwidth 60\nmap\n" + "\n".join(rows)
-    lines = [f"0\tsmall.map\t60\t46\t{20 + k}\t40\t{39 - k}\t45\t9.0" for k in range(12)]
-    given = read_benchmark(*files(tmp_path, text, "\n".join(["version 1", *lines]))).fields()
+def test_only_free_vertices_take_memory(monkeypatch, method):
+    """As in large buildings, of which most is wall."""
+    walls = np.ones((60, 46, 1), dtype=bool)
+    walls[20:40, 40:] = False
+    starts = np.array([[20 + k, 40, 0] for k in range(12)])
+    goals = np.array([[39 - k, 45, 0] for k in range(12)])
+    given = check_instance(starts, goals, walls.shape, walls).fields()
     monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120)
     assert validate(plan(**given, method=method).paths, **given)
     monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120 - 1)
     with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 numbers"):
         plan(**given, method=method)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("type", "kind", "small.map, line 1: must begin with 'type'"),
-        ("height 3", "height three", "line 2: height is 'three', but must be a whole number"),
-        ("height 3", "height 4", "has 3 rows, but its height is 4"),
-        ("height 3", "height 2", "has 3 rows, but its height is 2"),
-        ("width 5", "width 99999", "32767"),
-        (".TG.S", ".TG.", "line 6: has 4 characters, but width is 5"),
-        (".TG.S", ".T\xff.S", "line 6: no terrain is"),
-        ("version 1\n", "", "small.scen, line 1: must be 'version 1'"),
-        ("\t5\t3\t4\t1", "\t6\t3\t4\t1", "line 3: is of a map of 6 x 3, but the map is 5 x 3"),
-        ("\t4\t1\t0", "\t5\t1\t0", "line 3: start x is 5, outside the map"),
-        ("\t4\t1\t0", "\t4.5\t1\t0", "line 3: start x is '4.5'"),
-        ("\t4\t1\t0", "\t1\t0", "line 3: has 8 columns, but must have 9"),
-        ("\t4\t1\t0", "\t2\t0\t0", "starts[1] is (2, 0, 0), where an obstacle stands"),
-        ("\t4\t1\t0", "\t0\t0\t0", "starts[0] and starts[1] are both"),
-    ],
-)
-def test_malformed_files_are_refused_by_line(tmp_path, old, new, said):
-    assert (MAP + SCEN).count(old) >= 1
-    pair = files(tmp_path, MAP.replace(old, new, 1), SCEN.replace(old, new, 1))
-    with pytest.raises(ValueError, match=re.escape(said)):
-        read_benchmark(*pair)
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,11 @@ from swarm_envs.baselines.rth3d import (
     NoPlanExists,
     PlanNotFound,
     PlanTimeout,
-    balancing,
     building_columns,
     grid_planning,
     make_instance,
     plan,
+    unlabeled_mrpp,
     validate,
 )
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, numbers, points
@@ -193,7 +193,7 @@ def test_with_a_time_limit_the_search_goes_on_after_the_first_plans():
 
 
 def test_auto_falls_back_where_balancing_is_too_large(monkeypatch):
-    monkeypatch.setattr(balancing, "_MOST_NODES", 10)
+    monkeypatch.setattr(unlabeled_mrpp, "_MOST_NODES", 10)
     instance = make_instance("mirror", (12, 6, 3), seed=0)
     with pytest.raises(ValueError, match="too unevenly spread"):
         solve(instance, "rth3d-lba")

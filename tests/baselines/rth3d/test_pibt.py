@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.rth3d import make_instance, plan, validate
+from swarm_envs.baselines.rth3d import grid_planning, make_instance, plan, validate
 from swarm_envs.baselines.rth3d.grid import check_instance, points
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.negotiation import Negotiation
 from swarm_envs.baselines.rth3d.pibt import Pibt
-from swarm_envs.baselines.rth3d.pibt_search import halfway
+from swarm_envs.baselines.rth3d.pibt_search import halfway, search_halfway
 from tests.baselines.rth3d.test_lacam import shortest_makespan
 
 
@@ -18,7 +18,7 @@ def first_attempt(instance, seed=0) -> tuple[int, int]:
     """Steps taken by PIBT without restarts, and the longest way left."""
     most = 2 * instance.lower_bound + 60
     pibt = Pibt(instance, most)
-    pibt.shuffle(np.random.default_rng(seed))
+    pibt.reseed(np.random.default_rng(seed))
     return pibt.run(0, most, most, -1, lost=False)
 
 
@@ -137,6 +137,19 @@ def test_places_halfway_are_between_and_differ():
     assert max(longest) < instance.lower_bound
     counts = np.bincount(middle[:, 0], minlength=SHAPE[0])
     assert counts.max() - counts.min() <= 1
+
+
+def test_a_gain_by_places_halfway_is_kept_if_the_time_ends(monkeypatch):
+    def search_to_the_end_of_time(instance, seed, clock, known):
+        paths = search_halfway(instance, seed, clock, known)
+        clock.deadline = 0.0
+        return paths
+
+    monkeypatch.setattr(grid_planning, "search_halfway", search_to_the_end_of_time)
+    instance, clock = make_instance("ends", SHAPE), PlanningClock()
+    best = grid_planning.rth3d_lba(instance, 0, clock)
+    found = grid_planning._shorten(instance, 0, clock, best)
+    assert found.method == "pibt halfway" and found.makespan < best.makespan
 
 
 def test_negotiation_finds_what_is_asked_or_nothing():

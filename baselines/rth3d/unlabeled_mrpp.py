@@ -1,36 +1,33 @@
-"""Unlabelled planning: from any configuration to slots in the fewest steps (Algorithm 1, line 2).
+"""UnlabeledMRPP: from any configuration to slots, any robot to any of them (Algorithm 1, line 2).
 
 The robots are one flow over a few time steps ([51] of the paper): every vertex at every step is a
 node through which one unit may pass, and the slots at the last step are sinks. A maximum flow that
 takes in all robots is a plan whose makespan is the least there is. It depends on the *set* of
 starts alone, so that equal sets are balanced alike.
+
+Where goals are the starts reflected (rings and mirrors, Sec. V-C), both sides are balanced alike,
+each the other's image: columns then belong into columns as a whole, and two shuffles vanish.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import count as _count_up
 
 import numpy as np
-import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import Array, NoHighways, Vertices
-from swarm_envs.baselines.rth3d.ways import STAY, Neighbors
+from swarm_envs.baselines.rth3d.compaction import Paths
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, NoHighways, Vertices
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.highways import Highways, Image, reflected, reflection
+from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
 _UNUSED = -1
 _MOST_NODES = 2**29
 _FAR = 2**30
-
-
-class FlowTooLarge(NoHighways):
-    """A flow would need more nodes than may be."""
-
-    def __init__(self, steps: int, message: str) -> None:
-        """`steps`: how many it would have; fewer do not suffice, if `least` was given."""
-        super().__init__(message)
-        self.steps = steps
 
 
 @kernel
@@ -187,7 +184,7 @@ def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) ->
 
 @kernel
 def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
-    """Write where the unit that leaves each start is after each step."""
+    """Write the vertices of the unit that leaves each start."""
     total = table.shape[0]
     for i in range(starts.shape[0]):
         paths[0, i] = starts[i]
@@ -198,7 +195,7 @@ def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
 
 
 class _Flow:
-    """The flow so far, over `steps` steps."""
+    """The flow so far, over a number of steps."""
 
     def __init__(self, table: Neighbors, starts: Vertices, sinks: BoolArray) -> None:
         self.table, self.sinks = table, sinks
@@ -239,30 +236,27 @@ def balance(
     starts: Vertices,
     sinks: BoolArray,
     check: Callable[[], None] = lambda: None,
-    least: int | None = None,
-) -> npt.NDArray[np.int32]:
-    """Paths that take every robot, no matter which, to a sink of its own, in the fewest steps.
+) -> Paths:
+    """Return paths that take every robot to a sink of its own, any of them, in the fewest steps.
 
-    From starts (n,), all different, to at least as many sinks (V,), on the grid of a
-    `neighbor_table`. `check` is called now and then; what it raises ends the work. `least` is the
-    number of steps to begin with, if fewer are known not to suffice.
+    They lead from starts (n,), all different, to at least as many sinks (V,), on the grid of a
+    `neighbor_table`. `check` is called now and then; what it raises ends the work.
 
     Returns:
-        (T + 1, n) vertices. T is the least possible if `least` is given; otherwise up to 8 steps,
-        and then of those that grow by a quarter at most.
+        (T + 1, n) vertices. T is the least possible up to 8 steps, and then of
+        those that grow by a quarter at most.
 
     Raises:
-        FlowTooLarge: the sinks cannot be reached, or only in more steps than a flow may have.
+        NoHighways: the sinks cannot be reached, or only in more steps than a flow may have.
     """
     flow = _Flow(table, starts, sinks)
-    for steps in _count_up(least or 0):
+    for steps in _count_up():
         if not flow.pending.any():
             break
-        if steps == 0 or (least is None and steps > 8 and steps % (steps // 5)):
+        if steps == 0 or (steps > 8 and steps % (steps // 5)):
             continue
         if 2 * (steps + 1) * flow.total > _MOST_NODES:
-            raise FlowTooLarge(
-                steps,
+            raise NoHighways(
                 f"after {flow.steps} steps {int(flow.pending.sum())} robots still find no slot; "
                 "the starts or goals are too unevenly spread over so large a grid",
             )
@@ -272,3 +266,37 @@ def balance(
     paths = np.empty((flow.steps + 1, len(starts)), dtype=np.int32)
     _follow(table, flow.out, np.ascontiguousarray(starts), paths)
     return paths
+
+
+@dataclass(frozen=True, eq=False)
+class Balanced:
+    """Paths into the slots, from the starts to S1 and from the goals to G1."""
+
+    first: Paths  # (T1 + 1, n) from the starts
+    last: Paths  # (T2 + 1, n) from the goals
+    # (V,) the reflection that makes `last` from `first`; the identity if there is none
+    image: Image
+
+
+def unlabeled_mrpp(
+    highways: Highways,
+    instance: GridInstance,
+    balance: Callable[..., Paths],
+    clock: PlanningClock,
+) -> Balanced:
+    """Return balanced starts and goals (Algorithm 1, line 2), alike where they are reflections."""
+    table = neighbor_table(highways.shape, highways.obstacles)
+    starts, goals = (highways.vertices(p) for p in (instance.starts, instance.goals))
+    sinks = np.zeros(len(table), dtype=np.bool_)
+    sinks[highways.slots] = True
+    with clock.phase("balance starts") as record:
+        first = balance(table, starts, sinks, lambda: clock.check("balance starts"))
+        record(len(first) - 1)
+    with clock.phase("balance goals") as record:
+        image = reflection(highways, starts, goals)
+        if image is None:
+            last = balance(table, goals, sinks, lambda: clock.check("balance goals"))
+        else:
+            last = reflected(first, image, goals)
+        record(len(last) - 1)
+    return Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
