@@ -76,3 +76,15 @@ def test_examples_import_only_public_names():
         for module, name in imported(text):
             listed = getattr(importlib.import_module(module), "__all__", ())
             assert name in listed or f"{module}.{name}" in SOURCES, f"{place}: {module}.{name}"
+
+
+def test_every_task_flies_without_docstrings():
+    """`python -OO` removes docstrings and assertions."""
+    code = """
+import swarm_envs
+for task in swarm_envs.TASKS:
+    env = swarm_envs.make(task, physics="batch")
+    env.reset(seed=0)
+    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+"""
+    subprocess.run([sys.executable, "-OO", "-c", code], check=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from swarm_envs.errors import check_bool, check_number, check_type
 
 if TYPE_CHECKING:
-    from swarm_envs.interactions.base import InteractionModel
+    from swarm_envs.interactions.base import ForceFunction, InteractionModel
 
 __all__ = [
     "GAINS",
@@ -181,8 +181,10 @@ class ControllerConfig:
 
     gains: PositionGains = MID
     """Gains of the position loop, eqs. (18) and (19)."""
-    feedforward: InteractionModel | None = None
-    """The interaction model whose forces the controller compensates; None for no compensation."""
+    feedforward: InteractionModel | ForceFunction | None = None
+    """The interaction model, or the function of positions, velocities and types (see
+    `swarm_envs.interactions.load`), whose forces the controller compensates; None for no
+    compensation. Functions are called at the environment's `force_rate`, with the true state."""
     lag_compensation: bool = True
     """Whether the motors' lag is compensated, eq. (22)."""
     adaptation: MomentumObserver | Indi | NeuralFly | None = None
@@ -242,10 +244,11 @@ class ControllerConfig:
             "min_vertical_thrust_fraction", self.min_vertical_thrust_fraction, above=0.0, below=1.0
         )
         model = self.feedforward
-        if model is not None and not callable(getattr(model, "forces", None)):
+        is_model = callable(model) or callable(getattr(model, "forces", None))
+        if model is not None and not is_model:
             raise TypeError(
                 f"feedforward is {model!r:.80}, but must be an InteractionModel, such "
-                "as load('learned'), or None"
+                "as load('learned'), a function, or None"
             )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.errors import check_array
+from swarm_envs.interactions import load
 from swarm_envs.physics.base import BatchPhysics
 from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray, Setpoint, SwarmState
@@ -84,7 +85,7 @@ class TrackingController:
             width = drones.dtype[name].shape
             check_array(f"{owner}.{name.removeprefix('setpoint_')}", value, (*shape, *width))
         if feedforward is None and self.config.feedforward is not None:
-            model = self.config.feedforward
+            model = load(self.config.feedforward)
             feedforward = model.forces(state.position, state.velocity, self.team)
         force = np.zeros((*shape, 3)) if feedforward is None else feedforward
         given["feedforward_force"] = check_array("feedforward", force, (*shape, 3))

@@ -27,7 +27,7 @@ from swarm_envs.errors import (
 )
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
-from swarm_envs.interactions.base import PRECISIONS
+from swarm_envs.interactions.base import PRECISIONS, ForceFunction
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.physics.base import FORCE_BOUNDS_G, MOST_ENVIRONMENTS
@@ -56,9 +56,10 @@ class EnvConfig:
     physics: str | None = None
     """`bullet`, `batch` (the compiled engine), or None: Bullet if it is installed and
     `deterministic` is False, else the compiled engine."""
-    interactions: str | Path | InteractionModel = "learned"
-    """The interaction force model: `none`, `wake`, `learned`, the path of a safetensors file, or a
-    model."""
+    interactions: str | Path | InteractionModel | ForceFunction = "learned"
+    """The interaction force model: `none`, `wake`, `learned`, `deep-set`, the path of a safetensors
+    file, a model, or a function of positions, velocities and types that returns forces (see
+    `swarm_envs.interactions.load`)."""
     action: str = "acceleration"
     """The action mode: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
     clip_actions: bool = False
@@ -125,7 +126,8 @@ class EnvConfig:
         """Refuse values that an option cannot have, and options that contradict each other."""
         if self.physics is not None:
             check_name("physics", self.physics, ENGINES)
-        check_type("interactions", self.interactions, str | Path | InteractionModel)
+        if not callable(self.interactions):
+            check_type("interactions", self.interactions, str | Path | InteractionModel)
         check_name("action", self.action, ACTIONS)
         for name in (
             "clip_actions",
@@ -149,6 +151,11 @@ class EnvConfig:
         if self.num_obstacles is not None:
             check_integer("num_obstacles", self.num_obstacles, at_least=0, at_most=MOST_OBSERVED)
         check_type("observe_force", self.observe_force, str | Path | InteractionModel | None)
+        if isinstance(self.observe_force, InteractionModel) and self.observe_force.function:
+            raise ValueError(
+                f"observe_force is the function {self.observe_force.name}, but must be a compiled "
+                "model, such as load('learned')"
+            )
         if self.horizon_s is not None:
             check_number("horizon_s", self.horizon_s, above=0.0, unit="s")
         check_name("on_contact", self.on_contact, ON_CONTACT)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
@@ -23,8 +25,31 @@ from swarm_envs.tasks.base import Task
 __all__ = ["split_teams"]
 
 
+def limited(entry: EnvSpec | None, core: SwarmCore) -> EnvSpec | None:
+    """Return an entry of Gymnasium's registry with the time limit of an environment, in decisions.
+
+    It depends on the options: the entry that is registered has none, so that Gymnasium wraps no
+    time limit of its own around the environment. Wrappers such as `TimeAwareObservation` ask it.
+    """
+    if entry is None:
+        return None
+    decisions = float(core.settings["horizon_s"][0]) * core.config.decision_rate
+    return replace(entry, max_episode_steps=math.ceil(decisions - 1e-6))
+
+
 class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
     """What both interfaces do with the parallel environment beneath them."""
+
+    _entry: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The entry of Gymnasium's registry, with the time limit in decisions."""
+        return self._entry
+
+    @spec.setter
+    def spec(self, entry: EnvSpec | None) -> None:
+        self._entry = limited(entry, self.parallel.core)
 
     def __init__(self, task: Task, config: EnvConfig, render_mode: str | None) -> None:
         self.parallel = SwarmParallelEnv(task, config, render_mode)

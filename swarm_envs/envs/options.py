@@ -178,7 +178,7 @@ def task_views(
         """Make the environment with PettingZoo's AEC interface."""
         return OrderEnforcingWrapper(SwarmTurnEnv(parallel_env(*args, **given)))
 
-    for view in (blueprint, parallel_env, env):
+    for view in (blueprint, parallel_env, env) if __doc__ else ():  # python -OO has no docstrings
         _document(view, options)
     return blueprint, parallel_env, env
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from swarm_envs.envs.config import EnvConfig, check_num_envs
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.joint import check_flat, joint_box, split_teams
+from swarm_envs.envs.joint import check_flat, joint_box, limited, split_teams
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import warn_without_mode
@@ -75,6 +76,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self.num_envs = num_envs * drones if per_agent else num_envs
         self.metadata = {"autoreset_mode": self.mode, "render_modes": ["human"]}
         self.render_mode = render_mode
+        self._entry: EnvSpec | None = None
         self._live: LiveViewer | None = None
         together = 1 if per_agent else drones
         width = self.core.rows.shape[-1]
@@ -85,6 +87,15 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._ended: BoolArray = np.ones(num_envs, dtype=np.bool_)
         self._begun: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The entry of Gymnasium's registry, with the time limit in decisions."""
+        return self._entry
+
+    @spec.setter
+    def spec(self, entry: EnvSpec | None) -> None:
+        self._entry = limited(entry, self.core)
 
     def reset(
         self,

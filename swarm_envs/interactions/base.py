@@ -1,10 +1,20 @@
-"""Models of the interaction forces: those that act, or that a controller compensates."""
+"""Models of the interaction forces: those that act, or that a controller compensates.
+
+A model is one that ships, a weights file, or a function of one's own:
+
+    def push_down(position, velocity, types):
+        force = np.zeros_like(position)
+        force[..., 2] = -0.01 * (types == "S")
+        return force
+
+    env = swarm_envs.make("swap_v1", interactions=push_down)
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -14,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.errors import check_name, check_type, unknown_name
+from swarm_envs.errors import check_array, check_name, check_type, unknown_name
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, check_states, types_array
 from swarm_envs.interactions.packed import PackedField, packed
@@ -23,6 +33,9 @@ from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
+TypeArray = npt.NDArray[np.str_]  # Interaction types of vehicles
+ForceFunction = Callable[[FloatArray, FloatArray, TypeArray], npt.ArrayLike]
+"""A force model as a function of positions (E, N, 3), velocities (E, N, 3) and types (E, N)."""
 MODELS = ("none", "wake", "learned", "deep-set")  # The models that ship, by name
 PRECISIONS = ("float64", "float32")  # Arithmetic in which networks can be evaluated
 
@@ -42,6 +55,8 @@ class InteractionModel:
     """Its numbers."""
     notes: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Where it comes from: provenance and errors that the weights file carries."""
+    function: ForceFunction | None = None
+    """The function that gives the forces; None for the compiled models."""
 
     def type_indices(self, team: Sequence[Vehicle]) -> IntArray:
         """Index (N,) of each vehicle's interaction type among the model's types.
@@ -106,20 +121,51 @@ class InteractionModel:
         """
         vehicles = parse_team(team)
         p, v = check_states(position, velocity, len(vehicles))
+        if self.function is not None:
+            return self.call(p, v, np.broadcast_to(interaction_types(vehicles), p.shape[:2]))
         types, out = np.empty(p.shape[:2], np.int64), np.empty(p.shape)
         types[:] = self.type_indices(vehicles)
         all_forces(self.packed, types, p, v, out)
         return out
 
+    def call(self, position: FloatArray, velocity: FloatArray, types: TypeArray) -> FloatArray:
+        """Call the function of a model that has one.
 
-def load(name: str | Path | InteractionModel) -> InteractionModel:
+        Args:
+            position: (E, N, 3) m, world frame.
+            velocity: (E, N, 3) m/s, world frame.
+            types: (E, N) interaction types.
+
+        Returns:
+            (E, N, 3) forces f_a, N, world frame.
+
+        Raises:
+            ValueError: the function returned another shape, or an entry that is not finite.
+        """
+        assert self.function is not None
+        given = self.function(position, velocity, types)
+        return check_array(f"force of {self.name}", given, position.shape, "newton")
+
+
+def interaction_types(team: Sequence[Vehicle]) -> TypeArray:
+    """Return the interaction type (N,) of each vehicle, such as `S` or `L`."""
+    return np.array([vehicle.interaction_type for vehicle in team])
+
+
+def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionModel:
     """Load an interaction model.
+
+    A function is called as `f(position, velocity, types)`, with the positions (E, N, 3), m, and
+    velocities (E, N, 3), m/s, of the drones of E environments in the world frame, and their
+    interaction types (E, N), such as `"S"` and `"L"`. It returns their forces (E, N, 3), N, which
+    are held until the next call; `force_rate` says how often a second that is. Drones whose
+    episode has ended are given as 1e6 m away.
 
     Args:
         name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (wakes and networks
             of pairs, joined), `"deep-set"` (the architecture of Neural-Swarm2), or the path of what
-            `swarm-envs fit` made: a safetensors file, or the JSON of a wake; a model is returned as
-            it is.
+            `swarm-envs fit` made: a safetensors file, or the JSON of a wake; or a function. A model
+            is returned as it is.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.
@@ -127,6 +173,9 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
     """
     if isinstance(name, InteractionModel):
         return name
+    if callable(name):
+        label = f"{name.__module__}:{getattr(name, '__qualname__', type(name).__qualname__)}"
+        return InteractionModel(label, (), empty_field(1), function=name)
     check_type("name", name, str | Path)
     text = str(name)
     if text == "none":

@@ -20,6 +20,7 @@ from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.errors import check_array, check_divisor, check_integer, check_name
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.base import ForceFunction, interaction_types
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
 from swarm_envs.neighbors import FEW
@@ -33,7 +34,17 @@ from swarm_envs.physics.contact import (
     no_obstacles,
 )
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
-from swarm_envs.physics.step import BEGIN, CONTROL, MOVE, ROTORS, SPIN, TOUCH, fly, new_work
+from swarm_envs.physics.step import (
+    BEGIN,
+    CONTROL,
+    FAR,
+    MOVE,
+    ROTORS,
+    SPIN,
+    TOUCH,
+    fly,
+    new_work,
+)
 from swarm_envs.physics.workers import Call, Workers
 from swarm_envs.state import (
     BoolArray,
@@ -69,7 +80,8 @@ class Physics:
     Args:
         team: the N vehicles of every environment, or a string such as `"SSL"`.
         num_envs: E.
-        interactions: the model of the interaction forces: a name, a path or a model.
+        interactions: the model of the interaction forces: a name, a path, a model or a function,
+            see `swarm_envs.interactions.load`.
         arena: (2, 3) corners of the walls for the collision test, m; None for no walls.
         battery: how thrust falls as batteries empty; None for batteries that never do.
         force_rate: how often a second the interaction force is evaluated; between, it is held.
@@ -101,7 +113,7 @@ class Physics:
         self,
         team: str | Sequence[Vehicle],
         num_envs: int = 1,
-        interactions: str | Path | InteractionModel = "learned",
+        interactions: str | Path | InteractionModel | ForceFunction = "learned",
         *,
         arena: npt.ArrayLike | None = None,
         battery: BatteryModel | None = None,
@@ -143,7 +155,7 @@ class Physics:
         self._set(
             level=level,
             hold=PHYSICS_RATE // force_rate,
-            compensates=config.feedforward is not None,
+            compensates=config.feedforward is not None and self.feedforward.function is None,
             drains=battery is not None,
             gusty=strength > 0.0,
             gust_kept=float(np.exp(-TIME_STEP / correlation_s)),
@@ -162,6 +174,19 @@ class Physics:
         self.world.drones["charge"] = 1.0
         self.state: SwarmState = state_of(self.world.drones)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
+        self._functions = [
+            (model, field)
+            for model, field in (
+                (self.interactions, "force"),
+                (self.feedforward, "feedforward_force"),
+            )
+            if model.function is not None
+        ]
+        if interaction_torque and self.interactions.function is not None:
+            raise ValueError(
+                f"interaction_torque is True, but {self.interactions.name} is a function, whose "
+                "force is not known at the rotors; leave it out"
+            )
         self._make_memory(threads)
         self._set_state(hover_state(self.team, self._default_positions()), self._everywhere)
         self._ready = False  # the first reset or step makes it so: it loads a kernel
@@ -328,7 +353,40 @@ class Physics:
             then: called with the first environment, one past the last, and the thread's number,
                 for every part of the batch that has been flown, on the thread that flew it.
         """
-        self._fly(DECISION, steps, flown, then)
+        if not self._functions:
+            self._fly(DECISION, steps, flown, then)
+            return
+        phases = DECISION
+        while steps:  # in parts, between which functions give the forces
+            part = min(steps, self._call_functions(flown))
+            steps -= part
+            self._fly(phases, part, flown, *([] if steps else [then]))
+            phases = DECISION & ~BEGIN
+
+    def _call_functions(self, flown: BoolArray) -> int:
+        """Write the forces that functions give where they are due.
+
+        Args:
+            flown: (E,) environments that fly.
+
+        Returns:
+            The number of steps until a force is due again somewhere.
+        """
+        environments, hold = self.world.environments, int(self.settings["hold"][0])
+        since = environments["age"] % hold
+        due = np.flatnonzero(flown & (since == 0))
+        if len(due):
+            drones = self.world.drones[due]
+            ended = np.flatnonzero(drones["active"].ravel() == 0.0)
+            position = drones["position"].copy()
+            position.reshape(-1, 3)[ended] = FAR * (1.0 + ended[:, None])
+            types = np.array([interaction_types(self.teams[e]) for e in due.tolist()])
+            for model, field in self._functions:
+                force = model.call(position, drones["velocity"].copy(), types)
+                if field == "force":
+                    force = force * environments["force_scale"][due, None, None]
+                self.world.drones[field][due] = force
+        return int(hold - since[flown].max(initial=0))
 
     def control(self) -> None:
         """Let the tracking loop alone make one step everywhere: commands for the state that is."""
@@ -378,6 +436,8 @@ class Physics:
         return self.state
 
     def _advance(self) -> None:
+        if self._functions:
+            self._call_functions(self._everywhere)
         self._fly(BEGIN | SPIN | MOVE | TOUCH, 1, self._everywhere)
 
     def __reduce__(self) -> str:

@@ -300,6 +300,8 @@ class BulletPhysics(Physics):
         kernel, given, where = self._compiled, (1, flown, *self._given[0]), flown.nonzero()[0]
         ends_team, bounces = bool(self.settings["ends_team"][0]), bool(self.settings["bounces"][0])
         for k in range(steps):
+            if self._functions:
+                self._call_functions(flown)
             kernel(0, self.num_envs, before | (TOUCH if k else BEGIN), *given)
             for e in where.tolist():
                 if k and bounces:

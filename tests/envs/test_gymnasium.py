@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import TimeAwareObservation
 
 from swarm_envs import TASKS, gymnasium_name, make, register, swap_v1
 from swarm_envs.envs.joint import make_joint, make_solo
@@ -251,3 +252,21 @@ def test_infos_are_of_their_own():
         assert all(info["episode_metrics"]["success"] is False for info in others)
     env.close()
     batch.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("suffix", ["", "Solo"])
+def test_entries_have_the_time_limit_of_their_options_in_decisions(task, suffix):
+    name = gymnasium_name(task, suffix)
+    assert gymnasium.spec(name).max_episode_steps is None, "no second time limit"
+    env = gymnasium.make(name, physics="batch", decision_rate=10, horizon_s=2.05)
+    assert env.spec is not None and env.spec.max_episode_steps == 21
+    space: Any = TimeAwareObservation(env, flatten=False).observation_space
+    assert space["time"].high == 21
+    env.close()
+
+
+def test_a_batch_has_its_time_limit_too():
+    env = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, horizon_s=1.0, decision_rate=48)
+    assert env.spec is not None and env.spec.max_episode_steps == 48
+    env.close()

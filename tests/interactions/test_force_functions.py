@@ -1,0 +1,132 @@
+"""Forces as functions: they act and are compensated as compiled models are, on both engines."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import swarm_envs
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.interactions import load
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.physics.step import FAR
+
+WAKE = load("wake")
+
+
+def wake(position, velocity, types):
+    """The shipped wake, as a user would write a model of his own."""
+    out = np.zeros_like(position)
+    for e, team in enumerate(types):
+        out[e] = WAKE.forces(position[e : e + 1], velocity[e : e + 1], "".join(team))[0]
+    return out
+
+
+def flown(interactions, physics="batch", feedforward=None, **options):
+    """Positions (T, N, 3) of a stacked swap in which drones do not act."""
+    controller = None if feedforward is None else ControllerConfig(feedforward=feedforward)
+    env = swarm_envs.make(
+        "swap_v1",
+        team="LS",
+        layout="stacked",
+        physics=physics,
+        interactions=interactions,
+        controller=controller,
+        **options,
+    )
+    env.reset(seed=3)
+    path = []
+    for k in range(40):
+        action = np.array([0.4 * np.sin(k / 5.0), 0.3, 0.0], np.float32)
+        env.step(dict.fromkeys(env.agents, action))
+        if not env.agents:
+            break
+        path.append(env.view.state.position.copy())
+    env.close()
+    return np.array(path)
+
+
+@pytest.mark.parametrize("physics", ["batch", "bullet"])
+@pytest.mark.parametrize("force_rate", [240, 48])
+def test_the_wake_is_the_same_as_a_function(physics, force_rate):
+    if physics == "bullet":
+        pytest.importorskip("pybullet")
+    compiled = flown("wake", physics, force_rate=force_rate)
+    ours = flown(wake, physics, force_rate=force_rate)
+    assert len(ours) == len(compiled) > 20
+    np.testing.assert_allclose(ours, compiled, rtol=0, atol=1e-12)
+    still = flown("none", physics)
+    assert np.abs(still[: len(ours)] - ours[: len(still)]).max() > 1e-3, "it acts"
+
+
+@pytest.mark.parametrize("physics", ["batch", "bullet"])
+def test_a_function_is_compensated_as_the_model(physics):
+    if physics == "bullet":
+        pytest.importorskip("pybullet")
+    compiled = flown("wake", physics, feedforward=WAKE)
+    np.testing.assert_allclose(flown("wake", physics, feedforward=wake), compiled, atol=1e-12)
+
+
+def test_a_function_sees_types_and_ended_drones_far_away_and_is_called_at_its_rate():
+    calls = []
+
+    def watched(position, velocity, types):
+        calls.append((position.copy(), types))
+        return np.zeros_like(position)
+
+    env = swarm_envs.make(
+        "swap_v1",
+        team="LS",
+        physics="batch",
+        interactions=watched,
+        force_rate=48,
+        decision_rate=10,
+        on_contact="end_pair",
+    )
+    env.reset(seed=0, options={"start": np.array([[0, 0, 0.2], [1, 0, 1.0]])})
+    down = {"drone_0": np.array([0, 0, -1], np.float32), "drone_1": np.zeros(3, np.float32)}
+    for k in range(20):
+        env.step({name: down[name] for name in env.agents})
+        assert len(calls) == -(-24 * (k + 1) // 5)
+    assert calls[0][1].tolist() == [["L", "S"]]
+    assert env.agents == ["drone_1"]
+    assert calls[-1][0][0, 0, 0] == FAR
+    assert np.isfinite(env.view.state.position).all()
+
+
+def test_many_environments_reset_apart_are_each_called_when_due():
+    """A force that counts its calls shows when each environment was last due."""
+    count = itertools.count(1)
+    batch = BatchPhysics("S", 3, lambda p, v, t: np.full(p.shape, next(count)), force_rate=80)
+    hover = np.full((3, 1, 4), batch.team[0].hover_rotor_thrust)
+    batch.reset()
+    batch.step(hover)
+    batch.reset(mask=np.array([False, True, False]))
+    batch.step(hover)
+    assert batch.force[:, 0, 0].tolist() == [1, 2, 1]
+    batch.step(hover)
+    batch.step(hover)
+    assert batch.force[:, 0, 0].tolist() == [3, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda p, v, t: p[..., 0], r"has shape \(1, 2\), but must have shape \(1, 2, 3\)"),
+        (lambda p, v, t: np.nan * p, "is nan at index"),
+        (lambda p, v, t: None, "must be numbers of shape"),
+    ],
+)
+def test_functions_that_give_no_forces_are_refused(function, message):
+    physics = BatchPhysics("LS", 1, function)
+    with pytest.raises(ValueError, match=message):
+        physics.step(np.zeros((1, 2, 4)))
+
+
+def test_functions_are_refused_where_only_a_compiled_model_can_be_asked():
+    with pytest.raises(ValueError, match="interaction_torque is True"):
+        BatchPhysics("LS", 1, wake, interaction_torque=True)
+    with pytest.raises(ValueError, match="observe_force is the function"):
+        swarm_envs.make("swap_v1", observe_force=load(wake))
