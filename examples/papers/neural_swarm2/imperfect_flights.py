@@ -20,7 +20,7 @@ from swarm_envs.baselines.neural_swarm.flights import FlightTest
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, Setpoint, SwarmState
 from swarm_envs.tasks.motion import reference_of
@@ -70,7 +70,8 @@ def fly_imperfectly(
         most = core.world.drones["nominal_max_rotor_thrust"][..., None]
         straight = np.zeros((core.num_envs, core.num_drones))
         rng = np.random.default_rng(list(seeds))
-        predict = _prediction(core, controller.feedforward, imperfection, rng)
+        model = None if controller.feedforward is None else load(controller.feedforward)
+        predict = _prediction(core, model, imperfection, rng)
         while core.running.any():
             state = _measure(core.physics.state, imperfection, rng)
             setpoint = Setpoint(*reference_of(core.world.drones), straight, straight)
