@@ -18,7 +18,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.errors import check_type, unknown_name
 from swarm_envs.interactions import InteractionModel
 
-__all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
+__all__ = ["FILTER", "SHIPPED", "controller_of", "import_file", "load_agent", "load_class"]
 
 POLICIES = (
     *("swap-dagger", "gates-dagger", "pursuit-dagger", "crowd-dagger"),
@@ -66,6 +66,7 @@ supported combination is a key of its own."""
 FILTER = "+filter"
 """The last suffix of an agent's name, which puts a `swarm_envs.agents.SafetyFilter` around it."""
 _USERS_MODULE = "swarm_envs_users_agent_"
+_folders = set[str]()  # from which agents' files import what lies beside them
 
 
 def load_agent(name: str | os.PathLike[str]) -> Agent:
@@ -110,7 +111,7 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
                 "its run"
             )
         raise ValueError(_unknown_agent(name))
-    return _make(name, _import_file(Path(file)), path)
+    return _make(name, import_file(Path(file)), path)
 
 
 def _load_filtered(name: str) -> Agent:
@@ -204,7 +205,7 @@ def load_class(name: str) -> Any:
     file, colon, path = name.rpartition(":")
     if not colon:
         raise ValueError(f"{name!r} names no class; write {name + ':Class'!r}")
-    return _find(name, _import_file(Path(file)), path)
+    return _find(name, import_file(Path(file)), path)
 
 
 def _names_policy(name: str) -> bool:
@@ -213,12 +214,20 @@ def _names_policy(name: str) -> bool:
     return Path(name).is_dir() or Path(name).suffix in weights or name.endswith("/")
 
 
-def _import_file(file: Path) -> ModuleType:
+def import_file(file: Path) -> ModuleType:
+    """Import a user's file, and let it import those beside it.
+
+    Raises:
+        ValueError: it is no Python file.
+        FileNotFoundError: there is no such file.
+        ImportError: it cannot be imported.
+    """
     if file.suffix != ".py":
-        raise ValueError(f"the agent's file is {str(file)!r}, but must be a Python file, .py")
+        raise ValueError(f"the file is {str(file)!r}, but must be a Python file, .py")
     if not file.is_file():
-        raise FileNotFoundError(f"there is no file {str(file)!r} to take an agent from")
+        raise FileNotFoundError(f"there is no file {str(file)!r}")
     name = _USERS_MODULE + file.stem
+    _import_from(file.resolve().parent)
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
@@ -230,6 +239,17 @@ def _import_file(file: Path) -> ModuleType:
         del sys.modules[name]
         raise ImportError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     return module
+
+
+def _import_from(folder: Path) -> None:
+    """Let a file import those beside it, as if it was run, and not those beside other agents."""
+    for name, module in list(sys.modules.items()):
+        place = getattr(module, "__file__", None)
+        beside = place is not None and str(Path(place).parent) in _folders - {str(folder)}
+        if beside and not name.startswith(_USERS_MODULE):
+            del sys.modules[name]
+    sys.path[:] = [str(folder), *(place for place in sys.path if place not in _folders)]
+    _folders.add(str(folder))
 
 
 def _find(name: str, module: ModuleType, path: str) -> Any:
