@@ -99,9 +99,9 @@ class _Made:
     """A work whose class is called without arguments."""
 
     def __init__(self, name: str) -> None:
-        from swarm_envs.agents.registry import load_class
+        from swarm_envs.user_files import load_from_file
 
-        self._work, self.made = load_class(name)(), dict[str, Any]()
+        self._work, self.made = load_from_file(name)(), dict[str, Any]()
 
     def fit(self, header: Mapping[str, Any], *arrays: Array) -> None:
         """Fit a force model to rows."""
