@@ -9,11 +9,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarm_envs.user_files import import_file
 from swarm_envs.errors import check_name
 from swarm_envs.grading.copies import copied_acts, copied_files, harmless
 from swarm_envs.grading.remote import remote_agent
 from swarm_envs.grading.submission import Entry, RemoteWork, WorkFailed, path_of
+from swarm_envs.user_files import import_file
 
 if TYPE_CHECKING:
     from swarm_envs.agents.evaluation import Episode
