@@ -21,7 +21,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from swarm_envs import task_family
+from swarm_envs import TASKS, task_family
 from swarm_envs.agents.features import FeatureSizes, feature_sizes, features_of
 from swarm_envs.agents.networks import (
     ACTIVATIONS,
@@ -164,8 +164,9 @@ class PolicyNote:
             ValueError: naming the entry.
         """
         for name in (self.task, *self.also):
-            if not re.fullmatch(r"\w+_v\d+", str(name)):  # also tasks of users' own
-                raise ValueError(f"task is {name!r:.80}, but must be a versioned name, 'swap_v1'")
+            families = {task_family(task) for task in TASKS}
+            if not re.fullmatch(r"\w+_v\d+", str(name)) or task_family(name) in families:
+                check_name("task", name, TASKS)  # others are tasks of users' own
         check_name("action", self.action, ACTIONS)
         check_name("activation", self.activation, ACTIVATIONS)
         for token in self.types:

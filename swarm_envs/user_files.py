@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +15,9 @@ from swarm_envs.errors import unknown_name
 __all__ = ["find_in", "import_file", "load_from_file"]
 
 _USERS_MODULE = "swarm_envs_users_file_"
-_folders = set[str]()  # from which users' files import what lies beside them
+_imported: dict[str, set[str]] = {}
+"""Modules that users' files have imported from beside them, by the folder."""
+_inserted: list[str] = []  # folder that was put on the path for the last of them
 
 
 def load_from_file(name: str) -> Any:
@@ -43,8 +46,9 @@ def import_file(file: Path) -> ModuleType:
         raise ValueError(f"the file is {str(file)!r}, but must be a Python file, .py")
     if not file.is_file():
         raise FileNotFoundError(f"there is no file {str(file)!r}")
-    name = _USERS_MODULE + file.stem
-    _import_from(file.resolve().parent)
+    name, folder = _USERS_MODULE + file.stem, file.resolve().parent
+    _enter(folder)
+    before = set(sys.modules)
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
@@ -55,18 +59,31 @@ def import_file(file: Path) -> ModuleType:
     except Exception as error:
         del sys.modules[name]
         raise ImportError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        new = {m for m in set(sys.modules) - before if _lies_in(folder, sys.modules[m])}
+        _imported[str(folder)] |= new - {name}
     return module
 
 
-def _import_from(folder: Path) -> None:
+def _enter(folder: Path) -> None:
     """Let a file import those beside it, as if it was run, and not those beside other files."""
-    for name, module in list(sys.modules.items()):
-        place = getattr(module, "__file__", None)
-        beside = place is not None and str(Path(place).parent) in _folders - {str(folder)}
-        if beside and not name.startswith(_USERS_MODULE):
-            del sys.modules[name]
-    sys.path[:] = [str(folder), *(place for place in sys.path if place not in _folders)]
-    _folders.add(str(folder))
+    for other, modules in _imported.items():
+        if other != str(folder):
+            for name in modules:
+                sys.modules.pop(name, None)
+            modules.clear()
+    while _inserted:
+        with suppress(ValueError):  # taken off by the file itself
+            sys.path.remove(_inserted.pop())
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+        _inserted.append(str(folder))
+    _imported.setdefault(str(folder), set())
+
+
+def _lies_in(folder: Path, module: ModuleType) -> bool:
+    place = getattr(module, "__file__", None)
+    return place is not None and Path(place).parent == folder
 
 
 def find_in(name: str, module: ModuleType, path: str) -> Any:
