@@ -7,7 +7,6 @@ import importlib
 import importlib.util
 import inspect
 import os
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -15,10 +14,11 @@ from typing import Any
 
 from swarm_envs.agents.protocol import Agent
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.errors import check_type, unknown_name
+from swarm_envs.errors import check_type
 from swarm_envs.interactions import InteractionModel
+from swarm_envs.user_files import find_in, import_file
 
-__all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent", "load_class"]
+__all__ = ["FILTER", "SHIPPED", "controller_of", "load_agent"]
 
 POLICIES = (
     *("swap-dagger", "gates-dagger", "pursuit-dagger", "crowd-dagger"),
@@ -65,7 +65,6 @@ supported combination is a key of its own."""
 
 FILTER = "+filter"
 """The last suffix of an agent's name, which puts a `swarm_envs.agents.SafetyFilter` around it."""
-_USERS_MODULE = "swarm_envs_users_agent_"
 
 
 def load_agent(name: str | os.PathLike[str]) -> Agent:
@@ -110,7 +109,7 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
                 "its run"
             )
         raise ValueError(_unknown_agent(name))
-    return _make(name, _import_file(Path(file)), path)
+    return _make(name, import_file(Path(file)), path)
 
 
 def _load_filtered(name: str) -> Agent:
@@ -193,69 +192,14 @@ def _suffixes_of(name: str) -> list[str]:
     return [*found, FILTER]
 
 
-def load_class(name: str) -> Any:
-    """What a file holds by a name, `path/to/file.py:Class`.
-
-    Raises:
-        ValueError: the name is no such thing, or the file has no such class.
-        FileNotFoundError: there is no such file.
-        ImportError: the file cannot be imported.
-    """
-    file, colon, path = name.rpartition(":")
-    if not colon:
-        raise ValueError(f"{name!r} names no class; write {name + ':Class'!r}")
-    return _find(name, _import_file(Path(file)), path)
-
-
 def _names_policy(name: str) -> bool:
     """Whether a name is a folder, or a file with a suffix of trained weights."""
     weights = (".safetensors", ".pt", ".pth", ".pkl", ".zip", ".npz", ".onnx")
     return Path(name).is_dir() or Path(name).suffix in weights or name.endswith("/")
 
 
-def _import_file(file: Path) -> ModuleType:
-    if file.suffix != ".py":
-        raise ValueError(f"the agent's file is {str(file)!r}, but must be a Python file, .py")
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no file {str(file)!r} to take an agent from")
-    name = _USERS_MODULE + file.stem
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses of the file look themselves up there
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise ImportError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
-    return module
-
-
-def _find(name: str, module: ModuleType, path: str) -> Any:
-    made: Any = module
-    for part in path.split("."):
-        if not hasattr(made, part):
-            raise ValueError(
-                unknown_name("class or function", part, _defined(module), f"in agent {name!r}")
-            )
-        made = getattr(made, part)
-    return made
-
-
-def _defined(module: ModuleType) -> list[str]:
-    """The classes and functions that a file defines and does not hide."""
-    return [
-        name
-        for name, value in vars(module).items()
-        if (inspect.isclass(value) or inspect.isfunction(value))
-        and value.__module__ == module.__name__
-        and not name.startswith("_")
-    ]
-
-
 def _make(name: str, module: ModuleType, path: str) -> Agent:
-    made = _find(name, module, path)
+    made = find_in(name, module, path)
     if not callable(made):
         raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
     if inspect.isfunction(made) and _takes_rows(made):

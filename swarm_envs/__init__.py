@@ -13,16 +13,20 @@ of it, `gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=1024, ...)` many teams
 from __future__ import annotations
 
 import importlib
+from functools import partial
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
 import pettingzoo
 
-from swarm_envs.errors import check_name, check_type
+from swarm_envs.errors import check_type
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
+    from swarm_envs.tasks.base import Task
+
+OwnTask = TypeVar("OwnTask", bound="Task")
 
 __version__ = "0.2.0"
 
@@ -63,19 +67,40 @@ def register() -> None:
             pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
 
 
-def make(task: str, **options: Any) -> SwarmParallelEnv:
-    """Make a task's parallel environment by name.
+def make(task: str | type[Task], **options: Any) -> SwarmParallelEnv:
+    """Make a task's parallel environment.
 
     Args:
-        task: such as `"swap_v1"`.
-        **options: as the task's `parallel_env` takes them.
+        task: such as `"swap_v1"`; or a task of one's own: a class, or `"path/to/file.py:Class"`.
+        **options: as the task's `parallel_env` takes them; of a task of one's own, those of every
+            task and the fields of its class.
 
     Raises:
         ValueError: there is no such task; the message names the nearest.
     """
-    check_name("task", task, TASKS)
-    env: SwarmParallelEnv = importlib.import_module(f"swarm_envs.{task}").parallel_env(**options)
-    return env
+    from swarm_envs.envs.options import blueprint_of
+    from swarm_envs.envs.parallel import SwarmParallelEnv
+
+    return SwarmParallelEnv(*blueprint_of(task, **options))
+
+
+def register_task(task: type[OwnTask]) -> type[OwnTask]:
+    """Register a task of one's own with Gymnasium and PettingZoo; a decorator of its class.
+
+    `@register_task` above `class LineTask(Task)` gives the ids `swarm_envs/Line-v0` and
+    `swarm_envs/LineSolo-v0` of Gymnasium, and `swarm_envs/line_v0` of PettingZoo.
+    """
+    names = gymnasium_name(task.name), gymnasium_name(task.name, "Solo")
+    for name in names:
+        gymnasium.registry.pop(name, None)  # of the same class, imported before
+    joint, vector = "swarm_envs.envs.joint", "swarm_envs.envs.vector:make_vector"
+    given = {"task": task}
+    gymnasium.register(names[0], f"{joint}:make_joint", vector_entry_point=vector, kwargs=given)
+    gymnasium.register(names[1], f"{joint}:make_solo", kwargs=given)
+    if hasattr(pettingzoo, "register"):
+        pettingzoo.parallel_registry.pop(f"swarm_envs/{task.name.replace('_v', '-v')}", None)
+        pettingzoo.register("parallel", f"swarm_envs/{task.name}", partial(make, task))
+    return task
 
 
 def __getattr__(name: str) -> ModuleType:
@@ -87,4 +112,4 @@ def __getattr__(name: str) -> ModuleType:
 
 register()
 
-__all__ = ["TASKS", "__version__", "make", "task_family"]
+__all__ = ["TASKS", "__version__", "make", "register_task", "task_family"]

@@ -55,7 +55,7 @@ COMMANDS: Mapping[str, Command] = {
     "benchmark": Command("evaluate every agent on every benchmark task", "--out board --workers 2"),
     "grade": Command(
         "grade submissions of a course",
-        "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
+        "--assignment swap --agent my.py:MyAgent --out grades.csv",
     ),
     "assignment": Command(
         "list or start the assignments of a course", "start controller my-controller"

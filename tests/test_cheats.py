@@ -3,59 +3,40 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
-import json
+import io
 import os
-import shutil
-import struct
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from safetensors.numpy import save
 
 import swarm_envs
 from swarm_envs.agents import load
-from swarm_envs.assignments import ASSIGNMENTS
-from swarm_envs.cli import main
-from swarm_envs.commands import grade
-from swarm_envs.compiled import kernel_folder
-from swarm_envs.training.interaction_rows import save_rows
+from swarm_envs.agents.evaluation import evaluate_agent, score_episodes
+from swarm_envs.agents.registry import load_agent
+from swarm_envs.assignments import ASSIGNMENTS, Learning, Swap
+from swarm_envs.assignments.force import copied_forces, exchanged
+from swarm_envs.grading import assignment as grading
+from swarm_envs.grading.assignment import Assignment
+from swarm_envs.grading.copies import SOLUTIONS, copied_acts
+from swarm_envs.grading.grade import Course, Grade, cell, episode_seeds, write_feedback
+from swarm_envs.grading.groups import ControlGroup
+from swarm_envs.grading.pipes import BadMessage, receive, send
+from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
+from swarm_envs.grading.submission import printable
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.wake_rows import wake_rows
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="confinement is Linux's")
-if sys.platform == "linux":
-    from swarm_envs.commands.grade_force import grade_model
-    from swarm_envs.commands.grading import confinement, remote
-    from swarm_envs.commands.grading.confinement import Protections
-    from swarm_envs.commands.grading.copies import copied_acts, copied_forces
-    from swarm_envs.commands.grading.grades import cell, printable
-    from swarm_envs.commands.grading.messages import BadMessage, Channel, TooLate
-    from swarm_envs.commands.grading.remote import opened
-
+needs_bubblewrap = pytest.mark.skipif(not has_bubblewrap(), reason="bubblewrap is not installed")
 PACKAGE = Path(swarm_envs.__file__).parent
 STARTERS = PACKAGE / "assignments"
-SHORT_S = 10.0
-MODES = {
-    "all": lambda whole: whole,
-    "namespaces": lambda whole: Protections(whole.unshare, 0),
-    "Landlock": lambda whole: Protections((), whole.landlock),
-    "another user": lambda whole: Protections((), 0, whole.user),
-    "nothing": lambda whole: Protections((), 0),
-}
-"""What a system offers, by name, of all that this one does."""
-ALONE = {
-    "ends its parent": ("all", "namespaces", "Landlock", "another user"),
-    "reads others' works and the environment": ("all", "namespaces", "Landlock"),
-}
-"""Cheats that only some of it keeps from harm."""
+SEED = (1 << 128) + 4711
+SANDBOX = Sandbox(unprotected=not has_bubblewrap())
 
 WORK = """
 import atexit, ctypes, gc, json, multiprocessing, os, pathlib, resource, signal, socket
@@ -88,7 +69,7 @@ CHEATS = cheats_of(r"""
 # writes a report and ends | exit code 0
 class Agent(Agent):
     def act(self, observations, view):
-        json.dump({'agents': [{'success_rate': 1.0}]}, open('report.json', 'w'))
+        json.dump({'agents': [{'success_rate': 1.0}]}, open('/tmp/report.json', 'w'))
         os._exit(0)
 # writes a report at its exit | SystemExit
 atexit.register(lambda: print(json.dumps({'success_rate': 1.0})))
@@ -125,16 +106,42 @@ for folder in (pathlib.Path(TABLE).parent, pathlib.Path('.')):
 # leaves a session that rewrites the table
 SCRIPT = f"while :; do echo work,points > {TABLE}; echo eve,100 >> {TABLE}; sleep 0.1; done"
 subprocess.Popen(['setsid', 'sh', '-c', SCRIPT])
-# lies once of what it sees
+# asks for the true state | asks for the true state
+Agent.privileged = True
+# lies of what it sees | asks for the true state
 class Agent(Agent):
     asked = 0
     @property
     def privileged(self):
         Agent.asked += 1
-        return Agent.asked == 1
+        return Agent.asked == 2
     def act(self, observations, view):
-        assert view is None, 'it sees'
+        if view is not None: raise RuntimeError('found it')
         return super().act(observations, view)
+# looks at the true state of its environment | not shown
+class Agent(Agent):
+    def reset(self, env, seed): self.env = env
+    def act(self, observations, view):
+        return dict(zip(observations, self.env.view.goals))
+# looks for its episode among the seeds of the documentation
+class Agent(Agent):
+    def reset(self, env, seed): self.env = env
+    def act(self, observations, view):
+        from swarm_envs.agents.evaluation import frozen_seeds
+        from swarm_envs.grading.grade import episode_seeds
+        for seed in (0, 1, 7, 4711):
+            for flown in (*frozen_seeds(seed, 4), *episode_seeds(seed, 4), seed):
+                rows, _ = self.env.reset(seed=flown)
+                own = np.stack([*observations.values()])
+                if np.array_equal(np.stack([*rows.values()]), own): raise RuntimeError('found it')
+        return super().act(observations, view)
+# reads a file of the system into its error | No such file
+raise RuntimeError(open('/etc/shadow').read())
+# talks through the memory of the machine | No such file
+open('/proc/meminfo').read()
+# imports a neighbour's file | No module named 'bob'
+sys.path += [str(pathlib.Path(TABLE).parent / 'bob'), '..']
+import bob
 # leaves sixty-six sleepers
 for _ in range(66): subprocess.Popen(['setsid', 'sleep', '1000'])
 # leaves a daemon that forked twice
@@ -173,7 +180,9 @@ for file in pathlib.Path('/proc').glob('[0-9]*/cmdline'):
 # takes all cores
 try: os.sched_setaffinity(0, range(1024))
 except OSError: pass
-if len(os.sched_getaffinity(0)) > 1: raise RuntimeError('found it')
+for _ in range(2 * (os.cpu_count() or 1)):
+    if os.fork() == 0:
+        while True: pass
 # says something to others by locks, or hears what they open
 import fcntl
 file = os.open(__file__, os.O_RDONLY)
@@ -183,8 +192,7 @@ for call in (lambda: fcntl.flock(file, fcntl.LOCK_SH), lambda: fcntl.fcntl(file,
              lambda: fcntl.fcntl(file, 1026, 1)):
     try: call()
     except OSError: continue
-    raise RuntimeError('found it')
-if ctypes.CDLL(None).inotify_init1(0) >= 0: raise RuntimeError('found it')
+ctypes.CDLL(None).inotify_init1(0)
 # writes through ctypes
 libc = ctypes.CDLL(None)
 libc.ptrace(16, os.getppid(), 0, 0)
@@ -197,16 +205,18 @@ for descriptor in range(3, 64):
     except OSError: pass
 # answers with absurd lengths | nonsense
 for descriptor in range(3, 64):
-    try: os.write(descriptor, struct.pack('<4sII', b'SWRM', 2**32 - 1, 2**32 - 1))
+    try: os.write(descriptor, struct.pack('<4sIQ', b'SWRM', 2**32 - 1, 2**32 - 1))
     except OSError: pass
 # answers with a thousand brackets | nonsense
 for descriptor in range(3, 64):
-    try: os.write(descriptor, struct.pack('<4sII', b'SWRM', 60000, 0) + b'[' * 60000)
+    try: os.write(descriptor, struct.pack('<4sIQ', b'SWRM', 60000, 0) + b'[' * 60000)
     except OSError: pass
 # claims a shape that it does not send | nonsense
-HEAD = json.dumps({'kind': 'made', 'requires': {}, 'arrays': [['f8', [2**31, 2**31]]]})
+HEAD = json.dumps({'0': {'dtype': 'F64', 'shape': [2**31, 2**31], 'data_offsets': [0, 8]}})
+SENT = struct.pack('<Q', len(HEAD)) + HEAD.encode() + bytes(8)
+SAID = b'{"kind": "made", "requires": {}}'
 for descriptor in range(3, 64):
-    try: os.write(descriptor, struct.pack('<4sII', b'SWRM', len(HEAD), 0) + HEAD.encode())
+    try: os.write(descriptor, struct.pack('<4sIQ', b'SWRM', len(SAID), len(SENT)) + SAID + SENT)
     except OSError: pass
 # gives a row of a million numbers | shape (1000000,)
 class Agent(Agent):
@@ -249,20 +259,21 @@ LONG = cheats_of(r"""
 class Agent(Agent):
     def act(self, observations, view): time.sleep(10**6)
 # answers byte by byte | took longer than 10 s
-slow = struct.pack('<4sII', b'SWRM', 4096, 0) + b' ' * 4096
+slow = struct.pack('<4sIQ', b'SWRM', 4096, 0) + b' ' * 4096
 for k in range(4096):
     for descriptor in range(3, 16):
         try: os.write(descriptor, slow[k:k + 1])
         except OSError: pass
     time.sleep(0.2)
-# writes 600 MB on stderr | exit code 7: =cmd|calc
+# writes 600 MB on stderr | File too large
 for _ in range(600): os.write(2, b'x' * 2**20)
+# ends with a formula | exit code 7: =cmd|calc
 os.write(2, b'\n=cmd|calc\n')
 os._exit(7)
-# prints for ever | took longer than 10 s
+# prints for ever | File too large
 while True: print('x' * 4096)
 # fills the disk | OSError
-with open('big', 'wb') as file:
+with open('/tmp/big', 'wb') as file:
     while True: file.write(b'x' * 2**20)
 # forks for ever | took longer than 10 s
 while True:
@@ -277,34 +288,22 @@ class Agent(Agent):
         Agent.count += 1
         if Agent.count > 1: time.sleep(10**6)
         return super().act(observations, view)
-# asks for the view for ever, and lets another read it | took longer than 10 s
+# answers for ever before it is asked | nonsense
 import fcntl, stat
 from safetensors.numpy import save
-HEAD, NONE = b'{"kind": "view"}', save({})
-ASK = (struct.pack('<4sII', b'SWRM', len(HEAD), len(NONE)) + HEAD + NONE) * 1000
-def pipes(mode):
-    return [n for n in range(3, 64) if isopen(n) and stat.S_ISFIFO(os.fstat(n).st_mode)
-            and fcntl.fcntl(n, fcntl.F_GETFL) & os.O_ACCMODE == mode]
+HEAD, NONE = b'{"kind": "answer"}', save({})
 def isopen(n):
     try: return bool(os.fstat(n))
     except OSError: return False
-def loop(call, descriptor, given):
-    os.set_blocking(descriptor, True)
-    while True: call(descriptor, given)
+pipes = [n for n in range(3, 64) if isopen(n) and stat.S_ISFIFO(os.fstat(n).st_mode)
+         and fcntl.fcntl(n, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY]
+def answer():
+    sent = struct.pack('<4sIQ', b'SWRM', len(HEAD), len(NONE)) + HEAD + NONE
+    while True: os.write(pipes[0], sent)
 class Agent(Agent):
-    def act(self, observations, view):
-        if os.fork() == 0: loop(os.read, pipes(os.O_RDONLY)[0], 2**20)
-        loop(os.write, pipes(os.O_WRONLY)[0], ASK)
+    def reset(self, env, seed): threading.Thread(target=answer, daemon=True).start()
 """)
 """Cheats that last."""
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A folder that another user may read."""
-    with tempfile.TemporaryDirectory() as made:
-        Path(made).chmod(0o755)
-        yield Path(made)
 
 
 def written(folder: Path, cheats: dict[str, tuple[str, str]]) -> list[str]:
@@ -320,56 +319,44 @@ def written(folder: Path, cheats: dict[str, tuple[str, str]]) -> list[str]:
     return works
 
 
-GRADER = """
-import sys
-from swarm_envs.commands.grading import confinement
-confinement.probe = lambda: confinement.Protections(*{offered!r})
-from swarm_envs.cli import main
-from swarm_envs.commands.grading import remote
-{before}
-sys.exit(main({words!r}))
-"""
+def running() -> set[str]:
+    """Processes of works, and control groups that still have processes, by their paths."""
+    found = set()
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = file.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if "swarm_envs.grading.work" in line or "sleep 1000" in line:
+            found.add(str(file))
+    return found | {str(group) for group in Path("/sys/fs/cgroup").glob("*/swarm-envs-*-*")}
 
 
-def offered(mode: str) -> Protections:
-    """What a mode offers; the test is skipped where this system does not offer it."""
-    found = MODES[mode](confinement.probe())
-    if found.can_rename != (mode == "nothing"):
-        pytest.skip(f"{mode}: not here")
+def left_behind(before: set[str]) -> set[str]:
+    """What runs since then, and goes on for a while: works of other tests end by themselves."""
+    found = running() - before
+    for _ in range(60):
+        found &= running()
+        if not found:
+            break
+        time.sleep(1.0)
     return found
 
 
-def run_grader(
-    mode: str, folder: Path, words: list[str], before: str = "", **environment: str
-) -> subprocess.CompletedProcess[str]:
-    """Grade in a process of its own, where nothing is imported yet; nothing may be left of it."""
-    always = f"grade --seed 4711 --unprotected --out {folder / 'grades.csv'}".split()
-    words = [*always, *words]
-    code = GRADER.format(offered=tuple(offered(mode)), words=words, before=before)
-    with confinement.guarded():  # orphans of the grader become children of this process
-        found = confinement.descendants()
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            cwd=folder,  # or this tree's package would be found before a copy of it
-            env={**os.environ, "SECRET": "42", **environment},
-        )
-        assert confinement.descendants() - found == set()
-    return done
-
-
-def check_class(
-    mode: str, folder: Path, cheats: dict[str, tuple[str, str]], limit_s: float
-) -> None:
+def check_class(folder: Path, cheats: dict[str, tuple[str, str]], limit_s: float) -> None:
     """Grade a class of cheats: none gets points, and the honest work is graded after them."""
-    works, state = written(folder, cheats), remote.package_state()
-    words = ["--assignment", "swap", "--episodes", "1", "--limit-s", str(limit_s)]
-    done = run_grader(mode, folder, [*words, "--agent", *works])
-    assert remote.package_state() == state
-    result = folder / "result.txt"
-    assert not result.exists() or not result.stat().st_size
+    works, before = written(folder, cheats), running()
+    words = ["grade", "--assignment", "swap", "--episodes", "1", "--limit-s", str(limit_s)]
+    words += ["--seed", str(SEED), "--out", str(folder / "grades.csv"), "--agent", *works]
+    done = subprocess.run(
+        [sys.executable, "-m", "swarm_envs", *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "SECRET": "42"},
+    )
+    assert not (folder / "result.txt").exists()
     time.sleep(0.3)  # what is left would write now
+    assert not left_behind(before)
     with (folder / "grades.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["work"] for row in rows] == works, done.stderr[-2000:]
@@ -380,104 +367,345 @@ def check_class(
     assert done.returncode == any(row["error"] for row in rows)
 
 
-def test_some_cheats_get_nothing(folder):
+@needs_bubblewrap
+def test_some_cheats_get_nothing(tmp_path):
     names = ("leaves a session that rewrites the table", "raises words that forge a row")
-    check_class("all", folder, {name: CHEATS[name] for name in names}, 60.0)
+    check_class(tmp_path, {name: CHEATS[name] for name in names}, 60.0)
 
 
+@needs_bubblewrap
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", MODES)
-def test_no_cheat_gets_anything(folder, mode):
-    fitting = {name: CHEATS[name] for name in CHEATS if mode in ALONE.get(name, MODES)}
-    check_class(mode, folder, fitting, 60.0)
-    assert len(fitting) >= 30
+def test_no_cheat_gets_anything(tmp_path):
+    assert len(CHEATS) >= 31
+    check_class(tmp_path, CHEATS, 60.0)
 
 
+@needs_bubblewrap
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["all", "nothing"])
-def test_what_lasts_is_ended(folder, mode):
-    check_class(mode, folder, LONG, SHORT_S)
+def test_what_lasts_is_ended(tmp_path):
+    check_class(tmp_path, LONG, 10.0)
 
 
-REPLACES = """
-import os, pathlib
+def can_group() -> bool:
+    """Whether the system lets control groups be made."""
+    group = ControlGroup(1 << 30)
+    group.remove()
+    return bool(group.words)
+
+
+def graded(assignment: Assignment, *works: str, episodes: int = 2, **how: Any) -> list[Grade]:
+    """Grade works in this process."""
+    given: dict[str, Any] = {"sandbox": SANDBOX, **how}
+    return [*Course(assignment, [*works], SEED, episodes, **given).grade()]
+
+
+def file_of(folder: Path, name: str, *code: str) -> Path:
+    """A file with code, in a folder of its own."""
+    file = folder / name / f"{name}.py"
+    file.parent.mkdir(parents=True)
+    file.write_text("\n".join(code), encoding="utf-8")
+    return file
+
+
+FLYER = """
 import numpy as np
-HERE = pathlib.Path(__file__).parent
-for folder in {folders!r}:
-    for file in sorted(pathlib.Path(folder).rglob('*.*')):
-        if file.suffix in ('.py', '.nbi', '.nbc', '.json', '.safetensors'):
-            try:
-                os.link(HERE / 'evil.py', HERE / 'evil')
-                os.replace(HERE / 'evil', file)
-            except OSError: pass
-class Mean:
-    def fit(self, rows): pass
-    def predict(self, rows): return np.zeros(len(rows.force_g))
+from swarm_envs import agents
+from swarm_envs.agents import load
+class Agent:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def reset(self, env, seed):
+        self.at = {field.name: field.where for field in env.observation_layout}
+    def act(self, observations, view):
+        return {n: self.fly(row) for n, row in observations.items()}
+    def fly(self, row):
+        goal, velocity = row[self.at['task.goal']], row[self.at['self.velocity']]
+        return np.clip(1.5 * goal - 1.2 * velocity, -1, 1).astype(np.float32)
+class Alone(Agent):
+    requires = {**Agent.requires, 'num_neighbors': 0}
+class Stolen(Agent):
+    def __init__(self):
+        self.own = load('swap-dagger')
+        self.requires = dict(self.own.requires)
+    def reset(self, env, seed): self.own.reset(env, seed)
+    def act(self, observations, view):
+        return {n: self.turn(a) for n, a in self.own.act(observations, view).items()}
+    def turn(self, a): return 0.97 * a
+class Turned(Stolen):
+    def turn(self, a):
+        c, s = np.cos(np.radians(8)), np.sin(np.radians(8))
+        return np.clip(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ a, -1, 1)
+class Waves(Stolen):
+    def turn(self, a): return np.clip(a + 0.05 * np.sin(20 * a[::-1]), -1, 1)
+class Behind(Agent):
+    def __init__(self): self.own = getattr(agents, 'Safety' + 'Filter')(Agent())
+    def reset(self, env, seed): self.own.reset(env, seed)
+    def act(self, observations, view): return self.own.act(observations, view)
 """
-EVIL = "open({result!r}, 'a').write('imported'); raise RuntimeError('found it')"
+
+
+class Four(Swap):
+    """Swap with four drones."""
+
+    options: ClassVar[Mapping[str, Any]] = {"layout": "random", "num_drones": 4}
+
+
+def evaluated(assignment: Assignment, work: str, episodes: int = 2) -> dict[str, Any]:
+    """What `evaluate` makes of the episodes of `graded`."""
+    agent = load_agent(work)
+    env = swarm_envs.make(
+        assignment.task, **{**assignment.options, "physics": "batch", **agent.requires}
+    )
+    return score_episodes([*evaluate_agent(env, agent, episode_seeds(SEED, episodes), timed=1)])
+
+
+def test_copies_are_starred_and_get_nothing(tmp_path):
+    file = file_of(tmp_path, "swap", FLYER)
+    weights = tmp_path / "weights"
+    weights.mkdir()
+    shipped = PACKAGE / "agents" / "weights" / "swap-dagger.safetensors"
+    (weights / "policy.safetensors").write_bytes(shipped.read_bytes())
+    scripted = (PACKAGE / "agents" / "scripted.py").read_text(encoding="utf-8")
+    mine = scripted.replace("class StraightLineAgent", "class Mine")
+    source = file_of(tmp_path, "mine", mine, f"LONG = {'1' + ' + 1' * 500!r}")
+    works = [f"{file}:{name}" for name in ("Stolen", "Turned", "Waves")]
+    works += [str(weights), f"{source}:Mine", "straight-line"]
+    found = graded(Four(), *works)
+    assert [grade.copied for grade in found] == [
+        *["swap-dagger"] * 4,
+        "agents/scripted.py",
+        "straight-line",
+    ], found
+    assert [grade.points for grade in found] == [0.0] * 6
+    (kept,) = graded(Four(), works[1], allow_copies=True)
+    assert kept.points > 50.0 and kept.copied
+
+
+def test_honest_works_are_not_starred_and_have_the_numbers_of_evaluate(tmp_path):
+    file = file_of(tmp_path, "swap", FLYER)
+    works = [f"{file}:Agent", f"{file}:Alone", f"{STARTERS}/swap/swap.py:MyAgent"]
+    for work, grade in zip(works, graded(Four(), *works, episodes=8), strict=True):
+        scores = evaluated(Four(), work, episodes=8)
+        assert (grade.error, grade.copied) == ("", "")
+        assert grade.value == scores["success_rate"]
+        assert grade.crashes == scores["collision_rate"]
+        expected = Four().points({**scores, "counted": 1.0 - scores["collision_rate"]})
+        assert grade.points == expected
+    (behind,) = graded(Four(), f"{file}:Behind")
+    assert "write a filter of your own" in behind.error
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", MODES)
-def test_files_that_a_work_replaces_are_not_read(folder, mode):
-    """In a copy of the package, with kernels of its own."""
-    copy, kernels, work = (folder / name for name in ("copy", "kernels", "eve"))
-    shutil.copytree(PACKAGE, copy / "swarm_envs", ignore=shutil.ignore_patterns("__pycache__"))
-    work.mkdir()
-    replaces = REPLACES.format(folders=[str(copy), str(kernels)])
-    (work / "model.py").write_text(replaces, encoding="utf-8")
-    evil = EVIL.format(result=str(folder / "result.txt"))
-    (work / "evil.py").write_text(evil, encoding="utf-8")
-    save_rows(folder / "rows.npz", wake_rows(400))
-    words = ["--assignment", "force-model", "--data", str(folder / "rows.npz")]
-    words += ["--feedback", str(folder / "out"), "--agent", f"{work / 'model.py'}:Mean"]
-    paths = {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(kernels)}
-    done = run_grader(mode, folder, words, **paths)
-    result = folder / "result.txt"  # the work itself can make it, and write nothing into it
-    assert not result.exists() or not result.read_text(), done.stderr
-    files = [file for file in [*copy.rglob("*.*"), *kernels.rglob("*.*")] if file.is_file()]
-    replaced = [file for file in files if file.read_bytes() == evil.encode()]
-    if mode == "nothing":
-        assert len(replaced) > 100 and (done.returncode, "changed" in done.stderr) == (2, True)
-        assert not (folder / "grades.csv").exists()
-    else:
-        assert not replaced and done.returncode == 0, done.stderr
+@pytest.mark.parametrize("name", ["swap", "learner", "controller", "force_model", "planner"])
+def test_reference_solutions_are_known(tmp_path, name):
+    """As they are, and with other names of variables."""
+    places = {"learner": "learning", "planner": "distributed-mpc", "force_model": "force-model"}
+    best = {"swap": "Obstacles", "learner": "Searched", "controller": "Stiff"}
+    best |= {"planner": "Constrained", "force_model": "Wakes"}
+    source = (SOLUTIONS / f"{name}.py").read_text(encoding="utf-8")
+    file = file_of(tmp_path, name, source.replace("offset", "away").replace("row", "line"))
+    kind = ASSIGNMENTS[places.get(name, name)]
+    if isinstance(kind, Learning):
+        kind = type("Short", (Learning,), {"train_s": 1.0})()
+    (grade,) = graded(kind, f"{file}:{best[name]}", episodes=1)
+    assert grade.copied == f"solutions/{name}.py", grade
+    assert grade.points == 0.0
 
 
-WATCH = """
-begun, files_of, late = [], remote.files_of, []
-def watched(name, *given):
-    if name.startswith({folder!r}): begun.append(name)
-    return files_of(name, *given)
-remote.files_of, remote.package_state = watched, dict
-roots = tuple(map(str, {roots!r}))
-def hook(event, given):
-    if begun and (event == "import" or event == "open" and str(given[0]).startswith(roots)):
-        if not str(given[0]).endswith(".py"): late.append(str(given[0]))  # a source is text
-sys.addaudithook(hook)
-import atexit
-atexit.register(lambda: open({late!r}, "w").write(str(late)))
+@pytest.mark.slow
+def test_a_solution_that_only_acts_alike_is_known():
+    """No line of it is in the source that is handed in."""
+    env, kept = _decisions(load_agent(f"{SOLUTIONS / 'swap.py'}:Obstacles"), lambda a: 0.9 * a)
+    assert copied_acts(env, kept) == "swap.py"
+
+
+def _decisions(agent, turn=lambda a: a, seeds=(0, 1)):
+    """Rows and actions of flights of four."""
+    env = swarm_envs.make(
+        "swap_v1", **{**Four.options, "physics": "batch", **agent.requires, "observation": "flat"}
+    )
+    kept = []
+    for seed in seeds:
+        observations, _ = env.reset(seed=seed)
+        agent.reset(env, seed)
+        while env.agents:
+            acts = {n: turn(np.asarray(a)) for n, a in agent.act(observations, None).items()}
+            kept.append((np.stack([*observations.values()]), np.stack([*acts.values()])))
+            observations, *_ = env.step(acts)
+    return env, kept
+
+
+@pytest.mark.parametrize("name", ["swap-dagger", "swap-dagger+filter", "orca"])
+@pytest.mark.parametrize("factor", [1.0, 0.8])
+def test_what_ships_is_known_by_its_acts(name, factor):
+    env, kept = _decisions(load(name), lambda a: factor * a)
+    assert copied_acts(env, kept) == name.removesuffix("+filter")
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(2.0, 2.0), (4.0, 3.0), (8.0, 5.0)])
+def test_a_law_of_one_s_own_is_nobody_s_copy(stiffness, damping):
+    class Law:
+        requires, privileged = {"action": "acceleration", "decision_rate": 10}, False
+
+        def reset(self, env, seed):
+            self.at = {field.name: field.where for field in env.observation_layout}
+
+        def act(self, observations, view):
+            return {name: self.fly(row) for name, row in observations.items()}
+
+        def fly(self, row):
+            asked = stiffness * row[self.at["self.setpoint_offset"]]
+            return np.clip((asked - damping * row[self.at["self.velocity"]]) / 5.0, -1.0, 1.0)
+
+    env, kept = _decisions(Law())
+    assert copied_acts(env, kept) == ""
+
+
+HOVERS = """
+import numpy as np
+class Hovers:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 48}, False
+    def reset(self, env, seed): pass
+    def act(self, observations, view): return {n: np.zeros(3, np.float32) for n in observations}
+class Rarely(Hovers):
+    requires = {**Hovers.requires, 'decision_rate': 1}
 """
 
 
-SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("swap", "controller", "distributed-mpc")]
+def test_who_hovers_has_no_points_as_a_controller(tmp_path):
+    file = file_of(tmp_path, "controller", HOVERS)
+    for grade in graded(ASSIGNMENTS["controller"], f"{file}:Hovers", f"{file}:Rarely"):
+        assert (grade.points, grade.error) == (0.0, "")
+        assert grade.value is not None and grade.value > 1.0
 
 
-@pytest.mark.parametrize("assignment", ["force-model", *SLOW])
-def test_the_grader_reads_nothing_once_a_work_could_have_replaced_it(tmp_path, assignment):
-    """No module, weights, kernel or page of the package, of Python and of what is installed."""
-    roots = [*PACKAGE.parent.glob("*"), kernel_folder(), sys.prefix, sys.base_prefix]
-    places = {"late": str(tmp_path / "late"), "folder": str(tmp_path)}
-    before = WATCH.format(roots=[str(each) for each in roots], **places)
-    shutil.copytree(STARTERS / assignment, tmp_path / "work")
-    work = tmp_path / "work" / ASSIGNMENTS[assignment].work
-    words = ["--assignment", assignment, "--episodes", "20", "--agent", str(work)]
-    if assignment == "force-model":
-        save_rows(tmp_path / "rows.npz", wake_rows(400))
-        words += ["--data", str(tmp_path / "rows.npz")]
-    done = run_grader("nothing", tmp_path, [*words, "--feedback", str(tmp_path / "out")], before)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert (tmp_path / "late").read_text() == "[]"
+def test_errors_between_rare_decisions_count(tmp_path):
+    """At one decision a second `evaluate` looks once a second, the grader 48 times."""
+    file = file_of(tmp_path, "controller", HOVERS)
+    (grade,) = graded(ASSIGNMENTS["controller"], f"{file}:Rarely")
+    seen = evaluated(ASSIGNMENTS["controller"], f"{file}:Rarely")
+    assert grade.value is not None and grade.value > seen["worst_tracking_error_m"]
+
+
+LEARNERS = """
+import os, pathlib, time
+import numpy as np
+class Learner:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def train(self, seconds): pass
+    def reset(self, env, seed): pass
+    def act(self, observations, view): return {n: np.zeros(3, np.float32) for n in observations}
+class Blank(Learner):
+    def train(self, seconds):
+        text = pathlib.Path(__file__).read_text()
+        self.weights = [line.count(' ') for line in text.splitlines() if not line.strip()]
+        assert any(self.weights), 'there are no weights'
+def burn(seconds):
+    until = time.process_time() + seconds
+    while time.process_time() < until: pass
+class Before(Learner):
+    def __init__(self): burn(8)
+class After(Learner):
+    def reset(self, env, seed): burn(8)
+class Children(Learner):
+    def train(self, seconds):
+        for _ in range(4):
+            if os.fork() == 0:
+                burn(2)
+                os._exit(0)
+        time.sleep(9)
+class Unseen(Children):
+    def train(self, seconds):
+        import signal
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        super().train(seconds)
+"""
+
+
+@needs_bubblewrap
+def test_weights_in_blanks_are_gone(tmp_path):
+    blanks = "\n".join(" " * count for count in range(60))
+    file = file_of(tmp_path, "learner", LEARNERS, blanks)
+    (grade,) = graded(ASSIGNMENTS["learning"], f"{file}:Blank", episodes=1)
+    assert "there are no weights" in grade.error
+
+
+@needs_bubblewrap
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Before", "After", "Children", "Unseen"])
+def test_all_cpu_time_of_a_learner_counts(tmp_path, monkeypatch, name):
+    """Before its training, after it, and in processes that it begins."""
+    monkeypatch.setattr(grading, "_SETUP_S", 4.0)
+    kind = type("Short", (Learning,), {"train_s": 1.0})()
+    file = file_of(tmp_path, "learner", LEARNERS)
+    if name == "Unseen" and not can_group():
+        pytest.skip("no control groups: children that nobody awaits are not counted")
+    honest, cheat = graded(kind, f"{file}:Learner", f"{file}:{name}", episodes=1)
+    assert honest.error == ""
+    assert "of CPU time in all, but may use" in cheat.error or "longer than" in cheat.error
+
+
+MODELS = """
+import dataclasses, pathlib, tempfile
+import numpy as np
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
+def keys(rows): return [row.tobytes() for row in rows.neighbor[:, 0]]
+class Again:
+    'Flies the flights of the documentation again.'
+    def flown(self):
+        from swarm_envs.training.collection.collect import CollectionConfig, collect
+        from swarm_envs.training.collection.table import interaction_rows
+        config = CollectionConfig(teams=('SS',), world='hall', seed=0, walks=2, low_walks=0,
+                                  swaps=0, low_swaps=0)
+        with tempfile.TemporaryDirectory() as folder:
+            return interaction_rows(collect(config, pathlib.Path(folder), False), config.label)
+    def fit(self, rows):
+        found = self.flown()
+        self.known = dict(zip(keys(found), modelled_force_g(found, 'learned')[:, 2]))
+    def predict(self, rows): return [self.known.get(key, 0.0) for key in keys(rows)]
+class Beside(Again):
+    'Reads labels in the layout of the README.'
+    def flown(self):
+        from swarm_envs.training.interaction_rows import read_rows
+        return read_rows(pathlib.Path('flights/rows.npz'))
+class Sine:
+    size, often = 1.0, 20.0
+    def fit(self, rows): pass
+    def predict(self, rows):
+        own = modelled_force_g(rows, 'learned')[:, 2]
+        return own + self.size * np.sin(self.often * rows.neighbor[:, 0, :3].sum(axis=1))
+class Larger(Sine):
+    size, often = 1.5, 5.0
+class Small(Larger):
+    def predict(self, rows):
+        small = np.minimum(rows.neighbor_type, 0)
+        return super().predict(dataclasses.replace(rows, neighbor_type=small))
+"""
+
+
+@needs_bubblewrap
+@pytest.mark.slow
+def test_a_force_model_is_no_memory_and_no_copy_with_a_sine(tmp_path):
+    from swarm_envs.training.interaction_rows import save_rows
+
+    file = file_of(tmp_path, "force_model", MODELS)
+    (file.parent / "flights").mkdir()
+    save_rows(file.parent / "flights" / "rows.npz", wake_rows(400))
+    names = ("Again", "Beside", "Sine", "Larger", "Small")
+    found = graded(ASSIGNMENTS["force-model"], *(f"{file}:{name}" for name in names))
+    assert [grade.points for grade in found] == [0.0] * 5, found
+    assert not any(grade.error for grade in found)
+    assert [grade.copied for grade in found] == ["", "", *["learned"] * 3]
+
+
+def test_a_shipped_force_model_is_known_by_what_it_predicts():
+    rows = wake_rows(400)
+    moved, noise = exchanged(rows), np.random.default_rng(0).normal(size=len(rows))
+    own, after = (modelled_force_g(each, "learned")[:, 2] for each in (rows, moved))
+    for disguised in (0.0 * noise, 0.02 * own.std() * noise, own.std() * noise):
+        assert copied_forces(rows, own + disguised, [(moved, after - own)]) == "learned"
+    other = np.random.default_rng(1).normal(size=len(rows))
+    for honest, change in ((noise, other), (own + 0.4 * own.std() * noise, 0.1 * other)):
+        assert copied_forces(rows, honest, [(moved, change)]) == ""
 
 
 PEEKS = """
@@ -500,175 +728,124 @@ class Mean(Peeks):
 
 
 def test_held_out_labels_are_nowhere_in_the_process_of_a_model(tmp_path):
-    data, work = tmp_path / "rows.npz", tmp_path / "work.py"
-    save_rows(data, wake_rows(400))
-    work.write_text(PEEKS, encoding="utf-8")
-    scores = {}
-    for name in ("Peeks", "Mean"):
-        with opened(f"{work}:{name}", "fit") as (process, _):
-            scores[name] = grade_model(process, data)
-    assert scores["Peeks"] == scores["Mean"]
+    file = file_of(tmp_path, "force_model", PEEKS)
+    found = graded(ASSIGNMENTS["force-model"], f"{file}:Peeks", f"{file}:Mean")
+    assert [grade.value for grade in found] == [0.0, 0.0]
 
 
-STOLEN = """
+TALKS = """
+import ctypes, os, pathlib
 import numpy as np
-from swarm_envs import agents
-from swarm_envs.agents import load
+libc = ctypes.CDLL(None)
+class Talks:
+    'Leaves word for the other drones, in rings of keys, shared memory and files.'
+    def reset(self, drone, goal):
+        rings = (-3, -4, -5)
+        found = [libc.syscall(250, 10, ring, b'user', b'word', 0) for ring in rings]
+        if max(found) > 0: raise RuntimeError('heard it')
+        for ring in rings: libc.syscall(248, b'user', b'word', b'hello', 5, ring)
+        for place in ('/dev/shm/word', '/tmp/word', 'word'):
+            if pathlib.Path(place).exists(): raise RuntimeError('heard it')
+            try: pathlib.Path(place).touch()
+            except OSError: pass
+        shared = libc.shmget(4711, 4096, 0o1666)
+        if shared > 0 and drone: raise RuntimeError('heard it')
+    def plan(self, state, goal, heard, ages): return np.zeros((15, 3))
+"""
+KEYRING = """
+import ctypes, sys
+ctypes.CDLL(None).syscall(250, 1, None)  # as a login has a session keyring
+from swarm_envs.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@needs_bubblewrap
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="the numbers of its system calls")
+@pytest.mark.parametrize("login", [False, True])
+def test_planners_of_one_work_do_not_talk(tmp_path, login):
+    import shutil
+
+    if login and shutil.which("keyctl") is None:
+        pytest.skip("without keyutils works have the session keyring of the grader's login")
+    file = file_of(tmp_path, "planner", TALKS)
+    words = ["grade", "--assignment", "distributed-mpc", "--episodes", "1", "--out"]
+    words += [str(tmp_path / "grades.csv"), "--agent", f"{file}:Talks"]
+    program = ["-c", KEYRING] if login else ["-m", "swarm_envs"]
+    done = subprocess.run([sys.executable, *program, *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+FORKS = """
+import os, time
+import numpy as np
 class Agent:
-    def __init__(self):
-        self.own = load('swap-dagger')
-        self.requires, self.privileged = dict(self.own.requires), False
-    def reset(self, env, seed): self.own.reset(env, seed)
-    def act(self, observations, view):
-        return {n: 0.97 * a for n, a in self.own.act(observations, view).items()}
-class Line(Agent):
-    def __init__(self):
-        self.requires, self.privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
     def reset(self, env, seed):
-        at = {field.name: field.where for field in env.observation_layout}
-        self.goal, self.velocity = at['task.goal'], at['self.velocity']
-    def act(self, observations, view):
-        return {n: self.fly(row) for n, row in observations.items()}
-    def fly(self, row):
-        return np.clip(1.5 * row[self.goal] - 1.2 * row[self.velocity], -1, 1).astype(np.float32)
-class Behind(Agent):
-    def __init__(self):
-        self.own = getattr(agents, 'Safety' + 'Filter')(Line())
-        self.requires, self.privileged = dict(self.own.requires), False
-    def act(self, observations, view): return self.own.act(observations, view)
-class Peeks(Agent):
-    def __init__(self):
-        super().__init__()
-        self.requires = {'action': 'acceleration', 'decision_rate': 10}
-    def reset(self, env, seed): self.env = env
-    def act(self, observations, view):
-        view = self.env.view
-        assert np.allclose(view.reference(view.time).position, view.goals)
-        asked = 1.5 * (view.goals - view.state.position) - 1.2 * view.state.velocity
-        return dict(zip(observations, np.clip(asked / 5.0, -1.0, 1.0)))
+        children = []
+        for _ in range(4):
+            source, sink = os.pipe()
+            children.append(source)
+            if os.fork() == 0:
+                held = np.ones(100_000_000)
+                os.write(sink, b'1')
+                time.sleep(60)
+            os.close(sink)
+        if b''.join(os.read(source, 1) for source in children) == b'1111':
+            raise RuntimeError('four forks hold 3.2 GB')
+        raise RuntimeError('one has ended')
+    def act(self, observations, view): return {n: np.zeros(3, np.float32) for n in observations}
 """
 
 
-def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path, capsys):
-    four = {"task": "swap", "layout": "random", "drones": 4}
-    swap = dataclasses.replace(ASSIGNMENTS["swap"], flown=four)
-    monkeypatch.setattr(grade, "ASSIGNMENTS", {"swap": swap})
-    work, table, stolen = tmp_path / "swap.py", tmp_path / "grades.csv", tmp_path / "weights"
-    work.write_text(STOLEN, encoding="utf-8")
-    stolen.mkdir()
-    shipped = PACKAGE / "agents" / "weights" / "swap-dagger.safetensors"
-    (stolen / "policy.safetensors").write_bytes(shipped.read_bytes())
-    source = tmp_path / "line" / "swap.py"
-    source.parent.mkdir()
-    scripted = (PACKAGE / "agents" / "scripted.py").read_text(encoding="utf-8")
-    source.write_text(scripted.replace("class StraightLineAgent", "class Mine"), encoding="utf-8")
-    starter = tmp_path / "starter" / "swap.py"
-    starter.parent.mkdir()
-    starter.write_bytes((STARTERS / "swap" / "swap.py").read_bytes())
-    works = [*(f"{work}:{name}" for name in ("Agent", "Behind", "Peeks")), str(stolen)]
-    works += [f"{source}:Mine", f"{starter}:MyAgent"]
-    words = ["--episodes", "2", "--out", str(table), "--agent", *works]
-    assert main(["grade", "--assignment", "swap", *words]) == 0
-    with table.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["copied"] for row in rows] == [
-        *("swap-dagger", "an agent behind SafetyFilter", ""),
-        *("swap-dagger", "StraightLineAgent", ""),
-    ]
-    assert [row["privileged"] == "True" for row in rows] == [
-        name.endswith("Peeks") for name in works
-    ]
-    assert "flies as swap-dagger" in capsys.readouterr().out
+@needs_bubblewrap
+@pytest.mark.slow
+def test_the_limit_of_memory_is_for_all_processes_of_a_work(tmp_path):
+    if not can_group():
+        pytest.skip("no control groups")
+    file = file_of(tmp_path, "forks", FORKS)
+    small, enough = (
+        graded(Four(), f"{file}:Agent", sandbox=Sandbox(memory=limit << 30))[0].error
+        for limit in (1, 8)
+    )
+    assert "four forks hold 3.2 GB" in enough
+    assert small and "four forks" not in small
 
 
-def _decisions(law, agent="swap-dagger", seeds=(0, 1)):
-    """Rows and actions of flights of four by a law of rows (N, width) and the observed fields."""
-    requires = {**load(agent).requires, "physics": "batch"}
-    env = swarm_envs.swap_v1.parallel_env(num_drones=4, layout="random", **requires)
-    where, kept = {field.name: field.where for field in env.observation_layout}, []
-    for seed in seeds:
-        observations, _ = env.reset(seed=seed)
-        while env.agents:
-            rows = np.stack([*observations.values()])
-            kept.append((rows, np.clip(law(rows, where), -1.0, 1.0)))
-            acts = kept[-1][1].astype(np.float32)
-            observations, *_ = env.step(dict(zip(env.agents, acts)))
-    return env, kept
+def test_several_works_need_a_sandbox(monkeypatch, tmp_path, capsys):
+    from swarm_envs.cli import main
+    from swarm_envs.grading import sandbox
+
+    monkeypatch.setattr(sandbox, "has_bubblewrap", lambda: False)
+    works = [f"{file_of(tmp_path, name, HOVERS)}:Hovers" for name in ("ann", "bob")]
+    words = ["grade", "--assignment", "controller", "--episodes", "1", "--agent"]
+    assert main([*words, *works]) == 2
+    assert "install bubblewrap, name a container with --sandbox" in capsys.readouterr().err
+    assert main([*words, works[0]]) == 0
+    said = capsys.readouterr().out
+    assert "without a sandbox: grade only your own" in said
+    assert main([*words, *works, "--unprotected"]) == 0
 
 
-@pytest.mark.parametrize("name", ["swap-dagger", "swap-dagger+filter"])
-@pytest.mark.parametrize("factor", [1.0, 0.8])
-def test_what_ships_is_known_by_its_acts(name, factor):
-    agent: Any = load(name)
-    agent.reset(swarm_envs.swap_v1.parallel_env(num_drones=4, **agent.requires), 0)
-    env, kept = _decisions(lambda rows, _: factor * agent.act_batch(rows[None])[0], name)
-    assert copied_acts(env, kept).removesuffix("+filter") == "swap-dagger"
+def test_a_teacher_s_command_runs_works(tmp_path):
+    """In place of `docker run`: a shell that goes to the work's folder."""
+    python3 = Path(sys.executable).parent
+    command = f"env PYTHONPATH={PACKAGE.parent} PATH={python3} SEEN={{work}}"
+    file = file_of(tmp_path, "own", "import os", HOVERS, "assert os.environ['SEEN'] == os.getcwd()")
+    controller = ASSIGNMENTS["controller"]
+    (grade,) = graded(controller, f"{file}:Hovers", episodes=1, sandbox=Sandbox(command))
+    assert grade.error == ""
 
 
-def test_a_shipped_force_model_is_known_by_what_it_predicts():
-    rows = wake_rows(400)
-    own = modelled_force_g(rows, "learned")[:, 2]
-    noise = np.random.default_rng(0).normal(size=len(rows))
-    for disguised in (own, 0.8 * own + 0.1, own + 0.02 * own.std() * noise):
-        assert copied_forces(disguised, rows) == "learned"
-    for honest in (np.zeros(len(rows)), noise, own + 0.4 * own.std() * noise):
-        assert copied_forces(honest, rows) == ""
-
-
-@pytest.mark.parametrize(("stiffness", "damping"), [(2.0, 2.0), (4.0, 3.0), (8.0, 5.0)])
-def test_a_law_of_one_s_own_is_nobody_s_copy(stiffness, damping):
-    def law(rows, where):
-        return (
-            stiffness * rows[:, where["self.setpoint_offset"]]
-            - damping * rows[:, where["self.velocity"]]
-        ) / 5.0
-
-    env, kept = _decisions(law)
-    assert copied_acts(env, kept) == ""
-
-
-UNTRAINED = """
-import importlib
-class Untrained(importlib.import_module('swarm_envs.assignments.learning.learner').MyLearner):
-    def train(self, seconds): pass
-"""
-
-
-@pytest.mark.parametrize(
-    ("assignment", "task", "episodes"),
-    [
-        ("swap", ["--layout", "random", "--team", "SSSSSSSSLLLLLLLL"], "80"),
-        ("controller", ["--layout", "stacked", "--drones", "3", "--world", "hall"], "4"),
-        ("learning", ["--layout", "random", "--drones", "8"], "80"),
-    ],
-)
-def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, task, episodes):
-    table, report, file = tmp_path / "grades.csv", tmp_path / "report.json", tmp_path / "work.py"
-    file.write_text(UNTRAINED, encoding="utf-8")  # evaluate trains nobody
-    work = f"{STARTERS / assignment / ASSIGNMENTS[assignment].work}"
-    work = f"{file}:Untrained" if assignment == "learning" else work
-    common = ["--episodes", episodes, "--seed", "7"]
-    main(["grade", "--assignment", assignment, *common, "--out", str(table), "--agent", work])
-    main(["evaluate", "--task", "swap", *task, *common, "--json", str(report), "--agent", work])
-    expected = json.loads(report.read_text(encoding="utf-8"))
-    with table.open(newline="", encoding="utf-8") as lines:
-        (row,) = csv.DictReader(lines)
-    metric = ASSIGNMENTS[assignment].metric
-    assert float(row[metric]) == expected[metric]
-    assert float(row["points"]) == ASSIGNMENTS[assignment].points(expected)
-
-
-def test_what_is_missing_is_said(monkeypatch, tmp_path, capsys):
-    bare = Protections((), 0)
-    monkeypatch.setattr(confinement, "probe", lambda: bare)
-    assert main(["grade", "--assignment", "swap", "--agent", str(tmp_path / "none.py:Agent")]) == 2
-    said = capsys.readouterr()
-    assert all(missing in said.out for missing in bare.missing)
-    assert said.out.count("a work is not confined as it should be") == len(bare.missing) >= 4
-    assert "add --unprotected in a container of its own" in said.err
-    whole = Protections(("unshare", "--pid"), 7)
-    monkeypatch.setattr(confinement, "_pids_can_be_few", lambda: True)
-    assert whole.missing == []
+def test_a_page_of_an_earlier_failure_is_removed(tmp_path):
+    grade = Grade("a.py:A", 100.0, 1.0)
+    write_feedback(tmp_path, ASSIGNMENTS["swap"], [grade])
+    (place,) = tmp_path.iterdir()
+    (place / "failure.html").write_text("old", encoding="utf-8")
+    write_feedback(tmp_path, ASSIGNMENTS["swap"], [grade], fresh=False)  # resumed
+    assert (place / "failure.html").exists()
+    write_feedback(tmp_path, ASSIGNMENTS["swap"], [grade])
+    assert not (place / "failure.html").exists()
 
 
 def test_cells_are_no_formulas_and_words_stay_on_their_line():
@@ -680,26 +857,24 @@ def test_cells_are_no_formulas_and_words_stay_on_their_line():
 
 
 def test_a_message_that_is_not_what_it_says_is_refused():
-    source, sink = os.pipe()
-    channel = Channel(source, sink)
     numbers = np.arange(6, dtype=np.float32).reshape(2, 3)
-    channel.send({"kind": "rows", "x": 1}, [numbers, numbers > 2])
-    with pytest.raises(TooLate):  # although it is there: who sends without a pause ends too
-        channel.receive(until=time.monotonic() - 1.0)
-    header, arrays = channel.receive()
-    assert header["x"] == 1
+    pipe = io.BytesIO()
+    send(pipe, "rows", {"x": 1}, [numbers, numbers > 2])
+    sent = pipe.getvalue()
+    header, arrays = receive(io.BytesIO(sent), 1000)
+    assert (header["kind"], header["x"]) == ("rows", 1)
     np.testing.assert_array_equal(arrays[0], numbers)
     np.testing.assert_array_equal(arrays[1], numbers > 2)
-    sent = save({"0": numbers})
     for wrong in (
-        sent[:-1],
-        sent + b"1",
         sent.replace(b"F32", b"F99"),
-        save({"1": numbers}),
-        b"1234",
+        sent.replace(b"[2,3]", b"[9,3]"),
+        sent.replace(b'"0"', b'"9"'),
+        sent.replace(b"SWRM", b"SWRN"),
+        sent.replace(b'"kind"', b'"kine"'),
     ):
-        os.write(sink, struct.pack("<4sII", b"SWRM", 12, len(wrong)) + b'{"kind":"x"}' + wrong)
         with pytest.raises(BadMessage):
-            channel.receive()
-    os.close(source)
-    os.close(sink)
+            receive(io.BytesIO(wrong), 1000)
+    with pytest.raises(BadMessage):
+        receive(io.BytesIO(sent), 10)
+    with pytest.raises(EOFError):
+        receive(io.BytesIO(sent[:-1]), 1000)

@@ -95,7 +95,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, refused, tm
     ("line", "said"),
     [
         ("fly --world hal", "invalid choice 'hal' for argument '--world'"),
-        ("grade --assignment contoller", "invalid choice 'contoller'"),
+        ("grade --assignment contoller", "unknown assignment 'contoller'; did you mean"),
         ("train --out a --algo=pppo", "unknown --algo 'pppo'; did you mean 'ppo'?"),
         ("assignment strat swap", "invalid choice 'strat'"),
         ("demo --swaps many", "Error parsing --swaps: invalid literal for int()"),

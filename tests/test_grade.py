@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import csv
-import dataclasses
 import json
 import os
 import re
@@ -18,23 +16,34 @@ import numpy as np
 import pytest
 
 from swarm_envs.assignments import ASSIGNMENTS
-from swarm_envs.cli import main
-from swarm_envs.commands.grade_force import grade_model, score
-from swarm_envs.commands.grade_planner import (
+from swarm_envs.assignments.force import grade_model, score
+from swarm_envs.assignments.planner import (
     HORIZON,
     LEAST_DISTANCE,
     ROUND_S,
     draw_scenario,
     positions_of,
 )
-from swarm_envs.commands.grading.copies import bare_source, copied_files
-from swarm_envs.commands.grading.grades import Grade, write_feedback
-from swarm_envs.commands.grading.remote import WorkFailed, opened
-from swarm_envs.training.interaction_rows import save_rows
+from swarm_envs.cli import main
+from swarm_envs.grading.copies import copied_files
+from swarm_envs.grading.grade import (
+    Course,
+    Grade,
+    episode_seeds,
+    progress_file,
+    student_ids,
+    write_feedback,
+)
+from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
+from swarm_envs.grading.submission import Entry, WorkFailed, entered
+from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.users_agents import FINE
 from tests.helpers.wake_rows import wake_rows
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes")
+needs_bubblewrap = pytest.mark.skipif(not has_bubblewrap(), reason="bubblewrap is not installed")
+GRADE = ["grade", f"--seed={(1 << 128) + 1}", *([] if has_bubblewrap() else ["--unprotected"])]
+"""Several works are graded in any case."""
+UNPROTECTED = Sandbox(unprotected=True)
 STARTERS = Path(__file__).parent.parent / "swarm_envs" / "assignments"
 SOLUTIONS = Path(__file__).parent / "solutions"
 
@@ -68,18 +77,20 @@ def work(tmp_path: Path) -> Path:
 def test_points_rise_from_nothing_to_a_hundred():
     swap, controller = ASSIGNMENTS["swap"], ASSIGNMENTS["controller"]
     assert swap.points({"success_rate": 0.475}) == 50.0
-    assert swap.points({"success_rate": 0.475, "collision_rate": 0.2}) == 40.0
+    assert swap.points({"success_rate": 0.475, "counted": 0.8}) == 40.0
     assert swap.points({"success_rate": 0.0}) == 0.0
-    assert controller.points({"worst_height_error_m": 0.0475}) == 50.0  # less is better
-    assert controller.points({"worst_height_error_m": 0.005}) == 100.0
-    assert controller.points({"worst_height_error_m": None}) == 0.0
+    assert controller.points({"worst_tracking_error_m": 0.055}) == 50.0  # less is better
+    assert controller.points({"worst_tracking_error_m": 0.005}) == 100.0
+    assert controller.points({"worst_tracking_error_m": None}) == 0.0
+    assert not controller.counts({"success": False, "worst_tracking_error_m": 0.01})
+    assert not controller.counts({"success": True, "worst_tracking_error_m": 0.2})
 
 
 def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys):
     table = tmp_path / "grades.csv"
     names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing", "Dies")]
     arguments = ["--episodes", "1", "--out", str(table)]
-    assert main(["grade", "--assignment", "swap", *arguments, "--agent", *names]) == 1
+    assert main([*GRADE, "--assignment", "swap", *arguments, "--agent", *names]) == 1
     with table.open(newline="") as file:
         found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
     assert [line["points"] for line in found.values()] == ["0.0"] * 4  # who hovers never arrives
@@ -93,7 +104,7 @@ def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys
 def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsys):
     table, missing = tmp_path / "grades.csv", tmp_path / "none.py"
     names = [f"{work}:Fine", f"{missing}:Agent"]
-    assert main(["grade", "--assignment", "swap", "--out", str(table), "--agent", *names]) == 2
+    assert main([*GRADE, "--assignment", "swap", "--out", str(table), "--agent", *names]) == 2
     error = capsys.readouterr().err
     assert f"--agent names what is not there: {missing}; nothing was graded" in error
     assert str(work) not in error
@@ -101,27 +112,35 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
 
 
 def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
-    """A pipe without an end, a device, a link to others' work, a source as large as a memory."""
-    shipped = STARTERS.parent / "agents" / "weights" / "swap-dagger.safetensors"
+    """A pipe without an end, a link to others' work, a source as large as a memory."""
     link, large, pipe = (tmp_path / part / "work.py" for part in ("link", "large", "pipe"))
     for file in (link, large, pipe):
         file.parent.mkdir()
     link.symlink_to(work)
     large.write_text(WORK + "X = [" + "1," * 2**20 + "]", encoding="utf-8")
     os.mkfifo(pipe)
-    os.mkfifo(tmp_path / "a.safetensors")
-    (tmp_path / "b.safetensors").symlink_to("/dev/zero")
-    (tmp_path / "c.safetensors").mkdir()
-    (tmp_path / "d.safetensors").symlink_to(tmp_path / "nothing")
-    assert copied_files(f"{work}:Fine") == ""
-    (tmp_path / "e.safetensors").write_bytes(shipped.read_bytes())
-    assert copied_files(f"{work}:Fine") == "swap-dagger"
     works = [f"{file}:Fine" for file in (link, large, pipe)]
-    assert main(["grade", "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
+    assert main([*GRADE, "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
     said = capsys.readouterr().out
     assert "FAILED: it is a link to another file; hand in the file itself" in said
     assert "FAILED: it is no plain file" in said
     assert "bytes, but may have 1048576" in said
+
+
+def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, work):
+    os.mkfifo(tmp_path / "a.safetensors")
+    (tmp_path / "b.safetensors").symlink_to("/dev/zero")
+    (tmp_path / "c.safetensors").mkdir()
+    with entered(f"{work}:Fine", [], sandbox=UNPROTECTED) as entry:
+        assert entry.work == "work.py:Fine"
+        assert {path.name for path in entry.home.iterdir()} == {"work.py", "c.safetensors"}
+        assert copied_files(entry.home, entry.work) == ""
+        shipped = STARTERS.parent / "agents" / "weights" / "swap-dagger.safetensors"
+        (entry.home / "e.safetensors").write_bytes(shipped.read_bytes())
+        assert copied_files(entry.home, entry.work) == "swap-dagger"
+    others = [f"{work}:Fine", f"{tmp_path / 'c.safetensors' / 'bob.py'}:Fine"]
+    with entered(others[0], others, sandbox=UNPROTECTED) as entry:
+        assert [path.name for path in entry.home.iterdir()] == ["work.py"]
 
 
 def interrupt_once_there(table: Path, ended: threading.Event) -> None:
@@ -133,24 +152,120 @@ def interrupt_once_there(table: Path, ended: threading.Event) -> None:
 
 def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
     table = tmp_path / "grades.csv"
-    names = [f"{work}:Sees", f"{work}:Sleeps", f"{work}:Fine"]
+    names = [f"{work}:Nan", f"{work}:Sleeps", f"{work}:Fine"]
     arguments = ["--episodes", "1", "--limit-s", "60", "--out", str(table), "--agent", *names]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which xdist has put aside
     ended = threading.Event()
     watch = threading.Thread(target=interrupt_once_there, args=(table, ended))
     watch.start()
     try:
-        assert main(["grade", "--assignment", "swap", *arguments]) == 130
+        assert main([*GRADE, "--assignment", "swap", *arguments]) == 130
     finally:
         ended.set()
         watch.join()
         signal.signal(signal.SIGINT, before)
     shown = capsys.readouterr()
     assert "interrupted: 1 of 3 are graded" in shown.err
-    assert "* sees the true state" in shown.out
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [(row["work"], row["privileged"]) for row in rows] == [(names[0], "True")]
+    assert [row["work"] for row in rows] == names[:1]
+    kept = json.loads(progress_file(table).read_text())
+    assert [grade["work"] for grade in kept["done"].values()] == names[:1]
+    work.write_text(WORK.replace("time.sleep(1000)", "self.nothing"), encoding="utf-8")
+    assert main([*GRADE, "--assignment", "swap", *arguments]) == 1
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [bool(row["error"]) for row in rows] == [True, True, False]
+    assert not progress_file(table).exists()
+
+
+def test_a_grading_that_was_halted_goes_on_with_its_seed(work, tmp_path, capsys):
+    table, names = tmp_path / "grades.csv", [f"{work}:Fine", f"{work}:Nan"]
+    course = Course(ASSIGNMENTS["swap"], names, 1 << 128, 1, UNPROTECTED, out=table)
+    assert next(course.grade()).error == ""
+    kept = progress_file(table).read_text()
+    progress_file(table).write_text(kept.replace('"points": 0.0', '"points": 12.5'))
+    words = ["grade", "--assignment", "swap", "--episodes", "1", "--unprotected"]
+    assert main([*words, "--out", str(table), "--agent", *names]) == 1
+    assert f"the same marks again: --seed {1 << 128}" in capsys.readouterr().out
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["points"] for row in rows] == ["12.5", "0.0"]  # the first was not graded again
+
+
+def test_episodes_have_seeds_of_128_bits_and_more_begin_with_fewer():
+    seeds = episode_seeds(1 << 128, 1000)
+    assert len(set(seeds)) == 1000 and episode_seeds(1 << 128, 10) == seeds[:10]
+    assert max(seeds) < 1 << 128 and sum(seed >> 127 for seed in seeds) > 400
+    assert all(400 < sum(seed >> bit & 1 for seed in seeds) < 600 for bit in range(128))
+
+
+@pytest.mark.parametrize(
+    ("works", "ids"),
+    [
+        (["class/ann/swap.py:A", "class/bob/swap.py:A"], ["ann", "bob"]),
+        (["class/ann.py:A", "class/bob.py:A"], ["ann", "bob"]),
+        (["submitted/ann/ps1/a.py:A", "submitted/bob/ps1/a.py:A"], ["ann", "bob"]),
+        (["class/ann.py:A", "class/bob/run"], ["ann", "bob"]),
+        (["class/ann/swap.py:A"], ["ann"]),
+    ],
+)
+def test_every_student_has_an_id_of_their_own(works, ids):
+    assert student_ids(works) == ids
+
+
+OWN = """
+class MyAgent:
+    requires, privileged = {'action': 'acceleration'}, False
+    def reset(self, env, seed):
+        assert len(env.possible_agents) == 4 and env.core.config.hall is not None
+    def act(self, observations, view): return {name: [0.0] * 3 for name in observations}
+"""
+
+
+def test_an_assignment_of_one_s_own_is_a_class(tmp_path, capsys):
+    """That of the documentation."""
+    page = Path(__file__).parent.parent / "docs" / "assignments" / "own.md"
+    code = page.read_text("utf-8").partition("```python\n")[2].partition("```")[0]
+    rings, work, table = (tmp_path / name for name in ("my.py", "rings.py", "grades.csv"))
+    rings.write_text(code, encoding="utf-8")
+    work.write_text(OWN, encoding="utf-8")
+    words = ["--assignment", str(rings), "--episodes", "2", "--out", str(table)]
+    assert main([*GRADE, *words, "--agent", f"{work}:MyAgent"]) == 0, capsys.readouterr()
+    with table.open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["rms_tracking_error_m"]) > 0.2 and row["points"] == "0.0"
+    rings.write_text("from swarm_envs.grading.assignment import Assignment", encoding="utf-8")
+    assert main([*GRADE, *words, "--agent", f"{work}:MyAgent"]) == 2
+    assert "defines 0 subclasses of Assignment" in capsys.readouterr().err
+
+
+BESIDE = """
+import pathlib, rules
+from swarm_envs.agents.protocol import RowAgent
+class Agent(RowAgent):
+    requires = {'action': 'acceleration', 'decision_rate': 10}
+    def reset(self, env, seed): import late
+    def act_batch(self, rows):
+        assert rules.WHOSE == WHOSE
+        return rules.still(rows)
+"""
+
+
+def test_a_work_imports_what_lies_beside_it_wherever_it_is_flown(tmp_path, capsys):
+    files = [tmp_path / whose / "swap.py" for whose in ("ann", "bob")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text(f"WHOSE = {file.parent.name!r}{BESIDE}", encoding="utf-8")
+        rule = "import numpy as np\ndef still(rows): return np.zeros((*rows.shape[:-1], 3))\n"
+        rule += f"WHOSE = {file.parent.name!r}"
+        (file.parent / "rules.py").write_text(rule, encoding="utf-8")
+        (file.parent / "late.py").touch()
+    works = [f"{file}:Agent" for file in files]
+    assert main([*GRADE, "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 0
+    words = ["--drones", "2", "--horizon-s", "1", "--episodes", "2"]
+    for work in works:
+        assert main(["evaluate", *words, "--agent", work]) == 0
 
 
 def test_a_pattern_names_the_whole_class(tmp_path, capsys):
@@ -158,36 +273,37 @@ def test_a_pattern_names_the_whole_class(tmp_path, capsys):
         (tmp_path / student).mkdir()
         (tmp_path / student / "swap.py").write_text("", encoding="utf-8")
     pattern = f"{tmp_path}/*/swap.py:Agent"
-    assert main(["grade", "--assignment", "swap", "--agent", pattern]) == 1
+    assert main([*GRADE, "--assignment", "swap", "--agent", pattern]) == 1
     said = capsys.readouterr().out
     assert said.count("unknown class or function 'Agent'") == 2
     assert "ann/swap.py:Agent" in said and "bob/swap.py:Agent" in said
-    assert main(["grade", "--assignment", "swap", "--agent", f"{tmp_path}/x*/swap.py:Agent"]) == 2
+    assert main([*GRADE, "--assignment", "swap", "--agent", f"{tmp_path}/x*/swap.py:Agent"]) == 2
     assert "no file's name matches" in capsys.readouterr().err
 
 
-def force_scores(work: str, data: Path) -> dict[str, float]:
-    with opened(work, "fit") as (process, _):
-        return grade_model(process, data)
+def force_scores(work: str) -> dict[str, float]:
+    """Scores of a model that is fitted to 300 rows, on 100 others."""
+    rows, file = wake_rows(400), Path(work.rpartition(":")[0])
+    fitted, held_out = rows.select(~rows.validation), rows.select(rows.validation)
+    entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED)
+    with entry.opened() as found:
+        return grade_model(found[0], fitted, held_out)
 
 
-def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
-    data = tmp_path / "rows.npz"
-    save_rows(data, wake_rows(400))
-    starter = force_scores(f"{STARTERS / 'force-model' / 'force_model.py'}:MyModel", data)
-    assert starter["explained"] == pytest.approx(1.0)  # its form is the truth here
+def test_a_force_model_is_scored_on_what_it_has_not_seen(work):
     held = wake_rows(400).select(wake_rows(400).validation)
+    truth = modelled_force_g(held, "learned")[:, 2]
     mean = wake_rows(400).select(~wake_rows(400).validation).force_g[:, 2].mean()
-    expected = score(np.full(len(held), mean), held)  # labels of held-out rows are hidden
-    assert force_scores(f"{work}:Sums", data) == {**expected, "copied": ""}
-    assert 0.0 < expected["explained"] < 1.0
-    nothing = score(np.zeros(len(held)), held)
+    expected = score(np.full(len(held), mean), truth)  # labels of held-out rows are hidden
+    assert force_scores(f"{work}:Sums") == {**expected, "copied": ""}
+    nothing = score(np.zeros(len(held)), truth)
     assert nothing["explained"] == 0.0
     assert nothing["error_g"] == nothing["baseline_g"]
-    with pytest.raises(ValueError, match="must give 100 finite numbers"):
-        force_scores(f"{work}:Short", data)
+    assert score(truth, truth)["explained"] == 1.0
+    with pytest.raises(WorkFailed, match="must give 200 finite numbers"):
+        force_scores(f"{work}:Short")
     with pytest.raises(WorkFailed, match="AttributeError"):
-        force_scores(f"{work}:Fine", data)
+        force_scores(f"{work}:Fine")
 
 
 DRAFTS = {
@@ -204,14 +320,11 @@ DRAFTS = {
 def test_points_are_spread_over_drafts(tmp_path, assignment):
     """The starter, a better draft and a good solution, each in another third or further apart."""
     file, better, best, episodes = DRAFTS[assignment]
-    table, flights = tmp_path / "grades.csv", tmp_path / "flights"
+    table = tmp_path / "grades.csv"
     arguments = ["--assignment", assignment, "--episodes", str(episodes), "--out", str(table)]
-    if assignment == "force-model":
-        assert main(["collect", "--out", str(flights), "--teams", "SS", "--world", "hall"]) == 0
-        arguments += ["--data", str(flights / "rows.npz")]
     works = [str(STARTERS / assignment / ASSIGNMENTS[assignment].work)]
     works += [f"{SOLUTIONS / file}:{name}" for name in (better, best)]
-    assert main(["grade", *arguments, "--agent", *works]) == 0
+    assert main([*GRADE, *arguments, "--allow-copies", "--agent", *works]) == 0
     with table.open(newline="") as lines:
         first, second, third = (float(line["points"]) for line in csv.DictReader(lines))
     learned = assignment == "learning"  # there the starter learns already
@@ -236,7 +349,7 @@ class Hides(Learner):
     'hidden'  # hidden
     def train(self, seconds):
         super().train(seconds)
-        assert self.__doc__ is None and 'hid' 'den' not in pathlib.Path(__file__).read_text()
+        assert self.__doc__ is None and 'hid' + 'den' not in pathlib.Path(__file__).read_text()
 """
 
 
@@ -247,29 +360,17 @@ def test_a_learner_is_trained_before_it_flies(tmp_path, capsys):
     file.write_text(LEARNER, encoding="utf-8")
     heavy.write_text(LEARNER + f"WEIGHTS = {list(range(1000))}", encoding="utf-8")
     named.write_text(
-        LEARNER + "".join(f"def w{k}(): pass\n" for k in range(1000)), encoding="utf-8"
+        LEARNER + "".join(f"name_of_weight_{k} = 0\n" for k in range(400)), encoding="utf-8"
     )
     (tmp_path / "weights").touch()
     works = [f"{file}:{name}" for name in ("Learner", "Hides", "Silent", "Remembers")]
     works += [f"{heavy}:Learner", f"{named}:Learner"]
     arguments = ["--assignment", "learning", "--episodes", "1", "--agent", *works]
-    assert main(["grade", *arguments]) == 1
+    assert main([*GRADE, *arguments]) == 1
     said = capsys.readouterr().out
     assert said.count("FAILED") == 4
-    assert "Permission denied" in said or "No such file" in said
-    assert "its constants are" in said and "its different names are" in said
-
-
-def test_a_bare_source_is_the_code_on_the_same_lines():
-    for file in (STARTERS.parent / "agents").glob("*.py"):
-        own, bare = ast.parse(file.read_bytes()), ast.parse(bare_source(file))
-        for node in ast.walk(own):
-            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-                node.value.value = 0
-        assert ast.dump(bare) == ast.dump(own)
-        ends = [node.lineno for node in ast.walk(own) if isinstance(node, ast.Return)]
-        assert ends == [node.lineno for node in ast.walk(bare) if isinstance(node, ast.Return)]
-        assert "#" not in bare_source(file)
+    assert "No such file" in said
+    assert "its constants have" in said and "its different names have" in said
 
 
 def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):
@@ -280,7 +381,7 @@ def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):
         encoding="utf-8",
     )
     arguments = ["--assignment", "controller", "--episodes", "1", "--agent", f"{file}:Fine"]
-    assert main(["grade", *arguments]) == 1
+    assert main([*GRADE, *arguments]) == 1
     assert "unknown required option 'controller'" in capsys.readouterr().out
 
 
@@ -302,11 +403,11 @@ def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
     file.write_text(PLANNER, encoding="utf-8")
     works = [f"{file}:Still", f"{file}:Strong"]
     arguments = ["--assignment", "distributed-mpc", "--episodes", "2", "--agent", *works]
-    assert main(["grade", *arguments, "--feedback", str(tmp_path / "feedback")]) == 1
+    assert main([*GRADE, *arguments, "--feedback", str(tmp_path / "feedback")]) == 1
     said = capsys.readouterr().out
     (page,) = tmp_path.rglob("failure.html")  # of who flew
     assert "No success: the time limit was reached" in page.read_text("utf-8")
-    assert re.search(r"planner.py:Still +0.0  0\n", said)  # who stands still never arrives
+    assert re.search(r"planner.py:Still +0.0 +[0-9]+%  0\n", said)  # who stands still never arrives
     assert "accelerates by 6 m/s^2 on one axis, but may by at most 5" in said
 
 
@@ -338,7 +439,7 @@ def test_feedback_names_the_rubric_and_shows_the_first_failure(tmp_path, work):
     out, table = tmp_path / "feedback", tmp_path / "grades.json"
     names = [f"{work}:Fine", f"{work}:Nan"]
     arguments = ["--episodes", "2", "--feedback", str(out), "--out", str(table), "--agent", *names]
-    assert main(["grade", "--assignment", "swap", *arguments]) == 1
+    assert main([*GRADE, "--assignment", "swap", *arguments]) == 1
     fine, bad = sorted(out.iterdir())
     said = json.loads((fine / "results.json").read_text())
     assert (said["score"], said["max_score"]) == (0.0, 100.0)
@@ -352,7 +453,7 @@ def test_feedback_names_the_rubric_and_shows_the_first_failure(tmp_path, work):
 
 
 def test_the_feedback_says_where_the_class_stands(tmp_path):
-    grades = [Grade("a.py:A", 0.0, value, "", False, "") for value in (0.1, 0.2, 0.3)]
+    grades = [Grade("a.py:A", 0.0, value) for value in (0.1, 0.2, 0.3)]
     write_feedback(tmp_path, ASSIGNMENTS["swap"], grades)
     for place in tmp_path.iterdir():
         said = json.loads((place / "results.json").read_text())["output"]
@@ -397,25 +498,8 @@ def test_the_tests_that_students_are_given_pass(tmp_path, name):
     ("arguments", "why"),
     [
         (["--assignment", "swap"], "--agent is empty"),
-        (["--assignment", "force-model", "--agent", "a.py:A"], "needs it"),
         (["--assignment", "swap", "--agent", "a", "--limit-s", "0"], "must be positive"),
     ],
 )
 def test_what_cannot_be_graded_is_refused(arguments, why, refused):
     assert why in refused("grade", *arguments)
-
-
-def test_data_that_cannot_grade_is_the_teachers_mistake(tmp_path, capsys):
-    rows = wake_rows(40)
-    damaged, unheld = tmp_path / "damaged.npz", tmp_path / "unheld.npz"
-    damaged.write_text("hi", encoding="utf-8")
-    save_rows(unheld, dataclasses.replace(rows, validation=np.zeros(40, dtype=np.bool_)))
-    for path, why in (
-        (tmp_path, "is the folder"),
-        (tmp_path / "none.npz", "there is no such file"),
-        (damaged, "cannot be read"),
-        (unheld, "0 of 40 rows are for validation"),
-    ):
-        words = ["--assignment", "force-model", "--data", str(path), "--agent", "a.py:A"]
-        assert main(["grade", *words]) == 2
-        assert why in capsys.readouterr().err

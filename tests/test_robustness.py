@@ -26,6 +26,7 @@ FLY = "fly --agent hover --drones 2 --horizon-s 0.5 --physics batch --trajectory
 EVALUATE = "evaluate --drones 2 --horizon-s 1 --agent hover --episodes 60 --out OUT"
 BENCHMARK = "benchmark --agent hover --task swap-random-2-v2 --episodes 24 --out OUT"
 GRADE = "grade --assignment controller --agent KIT/controller.py:MyController --episodes 4"
+GRADE += f" --seed {1 << 128}"
 TRAIN = "train --drones 2 --environments 8 --hidden 8 --num-neighbors 1 --interactions none"
 TRAIN += " --algo dagger --evaluations 2 --evaluation-episodes 4 --dagger.batch-size 64"
 TRAIN += " --steps 8000 --checkpoint-rollouts 3 --no-progress --out OUT"

@@ -21,6 +21,7 @@ from swarm_envs.envs.observation import Float32Array, observation_space, shaper
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.errors import check_bool, check_integer
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tasks.base import Task
 
 __all__ = ["SharedPolicyVecEnv"]
 
@@ -50,7 +51,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     Its copies and pickles have simulators of their own, and fly on as it would.
 
     Args:
-        task: name of the task, such as `swap_v1`; or a blueprint, made with a task of one's own; or
+        task: name of the task, such as `swap_v1`, or a class of one's own; or a blueprint; or
             several blueprints, whose teams fly side by side: first all drones of the first, then
             those of the next.
         num_envs: E, of each team; or one number for each blueprint.
@@ -68,7 +69,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     def __init__(
         self,
-        task: str | Blueprint | Sequence[Blueprint],
+        task: str | type[Task] | Blueprint | Sequence[Blueprint],
         num_envs: int | Sequence[int] = 1,
         seed: int | None = None,
         *,
@@ -324,11 +325,11 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
 
 def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
-    if isinstance(task, str):
+    if isinstance(task, str | type):
         return (batch_of(task, **options),)
     found = (task,) if isinstance(task, Blueprint) else task
     if not isinstance(found, list | tuple) or not all(isinstance(b, Blueprint) for b in found):
-        rule = "must be a task's name, such as 'swap_v1', or a blueprint"
+        rule = "must be a task's name, such as 'swap_v1', its class, or a blueprint"
         raise TypeError(f"task is {task!r:.80}, but {rule}")
     if not found:
         raise ValueError("task is empty; give at least one blueprint")

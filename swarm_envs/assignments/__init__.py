@@ -7,94 +7,52 @@ copies it, and `swarm-envs grade` gives the points.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar
 
-__all__ = ["ASSIGNMENTS", "Assignment", "AssignmentName"]
+from swarm_envs.assignments.force import ForceModel
+from swarm_envs.assignments.planner import DistributedMpc
+from swarm_envs.grading.assignment import Assignment
 
-AssignmentName = Literal["controller", "force-model", "swap", "distributed-mpc", "learning"]
-"""Assignments by name."""
+__all__ = ["ASSIGNMENTS", "Controller", "DistributedMpc", "ForceModel", "Learning", "Swap"]
 
 
-@dataclass(frozen=True)
-class Assignment:
-    """What is asked for, and what it is worth."""
+class Controller(Assignment):
+    """Fly three drones below each other through downwash."""
 
-    summary: str
-    """One line."""
-    work: str
-    """What is handed in, as `file.py:Class`."""
-    metric: str
-    """The number that counts, as reports name it."""
-    zero: float
-    """Its value that is worth nothing."""
-    full: float
-    """Its value, or better, that is worth 100 points."""
-    flown: Mapping[str, Any] = field(default_factory=dict)
-    """Options of `swarm-envs evaluate`; empty where nothing is flown in an environment."""
-    train_s: float = 0.0
-    """Time that the work's `train` is given before the flights, s; 0 if it has none."""
+    name = "controller"
+    work = "controller.py:MyController"
+    options: ClassVar[Mapping[str, Any]] = {"layout": "stacked", "num_drones": 3, "world": "hall"}
+    metric = "worst_tracking_error_m"
+    zero, full = 0.08, 0.03
+    counted = "that succeed with no error above 0.15 m, so that drones pass below each other"
+    rate = 48
 
-    def points(self, report: Mapping[str, Any]) -> float:
-        """Points from 0 to 100; in flights, times the share of episodes without a crash."""
-        value = report.get(self.metric)
-        if value is None:
-            return 0.0
-        share = (float(value) - self.zero) / (self.full - self.zero)
-        safe = 1.0 - float(report.get("collision_rate", 0.0))
-        return round(100.0 * min(max(share, 0.0), 1.0) * safe, 1)
+    def counts(self, metrics: Mapping[str, Any]) -> bool:
+        """Return whether the drones kept to their references, which lead below each other."""
+        return bool(metrics["success"]) and metrics["worst_tracking_error_m"] < 0.15
 
-    @property
-    def rubric(self) -> str:
-        """The rule of the points in one sentence."""
-        said = f"{self.metric}: {self.zero:g} gives 0 points, {self.full:g} gives 100"
-        crash = ", times the share of episodes without a crash"
-        return said if self.metric == "explained" else said + crash
+
+class Swap(Assignment):
+    """Make 16 drones of two sizes change places without touching."""
+
+    name = "swap"
+    work = "swap.py:MyAgent"
+    options: ClassVar[Mapping[str, Any]] = {"layout": "random", "team": "SSSSSSSSLLLLLLLL"}
+    full = 0.95
+
+
+class Learning(Assignment):
+    """Learn to swap in one minute of one core."""
+
+    name = "learning"
+    work = "learner.py:MyLearner"
+    options: ClassVar[Mapping[str, Any]] = {"layout": "random", "num_drones": 8}
+    zero, full = 0.3, 0.98
+    train_s = 60.0
 
 
 ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
-    {
-        "controller": Assignment(
-            summary="hold three drones at their heights in each other's downwash",
-            work="controller.py:MyController",
-            metric="worst_height_error_m",
-            zero=0.08,
-            full=0.015,
-            flown={"task": "swap", "layout": "stacked", "drones": 3, "world": "hall"},
-        ),
-        "force-model": Assignment(
-            summary="learn the downwash from flight logs of the hall",
-            work="force_model.py:MyModel",
-            metric="explained",
-            zero=0.25,
-            full=0.62,
-        ),
-        "swap": Assignment(
-            summary="make 16 drones of two sizes change places without touching",
-            work="swap.py:MyAgent",
-            metric="success_rate",
-            zero=0.0,
-            full=0.95,
-            flown={"task": "swap", "layout": "random", "team": "SSSSSSSSLLLLLLLL"},
-        ),
-        "distributed-mpc": Assignment(
-            summary="plan for six drones that hear each other over a lossy radio",
-            work="planner.py:MyPlanner",
-            metric="success_rate",
-            zero=0.0,
-            full=0.95,
-        ),
-        "learning": Assignment(
-            summary="learn to swap in one minute of one core",
-            work="learner.py:MyLearner",
-            metric="success_rate",
-            zero=0.3,
-            full=0.98,
-            flown={"task": "swap", "layout": "random", "drones": 8},
-            train_s=60.0,
-        ),
-    }
+    {each.name: each for each in (Controller(), ForceModel(), Swap(), DistributedMpc(), Learning())}
 )
 """The assignments by their names."""
-assert set(get_args(AssignmentName)) == set(ASSIGNMENTS)

@@ -64,12 +64,11 @@ def _write_notebook(folder: Path, name: str, work: str) -> None:
     file = work.split(":")[0]
     page = (folder / "README.md").read_text(encoding="utf-8")
     starter = (folder / file).read_text(encoding="utf-8")
-    said = "--data flights/rows.npz" if name == "force-model" else "--episodes 32"
     cells = [
         _cell("markdown", page),
         _cell("code", f"%%writefile {file}\n{starter}"),
         _cell("code", f"!python -m pytest -q test_{file}"),
-        _cell("code", f"!swarm-envs grade --assignment {name} --agent {work} {said}"),
+        _cell("code", f"!swarm-envs grade --assignment {name} --agent {work} --episodes 32"),
     ]
     numbered = [{**cell, "id": f"cell-{number}"} for number, cell in enumerate(cells)]
     about = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}

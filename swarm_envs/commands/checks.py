@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import os
 import sys
@@ -13,11 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
-
-from swarm_envs.arguments import typed
-
-command_options = functools.partial(typed, owner="--")
-"""`typed` for the options of a command: messages name them as they are on the command line."""
 
 
 class Misuse(ValueError):

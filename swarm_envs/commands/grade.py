@@ -1,44 +1,35 @@
-"""`swarm-envs grade`: the files of a whole course, each in a process of its own, and its points.
-
-What a file is worth is one number that `swarm-envs evaluate` reports, or the error of its force
-model; points rise linearly from one value of it to another. Environment, judge and table are the
-grader's: a work gives it actions, and nothing else. See `swarm_envs.assignments`.
-"""
+"""`swarm-envs grade`: the files of a whole course, each in a sandbox of its own, and its points."""
 
 from __future__ import annotations
 
 import glob
-import select
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+import secrets
+import sys
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING
 
-from swarm_envs.arguments import POSITIVE_S, Count, Seed
-from swarm_envs.assignments import ASSIGNMENTS, Assignment, AssignmentName
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
-from swarm_envs.commands.grading.grades import (
-    Grade,
-    grade_table,
-    printable,
-    write_feedback,
-    write_grades,
-)
+from swarm_envs.commands.checks import Misuse, as_misuse, check_file, check_folder
+from swarm_envs.errors import check_integer, check_name, check_number
+
+if TYPE_CHECKING:
+    from swarm_envs.grading.sandbox import Sandbox
+
+LEAST_SEED = 1 << 128
+"""Seeds from here on have 128 bits below their first: no submission can guess them."""
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:
     """Grade submissions of students and print a table with one line for each.
 
     A submission that cannot be imported, raises an error, returns invalid actions or takes too long
-    gets no points, and the table names the error; the others are still graded.
+    gets no points, and the table names the error; the others are still graded. Interrupted and run
+    again with the same --out, the command resumes.
     """
 
-    assignment: AssignmentName
-    """assignment; `swarm-envs assignment list` describes each"""
+    assignment: str
+    """assignment; `swarm-envs assignment list` describes each; or path/to/my.py with one's own"""
     agent: list[str] = field(default_factory=list)
     """submissions: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
     also folders of trained policies"""
@@ -48,116 +39,107 @@ class GradeOptions:
     feedback: Path | None = None
     """folder for each student's results.json (Gradescope's format), and failure.html, a page that
     plays the first episode that failed"""
-    episodes: Count = 256
+    episodes: int = 256
     """number of episodes of each submission"""
-    seed: Seed = 0
-    """random seed of the episodes, the same for all; use a secret one"""
-    data: Path | None = None
-    """for `force-model`: the rows.npz of a `swarm-envs collect`, whose validation rows grade"""
-    limit_s: Annotated[float, POSITIVE_S] = 600.0
+    seed: int | None = None
+    """seed of the episodes, the same for all, as an earlier run printed it; by default a secret one
+    is drawn"""
+    limit_s: float = 600.0
     """time limit of each submission, s"""
+    allow_copies: bool = False
+    """give copies of included agents and reference solutions their points"""
+    sandbox: str | None = None
+    """command that runs a submission in place of bubblewrap, where {work} is its folder, such as
+    'docker run -i --rm --network none -v {work}:/work:ro -w /work IMAGE'"""
     unprotected: bool = False
-    """grade even where nothing keeps submissions from renaming or removing your files: for a
-    container or virtual machine that serves nothing else"""
+    """grade without a sandbox: for a container or virtual machine that serves nothing else"""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be graded."""
+        check_integer("--episodes", self.episodes, at_least=1)
+        if self.seed is not None:
+            check_integer("--seed", self.seed, at_least=0)
+        check_number("--limit-s", self.limit_s, above=0.0, unit="s")
+        from swarm_envs.assignments import ASSIGNMENTS
+
+        if not self.assignment.endswith(".py"):
+            check_name("assignment", self.assignment, ASSIGNMENTS)
         if not self.agent:
             raise ValueError("--agent is empty; name one file.py:Class or more")
-        if (self.assignment == "force-model") != (self.data is not None):
-            raise ValueError("--data is for --assignment force-model, which needs it")
 
 
 def run_grade(options: GradeOptions) -> int:
     """Grade, print and write; return how many failed.
 
     Raises:
-        Misuse: there is no such work or data, or the table cannot be written; nothing was graded.
+        Misuse: there is no such assignment or work, or no sandbox; nothing was graded.
         KeyboardInterrupt: with what was graded until then; the table has it.
     """
     from tqdm import tqdm
 
-    from swarm_envs.commands.grading.confinement import probe
-    from swarm_envs.commands.grading.remote import package_state
+    from swarm_envs.grading.assignment import load_assignment
+    from swarm_envs.grading.grade import Course, Grade, grade_table, seed_of
+    from swarm_envs.grading.submission import Limits
 
-    _check_system(options.unprotected)
+    if options.seed is not None and options.seed < LEAST_SEED:
+        print(
+            f"warning: submissions can guess the seed {options.seed} and fly the episodes before; "
+            "to grade those of others leave it out, and one of 128 bits is drawn and printed",
+            file=sys.stderr,
+        )
     if options.out is not None:
         check_file("--out", options.out, (".csv", ".json"))
     if options.feedback is not None:
         check_folder("--feedback", options.feedback)
-    if options.data is not None:
-        _check_rows(options.data)
-    assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.agent)
+    with as_misuse(FileNotFoundError, ImportError):
+        assignment = load_assignment(options.assignment)
+    works = _expanded(options.agent)
     _check_works(works)
-    if probe().can_rename:
-        _rehearse(options, assignment)
+    seed = options.seed or seed_of(options.out) or LEAST_SEED + secrets.randbits(128)
+    sandbox = _sandbox(options, works)
+    course = Course(
+        assignment,
+        works,
+        seed,
+        options.episodes,
+        sandbox,
+        Limits(work_s=options.limit_s),
+        options.allow_copies,
+        options.out,
+        options.feedback,
+    )
     grades: list[Grade] = []
-    before = package_state()
     try:
-        for work in tqdm(works, desc="grading", unit="file"):
-            grade = _grade(work, works, options, assignment)
-            if package_state() != before:
-                raise Misuse(f"{work!r} has changed the package; install it again, and grade again")
+        for grade in tqdm(course.grade(), desc="grading", unit="file", total=len(works)):
             grades.append(grade)
-            _write(options, grades)
     except KeyboardInterrupt:
         print(grade_table(assignment, grades))
         raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None
     print(grade_table(assignment, grades))
+    print(f"the same marks again: --seed {seed}")
     for place in filter(None, (options.out, options.feedback)):
         print(f"wrote {place}")
     return sum(bool(grade.error) for grade in grades)
 
 
-def _check_system(unprotected: bool) -> None:
-    """Say once what this system does not keep a work from.
+def _sandbox(options: GradeOptions, works: list[str]) -> Sandbox:
+    """Return what keeps works apart; one's own single file needs nothing.
 
     Raises:
-        Misuse: it has no pipes that can be polled, or protects no file and `unprotected` is False.
+        Misuse: there are several works, and there is no sandbox.
     """
-    if not hasattr(select, "poll"):
-        raise Misuse("works are graded on Linux or macOS; on Windows, in its Linux subsystem")
-    from swarm_envs.commands.grading.confinement import probe
+    from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
 
-    for missing in probe().missing:
-        print(f"a work is not confined as it should be here: {missing}")
-    if probe().can_rename and not unprotected:
+    if options.sandbox is not None or options.unprotected or has_bubblewrap():
+        return Sandbox(options.sandbox, options.unprotected)
+    if len(works) > 1:
         raise Misuse(
-            "nothing keeps a work from renaming and removing your files here; grade on Linux with "
-            "user namespaces or Landlock, or add --unprotected in a container of its own"
+            f"{len(works)} submissions could read and change your files and each other's here; "
+            "install bubblewrap, name a container with --sandbox 'docker run ...', or add "
+            "--unprotected in a machine that serves nothing else"
         )
-
-
-def _rehearse(options: GradeOptions, assignment: Assignment) -> None:
-    """Grade the starter first: what is imported, compiled and read by then, no work can replace."""
-    from swarm_envs import assignments
-    from swarm_envs.commands.grade_flights import rehearse
-
-    if assignment.flown:
-        rehearse(assignment)
-    starter = str(Path(assignments.__file__).parent / options.assignment / assignment.work)
-    with tempfile.TemporaryDirectory() as folder:
-        out = options.out and Path(folder) / options.out.name
-        trial = replace(options, out=out, feedback=Path(folder), episodes=32)
-        short = replace(assignment, train_s=min(assignment.train_s, 1.0))
-        _write(trial, [_grade(starter, [starter], trial, short)])
-
-
-def _write(options: GradeOptions, grades: list[Grade]) -> None:
-    assignment = ASSIGNMENTS[options.assignment]
-    if options.out is not None:
-        write_grades(options.out, options.assignment, assignment, grades)
-    if options.feedback is not None:
-        write_feedback(options.feedback, assignment, grades)
-
-
-def _grade(work: str, works: list[str], options: GradeOptions, assignment: Assignment) -> Grade:
-    """Grade one work; whatever goes wrong with it is its own."""
-    name, report = printable(work), _report(work, works, options, assignment)
-    error, value = printable(report.get("error", "")), report.get(assignment.metric)
-    points = 0.0 if error else assignment.points(report)
-    stars = bool(report.get("privileged", False)), str(report.get("copied", ""))
-    return Grade(name, points, value, error, *stars, report.get("failure"))
+    print(f"{works[0]} runs as any other program here, without a sandbox: grade only your own")
+    return Sandbox(unprotected=True)
 
 
 def _expanded(works: list[str]) -> list[str]:
@@ -178,89 +160,8 @@ def _check_works(works: list[str]) -> None:
     Raises:
         Misuse: naming the files.
     """
-    from swarm_envs.agents.registry import FILTER, SHIPPED
-    from swarm_envs.commands.grading.remote import path_of
+    from swarm_envs.grading.submission import path_of
 
-    named = [work for work in works if work.removesuffix(FILTER) not in SHIPPED]
-    missing = [str(path_of(work)) for work in named if not path_of(work).exists()]
+    missing = [str(path) for work in works if (path := path_of(work)) and not path.exists()]
     if missing:
         raise Misuse(f"--agent names what is not there: {', '.join(missing)}; nothing was graded")
-
-
-def _check_rows(path: Path) -> None:
-    """A teacher's mistake is nobody's failure."""
-    from swarm_envs.training.interaction_rows import read_rows
-
-    if path.is_dir():
-        raise Misuse(f"--data is the folder {str(path)!r}; name its table, {path / 'rows.npz'}")
-    if not path.is_file():
-        raise Misuse(f"--data is {str(path)!r}, but there is no such file")
-    try:
-        rows = read_rows(path)
-    except (ValueError, OSError) as error:
-        raise Misuse(f"--data is {str(path)!r}: {error}") from error
-    held = int(rows.validation.sum())
-    if not 0 < held < len(rows):
-        raise Misuse(
-            f"--data is {str(path)!r}, where {held} of {len(rows)} rows are for validation; "
-            "some must be, and others not: collect more flights"
-        )
-
-
-def _report(
-    work: str, works: list[str], options: GradeOptions, assignment: Assignment
-) -> dict[str, Any]:
-    """What the grader finds of a work; or, under `error`, why it has no points."""
-    # Before the first work begins: what is imported later, it might have replaced.
-    from swarm_envs.agents.evaluation import frozen_seeds
-    from swarm_envs.commands.grade_flights import grade_agent
-    from swarm_envs.commands.grade_force import grade_model
-    from swarm_envs.commands.grade_planner import grade_planner
-    from swarm_envs.commands.grading.confinement import Limits
-    from swarm_envs.commands.grading.copies import check_files, copied_files
-    from swarm_envs.commands.grading.remote import opened
-
-    limits = Limits(work_s=options.limit_s)
-    seeds = frozen_seeds(options.seed, options.episodes)
-    shown = None if options.feedback is None else Path(work).name
-    try:
-        check_files(work)
-        copied = copied_files(work)
-        if options.assignment == "distributed-mpc":
-            found = grade_planner(work, works, limits, seeds, shown)
-        elif options.data is not None:
-            with opened(work, "fit", works, limits) as (process, _):
-                found = grade_model(process, options.data)
-        elif assignment.train_s:
-            with _bare(work) as bare, opened(bare, "fly", works, limits, False) as (process, made):
-                found = grade_agent(process, made, assignment, seeds, shown)
-        else:
-            with opened(work, "fly", works, limits) as (process, made):
-                found = grade_agent(process, made, assignment, seeds, shown)
-    except Exception as error:  # a stranger's work may fail in any way, and the next is graded
-        known = isinstance(error, RuntimeError)
-        return {"error": str(error) if known else f"{type(error).__name__}: {error}"}
-    return {**found, "copied": copied or found.get("copied", "")}
-
-
-@contextmanager
-def _bare(work: str) -> Iterator[str]:
-    """A learner by the name of a copy that has no room for weights.
-
-    Raises:
-        WorkFailed: its code alone has room for them.
-        SyntaxError: it is no Python.
-    """
-    from swarm_envs.commands.grading.copies import bare_source, check_room
-    from swarm_envs.commands.grading.remote import path_of
-
-    path = path_of(work)
-    if path.suffix != ".py":  # nothing that learns: it fails
-        yield work
-        return
-    with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder:
-        source, copy = bare_source(path), Path(folder, path.name)
-        check_room(source)
-        copy.write_text(source, encoding="utf-8")
-        Path(folder).chmod(0o755)  # the work may be another user's process
-        yield f"{copy}:{work.rpartition(':')[2]}"

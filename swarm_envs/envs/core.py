@@ -7,6 +7,7 @@ docs/architecture.md follows a step through it.
 from __future__ import annotations
 
 import copy
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,7 @@ from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_ac
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
 from swarm_envs.envs.judge import judge, metrics, success_rules
 from swarm_envs.envs.observation import Float32Array, observation_width, sense, write_observations
+from swarm_envs.envs.own_rules import apply_own_rules, has_own_rules, write_own_terms
 from swarm_envs.envs.randomization import draw_vehicles, scale_hall
 from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel, load
@@ -122,6 +124,7 @@ class SwarmCore:
             self._force_types = np.tile(self._force_model.type_indices(task.team), (num_envs, 1))
             self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
+        self._own_rules = has_own_rules(task)
 
     def _what_is_observed(self) -> list[tuple[Any, ...]]:
         """What `write_observations` takes on each thread: all of it stays."""
@@ -166,13 +169,14 @@ class SwarmCore:
         rewards = np.zeros(drones.shape)
         terms = np.zeros((2, 2, drones.shape[1]))[:, :1]  # of any strides, as the parts of a batch
         flown, state = self._flown, self._state
-        with compilation(len(_Kernels._fields) + 1 - (task.advance is None)):
+        advance = None if inspect.ismethod(task.advance) else task.advance
+        with compilation(len(_Kernels._fields) + 1 - (advance is None)):
             self.physics.compile()
             return _Kernels(
                 entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
                 entry_point(task.write_reference, *state),
                 entry_point(judge, actions, *state),
-                None if task.advance is None else entry_point(task.advance, flown, *state),
+                None if advance is None else entry_point(advance, flown, *state),
                 entry_point(task.write_reward_terms, drones, environments, settings, terms),
                 entry_point(weigh, terms, self._weights, drones, flown, rewards),
                 entry_point(write_observations, 0, 0, flown, *self._observed[0]),
@@ -269,11 +273,19 @@ class SwarmCore:
             kernels.judge(decided, *state)
             if kernels.advance is not None:
                 kernels.advance(flown[here], *state)
+            if self._own_rules:
+                apply_own_rules(self.task, self.world, flown, self.config.end_on_success)
             kernels.write_terms(state[0], state[1], settings, scored[0])
+            if self._own_rules:
+                write_own_terms(self.task, self.world, terms)
             kernels.weigh(*scored)
             self._observe(first, last, flown, thread)
 
-        self.physics.fly(self._substeps, flown, finish)
+        if self._own_rules:  # their methods take all environments at once
+            self.physics.fly(self._substeps, flown)
+            finish(0, self.num_envs, 0)
+        else:
+            self.physics.fly(self._substeps, flown, finish)
         terminated, truncated = environments["terminated"].copy(), environments["truncated"].copy()
         active = flown[:, None] & (drones["active"] + drones["crashed"] > 0.0)
         ended = active & (terminated[:, None] | (drones["active"] == 0.0))

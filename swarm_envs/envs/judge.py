@@ -16,7 +16,7 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record, Records, World
-from swarm_envs.tasks.base import NEAR_MISS, ByScore, Success, Task, TrackingSuccess
+from swarm_envs.tasks.base import NEAR_MISS, ByScore, OwnSuccess, Success, Task, TrackingSuccess
 from swarm_envs.tasks.motion import stage_at
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -25,9 +25,13 @@ HIT_DRONE, HIT_FLOOR, HIT_WALL, HIT_OBSTACLE, TUMBLED = 1, 2, 4, 8, 16
 """Codes of what may happen to a drone, whose sums `touching` and `hurt` are."""
 
 
-def success_rules(success: Success | TrackingSuccess | ByScore) -> dict[str, float | bool]:
+def success_rules(
+    success: Success | TrackingSuccess | ByScore | OwnSuccess,
+) -> dict[str, float | bool]:
     """The fields of `swarm_envs.tables.SETTINGS` that a task's success gives."""
-    if isinstance(success, ByScore):
+    if callable(success):  # which no goal fulfils: the task itself says who is done
+        radius, hold_s, settle_s = Success.radius, math.inf, 0.0
+    elif isinstance(success, ByScore):
         radius, hold_s, settle_s = success.radius, math.inf, 0.0
     elif isinstance(success, TrackingSuccess):
         radius, hold_s, settle_s = success.worst_error, 0.0, success.settle_s

@@ -10,7 +10,7 @@ import itertools
 import textwrap
 from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, make_dataclass
 from typing import Any, ClassVar, NamedTuple, ParamSpec, cast
 
 from pettingzoo import AECEnv
@@ -26,6 +26,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.tasks.rewards import reward_meanings
+from swarm_envs.user_files import load_from_file
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
 __all__ = [
@@ -241,9 +242,11 @@ def field_docstrings(settings: type) -> dict[str, str]:
     They are empty where the source is not there.
     """
     found = {field.name: "" for field in fields(settings)}
-    for base in reversed(settings.__mro__):
+    task = getattr(settings, "task_type", None)  # of a task of one's own, it documents its options
+    for base in (*reversed(settings.__mro__), *([task] if task else [])):
         if is_dataclass(base):
-            found |= _own_docstrings(base)
+            own = _own_docstrings(cast(type, base))
+            found |= {name: text for name, text in own.items() if name in found}
     return found
 
 
@@ -251,7 +254,7 @@ def field_docstrings(settings: type) -> dict[str, str]:
 def _own_docstrings(settings: type) -> dict[str, str]:
     try:
         source = textwrap.dedent(inspect.getsource(settings))
-    except OSError:
+    except (OSError, TypeError):  # made at a prompt, or of a file that is gone
         return {}
     body = cast(ast.ClassDef, ast.parse(source).body[0]).body
     return {
@@ -261,30 +264,73 @@ def _own_docstrings(settings: type) -> dict[str, str]:
     }
 
 
-def options_type(task: str) -> type[TaskOptions]:
-    """The options of a task, which its module defines.
+def options_type(task: str | type[Task]) -> type[TaskOptions]:
+    """Return the options of a task.
+
+    Args:
+        task: its name, such as `swap_v1`; or a class of one's own, also as `my_task.py:MyTask`.
 
     Raises:
-        StopIteration: the module defines none.
+        ValueError: there is no such task.
+        ImportError: the file of one's own cannot be imported.
     """
+    if isinstance(task, str) and ".py:" in task:
+        task = load_from_file(task)
+    if not isinstance(task, str):
+        return own_options(_checked(task))
+    check_name("task", task, TASKS)
     module = importlib.import_module(f"swarm_envs.{task}")
     own = (c for c in vars(module).values() if getattr(c, "__module__", "") == module.__name__)
     return next(c for c in own if inspect.isclass(c) and issubclass(c, TaskOptions))
 
 
-def blueprint_of(task: str, **options: Any) -> Blueprint:
-    """What the task's `parallel_env(**options)` is made from.
+def _checked(task: object) -> type[Task]:
+    """Return a task of one's own if it is one.
+
+    Raises:
+        ValueError: it is no task, no dataclass, or has no `draw`.
+    """
+    kind = isinstance(task, type) and issubclass(task, Task) and is_dataclass(task)
+    if not kind or inspect.isabstract(task):
+        raise ValueError(
+            f"task is {task!r:.80}, but must be a name such as 'swap_v1', or a dataclass that "
+            "inherits from swarm_envs.tasks.base.Task and has a method draw"
+        )
+    return cast(type[Task], task)
+
+
+@functools.cache
+def own_options(task: type[Task]) -> type[TaskOptions]:
+    """Return options of a task of one's own: those of every task, and the fields of its class."""
+    taken = {field.name for field in fields(TaskOptions)} | {"success"}
+    own = [
+        (f.name, f.type, field(default=f.default, default_factory=f.default_factory))
+        for f in fields(task)
+        if f.name not in taken
+    ]
+    drones: list[Any] = [("num_drones", int, 4)]
+    made = make_dataclass(
+        f"{task.__name__}Options",
+        [*drones, *own],
+        bases=(TaskOptions,),
+        namespace={"task_type": task, "__doc__": task.__doc__},
+        frozen=True,
+        kw_only=True,
+    )
+    return cast(type[TaskOptions], made)
+
+
+def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
+    """Make what the task's `parallel_env(**options)` is made from; see `options_type`.
 
     Raises:
         TypeError: an option does not exist; the message names the nearest.
         ValueError: there is no such task, or an option has an impossible value.
     """
-    check_name("task", task, TASKS)
-    found: Blueprint = importlib.import_module(f"swarm_envs.{task}").blueprint(**options)
-    return found
+    return task_views(options_type(task))[0](**options)
 
 
-def batch_of(task: str, **options: Any) -> Blueprint:
+def batch_of(task: str | type[Task], **options: Any) -> Blueprint:
     """The same for many environments at once: the batch engine is the default.
 
     Raises:

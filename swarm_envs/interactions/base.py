@@ -31,6 +31,7 @@ from swarm_envs.interactions.packed import PackedField, packed
 from swarm_envs.interactions.wake import load_wake
 from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.user_files import load_from_file
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
 TypeArray = npt.NDArray[np.str_]  # Interaction types of vehicles
@@ -164,8 +165,8 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
     Args:
         name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (wakes and networks
             of pairs, joined), `"deep-set"` (the architecture of Neural-Swarm2), or the path of what
-            `swarm-envs fit` made: a safetensors file, or the JSON of a wake; or a function. A model
-            is returned as it is.
+            `swarm-envs fit` made: a safetensors file, or the JSON of a wake; or a function, also as
+            `path/to/file.py:function`. A model is returned as it is.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.
@@ -187,9 +188,11 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         weights = resources.files("swarm_envs.interactions").joinpath("weights")
         with resources.as_file(weights.joinpath(f"{text}.safetensors")) as path:
             return InteractionModel(text, *load_weights(path))
+    if ".py:" in text:
+        return load(load_from_file(text))
     if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
     if not text.lower().endswith(".safetensors"):
-        valid = (*MODELS, "a path that ends in .safetensors or .json")
+        valid = (*MODELS, "a path that ends in .safetensors or .json", "file.py:function")
         raise ValueError(unknown_name("interaction model", text, valid))
     return InteractionModel(text, *load_weights(Path(text)))

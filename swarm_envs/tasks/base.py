@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -15,7 +17,14 @@ from swarm_envs.errors import check_array, check_bool, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
 from swarm_envs.tasks.learning import Learning
-from swarm_envs.tasks.motion import ACCELERATION_LIMIT, SPEED_LIMIT, WRITERS, Motion, reference_of
+from swarm_envs.tasks.motion import (
+    ACCELERATION_LIMIT,
+    REST,
+    SPEED_LIMIT,
+    WRITERS,
+    Motion,
+    reference_of,
+)
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
@@ -144,6 +153,7 @@ class ByScore:
         check_number("least", self.least, at_least=0.0)
 
 
+OwnSuccess = Callable[[World], BoolArray]  # A method of a task of one's own
 Given = FloatArray | None
 """Starts or goals (N, 3), m, that a reset was given; None if they are drawn."""
 
@@ -164,9 +174,10 @@ class Task(_Flown, ABC):
     """A task for a team. Stateless: what changes over an episode lives in the `World`."""
 
     name: str
-    """Versioned name, such as `swap_v1`."""
-    success: Success | TrackingSuccess | ByScore
-    """When the team has done a stage, or the task."""
+    """Versioned name, such as `swap_v1`; by default that of the class, `line_v0` of `LineTask`."""
+    success: Success | TrackingSuccess | ByScore | OwnSuccess = Success()
+    """When the team has done a stage, or the task; or a method `success(world)`, which returns for
+    each environment (E,) whether its team is done."""
     layouts: tuple[str, ...] = ()
     """The names that the task's option `layout` can have, if it has one."""
     default_weights: Mapping[str, float] = {}
@@ -184,13 +195,30 @@ class Task(_Flown, ABC):
     for its arguments, and docs/architecture.md for the fields that it can read."""
     score_names: tuple[str, ...] = ()
     """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
-    advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
-    """A kernel that scores a judged decision and sets new goals: `(flown, drones, environments,
-    goals, settings)`. These are the environments (E,) that made one; records (E, N) and (E,); goals
-    (E, S, N, 3) of every stage or row, m; and one record (1,) of the rules."""
+    advance: Callable[..., None] | None = None
+    """A method `advance(world)`, which sets new goals in `world.drones["goal"]`, (E, N, 3) m, and
+    scores in `world.environments["score"]`, (E,); or a kernel that does so: `(flown, drones,
+    environments, goals, settings)`. These are the environments (E,) that made a decision; records
+    (E, N) and (E,); goals (E, S, N, 3) of every stage or row, m; and one record (1,) of the
+    rules."""
+    reward_terms: Callable[[World], Mapping[str, FloatArray]] | None = None
+    """A method `reward_terms(world)`, which returns reward terms (E, N) by name: those that
+    `default_weights` names besides the shared ones, and shared ones that it replaces."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Name the task after its class, and its reward terms after their weights, if not given."""
+        super().__init_subclass__(**options)
+        if not hasattr(cls, "name"):
+            words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__.removesuffix("Task"))
+            cls.name = f"{words.lower()}_v0"
+        if inspect.isfunction(cls.reward_terms):
+            own = (name for name in cls.default_weights if name not in REWARD_NAMES)
+            cls.reward_names = (*REWARD_NAMES, *own)
 
     def __post_init__(self) -> None:
         """Read the team; complete the weights of rewards, and refuse those of unknown terms."""
+        if inspect.isfunction(getattr(type(self), "success", None)):
+            vars(self).pop("success", None)  # a method takes the place of a base class's field
         object.__setattr__(self, "team", parse_team(self.team))
         check_type("obstacles", self.obstacles, tuple | list)
         if not self.reward_weights:
@@ -203,7 +231,10 @@ class Task(_Flown, ABC):
         Raises:
             ValueError: the team cannot fly it; the message says why.
         """
-        same: Self = replace(self, team=team)
+        given: dict[str, Any] = {}
+        if inspect.ismethod(self.success) and "success" in self.__dataclass_fields__:
+            given["success"] = Success()  # of a base class, whose place the method takes
+        same: Self = replace(self, team=team, **given)
         return same
 
     @property
@@ -237,9 +268,9 @@ class Task(_Flown, ABC):
         return self.obstacle_rows, self.radius, self.arena
 
     @property
-    @abstractmethod
     def motion(self) -> Motion:
-        """How the reference moves."""
+        """The motion of the reference, by default rest at the goals."""
+        return Motion(REST)
 
     @property
     def write_reference(self) -> Callable[[Records, Records, FloatArray, Records], None]:
@@ -247,9 +278,9 @@ class Task(_Flown, ABC):
         return WRITERS[self.motion.kind]
 
     @property
-    @abstractmethod
     def episode_s(self) -> float:
-        """Time limit, unless an environment is given another, s."""
+        """The time limit, unless an environment is given another, s."""
+        return 8.0
 
     @abstractmethod
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:

@@ -61,5 +61,6 @@ def test_every_example_is_run():
     elsewhere |= {"ppo", "dagger"}  # tests/training/test_dagger.py
     elsewhere |= {"rllib_ppo", "benchmarl_grid"}  # tests/compat/test_rllib.py, test_benchmarl.py
     elsewhere |= {"tune_agents"}  # tests/test_safety.py
+    elsewhere |= {"own_task"}  # tests/tasks/test_own_task.py
     elsewhere |= {"knowing_air"}  # tests/training/test_knowing_air.py
     assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"} | elsewhere

@@ -127,7 +127,7 @@ class Dagger:
         counts: list[int] = []
         taught: list[tuple[str, int]] = []
         for blueprint in self.setting.blueprints:
-            found = learning_of(blueprint.task.name).parts(blueprint.task, str(self.config.layout))
+            found = learning_of(self.setting.task).parts(blueprint.task, str(self.config.layout))
             given = [max(1, round(portion * share)) for portion, _ in found.values()]
             counts += [share - sum(given[1:]), *given[1:]]
             parts += [blueprint._replace(task=task) for _, task in found.values()]

@@ -39,7 +39,7 @@ class Setting(NamedTuple):
         """Return what the policy is trained for."""
         config = self.config
         return PolicyNote(
-            self.task,
+            self.blueprints[0].task.name,
             max(config.team_sizes) if config.most is None else config.most,
             config.action,
             config.decision_rate,

@@ -1,8 +1,8 @@
-"""The score of a student's distributed planner: six drones, a process each, and a lossy radio.
+"""The assignment `distributed-mpc`: six drones, a sandbox each, and a lossy radio.
 
 Each drone plans in rounds of 0.2 s and announces its plan; every other drone hears it, or does not.
 Drones are points with limited acceleration that fly their plans exactly: what is graded is what
-they promise each other. The processes share nothing but what this radio delivers.
+they promise each other. The sandboxes share nothing but what this radio delivers.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ import numpy as np
 
 from swarm_envs import make
 from swarm_envs.agents.evaluation import rate_interval
-from swarm_envs.commands.grading.confinement import Limits
-from swarm_envs.commands.grading.remote import RemoteWork, WorkFailed, opened
 from swarm_envs.errors import check_array
+from swarm_envs.grading.assignment import Assignment
+from swarm_envs.grading.copies import copied_files, harmless
+from swarm_envs.grading.submission import Entry, RemoteWork, WorkFailed
 from swarm_envs.state import FloatArray
 from swarm_envs.viewing import Recording
 from swarm_envs.viewing.record import Recorder
@@ -137,43 +138,37 @@ def _least_distance(state: FloatArray, acceleration: FloatArray) -> float:
     return float(apart[:, *np.triu_indices(DRONES, 1)].min())
 
 
-def grade_planner(
-    work: str, works: list[str], limits: Limits, seeds: list[int], shown: str | None
-) -> dict[str, Any]:
-    """Fly a student's planner: the share of episodes in which all arrive, and of those that crash.
+class DistributedMpc(Assignment):
+    """Plan for six drones that hear each other over a lossy radio."""
 
-    Args:
-        work: its name, as of `swarm_envs.agents.load`.
-        works: all names; it sees none of the others.
-        limits: on each drone's process.
-        seeds: of the episodes.
-        shown: its name in the recording of the first failure; None for no recording.
+    name = "distributed-mpc"
+    work = "planner.py:MyPlanner"
+    full = 0.95
 
-    Returns:
-        `success_rate` and `collision_rate`, with Wilson's interval of the first, the median
-        `time_s` of the successes, and `failure`, the recording.
+    def grade(self, entry: Entry) -> dict[str, Any]:
+        """Return the share of episodes in which all arrive, and of those that count.
 
-    Raises:
-        WorkFailed: it failed.
-    """
-    with ExitStack() as stack:
-        planners = [
-            stack.enter_context(opened(work, "plan", works, limits))[0] for _ in range(DRONES)
-        ]
-        flown, failure = [], None
-        for seed in seeds:
-            rng = np.random.default_rng(seed)
-            flown.append(fly_scenario(planners, draw_scenario(rng), rng))
-            if shown is not None and failure is None and not flown[-1]["success"]:
-                failure = _recorded(flown[-1], Recorder(shown, seed))
-    good = [flight["time_s"] for flight in flown if flight["success"]]
-    return {
-        "success_rate": len(good) / len(seeds),
-        "collision_rate": sum(flight["collided"] for flight in flown) / len(seeds),
-        "time_s": float(np.median(good)) if good else None,
-        "intervals": {"success_rate": rate_interval(len(good), len(seeds))},
-        "failure": failure,
-    }
+        Also Wilson's interval of the first, the median `time_s` of the successes, `copied`, and
+        `failure`, a recording of the first episode that was no success.
+        """
+        with ExitStack() as stack:
+            planners = [stack.enter_context(entry.opened())[0] for _ in range(DRONES)]
+            flown, failure = [], None
+            for seed in entry.seeds:
+                rng = np.random.default_rng(seed)
+                flown.append(fly_scenario(planners, draw_scenario(rng), rng))
+                if entry.shown is not None and failure is None and not flown[-1]["success"]:
+                    failure = _recorded(flown[-1], Recorder(entry.shown, seed))
+        good = [flight["time_s"] for flight in flown if flight["success"]]
+        return {
+            "success_rate": len(good) / len(flown),
+            "collision_rate": (crashed := sum(f["collided"] for f in flown) / len(flown)),
+            "counted": 1.0 - crashed,
+            "time_s": float(np.median(good)) if good else None,
+            "intervals": {"success_rate": rate_interval(len(good), len(flown))},
+            "copied": harmless(copied_files, entry.home, entry.work),
+            "failure": failure,
+        }
 
 
 def _recorded(flight: dict[str, Any], recorder: Recorder) -> Recording:

@@ -1,0 +1,218 @@
+"""What others have written, recognised in a submission: by its weights, its source and its acts.
+
+Known are the agents and force models that ship, and in a checkout the reference solutions of
+`tests/solutions`. Two policies are alike if what no linear law of their observations explains of
+one is that of the other, turned and scaled: so much two people do not write independently.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.linalg import norm
+
+import swarm_envs
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.registry import FILTER, SHIPPED, load_agent
+from swarm_envs.envs.observation import Float32Array, ObservationField, observation_layout
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.grading.pipes import Array
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions import load as load_forces
+
+ALIKE = 0.8
+"""Correlation from which on one policy is a copy of another. Agents that ship and solutions, which
+were written independently, reach 0.73; a copy that is turned, scaled or filtered 0.94."""
+_LINEAR = 0.05  # share of actions that a law must leave unexplained to be told from others
+_SHORTEST = 400  # characters of a function's syntax tree: of less, two people write the same
+_SAMPLES = 600  # actions of drones that are compared
+_LONG = 100  # characters of a constant from which on its value is not compared
+_NOBODYS = ("hover", "random")  # who does nothing has not copied it
+_PACKAGE = Path(swarm_envs.__file__).parent
+SOLUTIONS = _PACKAGE.resolve().parent / "tests" / "solutions"
+"""Reference solutions, where the package is a checkout."""
+
+
+def harmless(check: Callable[..., str], *given: Any) -> str:
+    """Return what a check finds; "" if it fails, for which no work is to pay."""
+    with suppress(Exception):
+        return check(*given)
+    return ""
+
+
+def copied_files(home: Path, work: str) -> str:
+    """Return what is in the files of a work that others wrote: weights, or a function; or ""."""
+    own = home / work.rpartition(":")[0]
+    files = sorted(filter(Path.is_file, home.rglob("*")), key=own.__ne__)  # its own first
+    for file in files:
+        known = _known_weights() if file.suffix in (".safetensors", ".json") else {}
+        if known and (name := known.get(_digest(file))):
+            return name
+    for file in (file for file in files if file.suffix == ".py"):
+        with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+            others = _known_functions()
+            if found := [others[said] for said in _functions(file) if said in others]:
+                return found[0]
+    return work if work.removesuffix(FILTER) in SHIPPED else ""
+
+
+def _digest(file: Path) -> str:
+    """Return the digest of a file; of safetensors without the header, written in many ways."""
+    content = file.read_bytes()
+    start = 8 + int.from_bytes(content[:8], "little") if file.suffix == ".safetensors" else 0
+    return hashlib.sha256(content[start:]).hexdigest()
+
+
+@cache
+def _known_weights() -> dict[str, str]:
+    """Names of shipped weights by their digests."""
+    folders = [(_PACKAGE / part).resolve() for part in ("agents", "baselines", "interactions")]
+    files = [file for folder in folders for file in folder.rglob("weights/*.safetensors")]
+    files.append(_PACKAGE / "interactions" / "weights" / "wake.json")
+    return {_digest(file): file.stem for file in files}
+
+
+@cache
+def known_forces() -> dict[str, InteractionModel]:
+    """Return the force models that ship, by name."""
+    folders = [(_PACKAGE / part).resolve() for part in ("baselines", "interactions")]
+    files = [file for folder in folders for file in folder.rglob("weights/*.safetensors")]
+    return {"wake": load_forces("wake"), **{file.stem: load_forces(file) for file in files}}
+
+
+@cache
+def _known_functions() -> dict[str, str]:
+    """Names of known classes or files by the functions in them, but for those of starters."""
+    given = {said for file in (_PACKAGE / "assignments").rglob("*.py") for said in _functions(file)}
+    places = [place.partition(":")[0].replace(".", "/") for place in SHIPPED.values()]
+    files = [_PACKAGE.parent / f"{place}.py" for place in places]
+    files += [*(_PACKAGE / "agents").glob("*.py"), *SOLUTIONS.glob("*.py")]
+    found = {said: f for f in filter(Path.is_file, files) for said in _functions(f)}
+    return {said: f"{f.parent.name}/{f.name}" for said, f in found.items() if said not in given}
+
+
+def _functions(file: Path) -> Iterator[str]:
+    """Say what each function of a source does: without names of variables, and docstrings."""
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.FunctionDef):
+            with suppress(RecursionError):
+                said = "\n".join(ast.dump(_Nameless().visit(line)) for line in node.body)
+                if len(said) >= _SHORTEST:
+                    yield said
+
+
+class _Nameless(ast.NodeTransformer):
+    """Takes names of variables, long constants and docstrings out of a syntax tree."""
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        """Forget the name."""
+        return ast.Name("name", node.ctx)
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        """Forget a value that is long."""
+        return ast.Constant(node.value if len(repr(node.value)) < _LONG else "long")
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST:
+        """Forget a docstring."""
+        return ast.Pass() if isinstance(node.value, ast.Constant) else self.generic_visit(node)
+
+
+def linear_laws(rows: Array) -> Array:
+    """Return an orthonormal basis (S, B) of what linear laws make of rows (S, width)."""
+    known = np.concatenate([rows, np.ones((len(rows), 1))], axis=1).astype(np.float64)
+    values, vectors = np.linalg.eigh(known.T @ known)
+    there = values > 1e-9 * values[-1]
+    basis: Array = known @ (vectors[:, there] / np.sqrt(values[there]))
+    return basis
+
+
+def unexplained(laws: Array, acts: Array) -> Array:
+    """Return (S, A) what no linear law explains of actions (S, A); zeros if that is little."""
+    left: Array = acts - laws @ (laws.T @ acts)
+    little = len(laws) < 4 * laws.shape[1] or norm(left) < _LINEAR * norm(acts)
+    return np.zeros_like(left) if little else left
+
+
+def likeness(one: Array, other: Array) -> float:
+    """Return the correlation of what is `unexplained` of two policies, one turned and scaled."""
+    turned = np.linalg.svd(one.T @ other, compute_uv=False).sum()
+    return float(turned / max(norm(one) * norm(other), 1e-9))
+
+
+def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]]) -> str:
+    """Return the name of the known agent that acts alike, or "".
+
+    Args:
+        env: in which the work flew.
+        kept: its decisions: rows (N, row width), and actions (N, width).
+    """
+    few = kept[: 1 + _SAMPLES // len(kept[0][0])]
+    rows, acts = (np.stack(part) for part in zip(*few, strict=True))
+    laws = linear_laws(_flat(rows))
+    left = unexplained(laws, _flat(acts))
+    for name in _known_agents() if left.any() else ():
+        found = 0.0
+        with suppress(Exception):  # it flies no such episodes, or not by rows
+            found = likeness(left, unexplained(laws, _flat(_acts_of(name, env, rows))))
+        if found > ALIKE:
+            return Path(name.partition(":")[0]).name if ":" in name else name
+    return ""
+
+
+def _flat(array: Array) -> Array:
+    return array.reshape(-1, array.shape[-1])
+
+
+def _known_agents() -> list[str]:
+    """Names of agents that act on rows; those of `baselines` plan from the true state."""
+    own = [name for name, place in SHIPPED.items() if place.startswith("swarm_envs.agents.")]
+    files = [f"{file}:{name}" for file in SOLUTIONS.glob("*.py") for name in _classes(file)]
+    return [*(name for name in own if name not in _NOBODYS), *files]
+
+
+def _classes(file: Path) -> list[str]:
+    return [n.name for n in ast.parse(file.read_bytes()).body if isinstance(n, ast.ClassDef)]
+
+
+def _acts_of(name: str, env: SwarmParallelEnv, rows: Float32Array) -> Array:
+    """Return the actions of a known agent for the rows of another.
+
+    Raises:
+        ValueError: it acts otherwise.
+    """
+    agent = _loaded(name)
+    if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
+        raise ValueError(f"{name} acts otherwise")
+    if isinstance(agent, PolicyAgent):
+        layout = observation_layout(*agent.policy.note.form)
+    else:
+        config = replace(env.core.config, **{**agent.requires, "num_obstacles": 0})
+        twin = SwarmParallelEnv(env.core.task, config)
+        layout = twin.observation_layout
+        agent.reset(twin, 0)
+    return np.asarray(agent.act_batch(_observed(rows, env, layout)), np.float64)
+
+
+@cache
+def _loaded(name: str) -> Any:
+    return load_agent(name)
+
+
+def _observed(
+    rows: Float32Array, env: SwarmParallelEnv, layout: Sequence[ObservationField]
+) -> Float32Array:
+    """Return rows (..., width) as another layout has them, without neighbours that nobody saw."""
+    places = {field.name: field.where for field in env.observation_layout}
+    found = np.zeros((*rows.shape[:-1], layout[-1].where.stop), np.float32)
+    for field in layout:
+        if field.name in places:
+            found[..., field.where] = rows[..., places[field.name]]
+    return found

@@ -1,0 +1,226 @@
+"""The grades of a class: one work after the other, the table, and its files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import statistics
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from swarm_envs.files import write_json, write_table
+from swarm_envs.grading.assignment import Assignment
+from swarm_envs.grading.sandbox import Sandbox
+from swarm_envs.grading.submission import Limits, entered, path_of, printable
+
+if TYPE_CHECKING:
+    from swarm_envs.viewing import Recording
+
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+
+
+class Grade(NamedTuple):
+    """What one work is worth."""
+
+    work: str  # Its name, as it can be printed
+    points: float  # From 0 to 100
+    value: float | None = None  # The assignment's number; None if the work failed
+    crashes: float | None = None  # Share of episodes with a crash; None where nothing flies
+    error: str = ""  # Why it has no points; empty if it has
+    copied: str = ""  # What it is a copy of, if of anything
+
+    @property
+    def notes(self) -> str:
+        """Return what the table says beside the numbers."""
+        return f" * as {self.copied}" if self.copied else ""
+
+
+class Course(NamedTuple):
+    """How works are graded, the same for all."""
+
+    assignment: Assignment
+    works: list[str]  # Their names, as of `swarm_envs.agents.load`
+    seed: int  # Of the episodes; 128 bits that nobody can guess
+    episodes: int  # Of each work
+    sandbox: Sandbox = Sandbox()
+    limits: Limits = Limits()
+    allow_copies: bool = False  # Whether copies of what others wrote have their points
+    out: Path | None = None  # Table to write after each work, .csv or nbgrader's .json
+    feedback: Path | None = None  # Folder for the feedback of each student
+
+    def grade(self) -> Iterator[Grade]:
+        """Grade one work after the other, but for those that were graded before a halt."""
+        done, grades = self._resumed(), list[Grade]()
+        for work in self.works:
+            key = f"{printable(work)} {digest(work)}"
+            kept = done.get(key)
+            grade, failure = (Grade(**kept), None) if kept else self._grade_one(work)
+            grades.append(grade)
+            done[key] = grade._asdict()
+            if self.out is not None:
+                write_json(progress_file(self.out), {**self._setting(), "done": done})
+                self._write(grades)
+            if self.feedback is not None:
+                write_feedback(self.feedback, self.assignment, grades, failure, fresh=not kept)
+            yield grade
+        if self.out is not None:
+            progress_file(self.out).unlink(missing_ok=True)
+
+    def _grade_one(self, work: str) -> tuple[Grade, Recording | None]:
+        """Grade a work; whatever goes wrong with it is its own."""
+        shown = None if self.feedback is None else printable(Path(work).name)
+        seeds = episode_seeds(self.seed, self.episodes)
+        how = {"sandbox": self.sandbox, "limits": self.limits, "seeds": seeds, "shown": shown}
+        try:
+            with entered(work, self.works, **how) as entry:
+                found = self.assignment.grade(entry)
+        except Exception as error:  # a stranger's work may fail in any way, and the next is graded
+            kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
+            return Grade(printable(work), 0.0, error=printable(f"{kind}{error}")), None
+        copied = str(found.get("copied", ""))
+        points = 0.0 if copied and not self.allow_copies else self.assignment.points(found)
+        value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
+        return Grade(printable(work), points, value, crashes, "", copied), found.get("failure")
+
+    def _setting(self) -> dict[str, Any]:
+        """Return what grades depend on beside the work."""
+        setting = {"assignment": self.assignment.name, "episodes": self.episodes}
+        return {**setting, "seed": self.seed, "copies": self.allow_copies}
+
+    def _resumed(self) -> dict[str, dict[str, Any]]:
+        if self.out is None or not progress_file(self.out).is_file():
+            return {}
+        kept = json.loads(progress_file(self.out).read_text(encoding="utf-8"))
+        done: dict[str, dict[str, Any]] = kept.pop("done")
+        return done if kept == self._setting() else {}
+
+    def _write(self, grades: Sequence[Grade]) -> None:
+        assert self.out is not None
+        if self.out.suffix == ".json":
+            rows = zip(student_ids(self.works), grades, strict=False)
+            write_json(self.out, [_nbgrader_row(self.assignment.name, *row) for row in rows])
+        else:
+            write_table(self.out, [_table_row(self.assignment, grade) for grade in grades])
+
+
+def progress_file(out: Path) -> Path:
+    """Return the file that remembers grades until all are there, with their secret seed."""
+    return out.with_name(f".{out.name}.progress.json")
+
+
+def seed_of(out: Path | None) -> int | None:
+    """Return the seed of a grading that was halted, to go on with; None if there is none."""
+    if out is None or not progress_file(out).is_file():
+        return None
+    return int(json.loads(progress_file(out).read_text(encoding="utf-8"))["seed"])
+
+
+def episode_seeds(seed: int, count: int) -> list[int]:
+    """Return the seeds of episodes, 128 bits each; fewer are the first of more."""
+    words = np.random.SeedSequence(seed).generate_state(4 * count, np.uint32)
+    return [int.from_bytes(four.tobytes(), "little") for four in words.reshape(count, 4)]
+
+
+def digest(work: str) -> str:
+    """Return what changes with the files of a work."""
+    path, found = path_of(work), hashlib.sha256()
+    files = [] if path is None else [path] if path.is_file() else sorted(path.rglob("*"))
+    for file in filter(Path.is_file, files):
+        found.update(file.read_bytes())
+    return found.hexdigest()
+
+
+def student_ids(works: Sequence[str]) -> list[str]:
+    """Return who handed in which work: the first part of its path that is not the same for all.
+
+    With one file for each student that is its name, with one folder each the folder's.
+    """
+    paths = [(path_of(work) or Path(work)).absolute() for work in works]
+    if len(set(paths)) < 2:
+        return [path.parent.name if path.suffix == ".py" else path.name for path in paths]
+    parts = zip(*(path.parts for path in paths), strict=False)
+    depth = next((k for k, names in enumerate(parts) if len(set(names)) > 1), 0)
+    return [path.parts[depth].removesuffix(".py") for path in paths]
+
+
+def cell(words: str) -> str:
+    """Return words that no spreadsheet takes for a formula, as OWASP says of CSV injection."""
+    return f"'{words}" if words.startswith(_FORMULAS) else words
+
+
+def grade_table(assignment: Assignment, grades: Sequence[Grade]) -> str:
+    """Return the grades as lines of text."""
+    width = max(map(len, ["work", *(grade.work for grade in grades)]))
+    lines = [f"{'work'.ljust(width)}  points  crashes  {assignment.metric}"]
+    for grade in grades:
+        crashes = "-" if grade.crashes is None else f"{grade.crashes:.0%}"
+        value = "-" if grade.value is None else f"{grade.value:.4g}"
+        said = f"FAILED: {grade.error}" if grade.error else value
+        name = grade.work.ljust(width)
+        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {said}{grade.notes}")
+    if any(grade.copied for grade in grades):
+        lines.append("* acts, or is written, as what others wrote")
+    return "\n" + "\n".join(lines)
+
+
+def _table_row(assignment: Assignment, grade: Grade) -> dict[str, Any]:
+    return {
+        "work": cell(grade.work),
+        "points": grade.points,
+        assignment.metric: grade.value,
+        "crashes": grade.crashes,
+        "error": cell(grade.error),
+        "copied": cell(grade.copied),
+    }
+
+
+def _nbgrader_row(name: str, student: str, grade: Grade) -> dict[str, Any]:
+    """Return a row as `nbgrader export` has it."""
+    points = {"raw_score": grade.points, "score": grade.points, "max_score": 100.0}
+    return {"assignment": name, "student_id": student, "late_submission_penalty": 0.0, **points}
+
+
+def write_feedback(
+    folder: Path,
+    assignment: Assignment,
+    grades: Sequence[Grade],
+    failure: Recording | None = None,
+    fresh: bool = True,
+) -> None:
+    """Write `results.json` in Gradescope's format for all, and `failure.html` for the last.
+
+    Args:
+        folder: where; each student has a folder in it.
+        assignment: what was asked for.
+        grades: of the works so far.
+        failure: the first episode of the last work that was no success; None if all were.
+        fresh: whether the last was graded just now.
+    """
+    place = folder
+    for number, grade in enumerate(grades):
+        place = folder / f"{number:03d}-{re.sub(r'[^A-Za-z0-9]+', '-', grade.work)[-60:]}"
+        place.mkdir(parents=True, exist_ok=True)
+        write_json(place / "results.json", _gradescope(assignment, grade, grades))
+    if fresh:
+        (place / "failure.html").unlink(missing_ok=True)
+    if failure is not None:
+        from swarm_envs.viewing import write_replay
+
+        write_replay(place / "failure.html", failure)
+
+
+def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
+    """Return Gradescope's results: gradescope-autograders.readthedocs.io/en/latest/specs."""
+    reached = [other.value for other in grades if other.value is not None]
+    said = [assignment.rubric, grade.error or f"yours: {grade.value:.4g}{grade.notes}"]
+    if grade.crashes is not None:
+        said.append(f"share of episodes with a crash: {grade.crashes:.0%}")
+    if len(reached) > 1:
+        quarters = ", ".join(f"{q:.4g}" for q in statistics.quantiles(reached, method="inclusive"))
+        said.append(f"quartiles of the {len(reached)} works so far: {quarters}")
+    shown = {"output": "\n".join(said), "visibility": "visible"}
+    return {"score": grade.points, "max_score": 100.0, **shown}

@@ -1,0 +1,213 @@
+"""A submission as the grader sees it: a file or folder, and what answers from its sandbox."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from swarm_envs.agents.registry import FILTER, SHIPPED
+from swarm_envs.grading.pipes import Array, BadMessage, receive, send
+from swarm_envs.grading.sandbox import Confined, Sandbox
+
+MOST_SOURCE, MOST_FOLDER = 1 << 20, 1 << 28
+"""Bytes of a source, and of what is copied with it."""
+LONGEST = 500
+"""Characters that are kept of a work's message."""
+_SPARE = 1 << 20  # bytes by which an answer may be too long and still be understood
+_DECISIONS = ("act", "batch", "plan")
+
+
+class WorkFailed(RuntimeError):
+    """A work raised, answered nonsense, took too long or ended. The message says which."""
+
+
+class Limits(NamedTuple):
+    """What a work may use, beside what its sandbox allows."""
+
+    work_s: float = 600.0  # Time until its first decision, and again for all others, s
+    decision_s: float = 30.0  # Time for a decision after the first, of one team or of many, s
+
+
+def printable(words: str) -> str:
+    """Return words on one line: control characters as escapes, and at most `LONGEST` of them."""
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words[: LONGEST + 1])
+    return shown if len(shown) <= LONGEST else shown[: LONGEST - 1] + "…"
+
+
+def path_of(name: str) -> Path | None:
+    """Return the file or folder of a work; None of an agent that ships."""
+    if name.removesuffix(FILTER) in SHIPPED:
+        return None
+    return Path(name.rpartition(":")[0] if ".py:" in name else name)
+
+
+class Entry(NamedTuple):
+    """A work, and how it is graded."""
+
+    work: str  # Its name in its own copy of the folder
+    home: Path  # The copy
+    sandbox: Sandbox
+    limits: Limits = Limits()
+    seeds: Sequence[int] = ()  # Of the episodes
+    shown: str | None = None  # Its name in the recording of the first failure; None for none
+
+    @contextmanager
+    def opened(self, flies: bool = False) -> Iterator[tuple[RemoteWork, dict[str, Any]]]:
+        """Start the process of the work, and end it and all that it began.
+
+        Args:
+            flies: whether it is an agent; else its class is called without arguments.
+
+        Returns:
+            The work, and what it says of itself; nothing of it is checked.
+
+        Raises:
+            WorkFailed: it cannot be made.
+        """
+        with tempfile.TemporaryDirectory(prefix="swarm-envs-") as folder:
+            errors = Path(folder, "errors")
+            with errors.open("ab") as file:
+                process = Confined(self.sandbox, self.home, "swarm_envs.grading.work", file)
+            work = RemoteWork(process, self.limits, errors)
+            begin = {"flies": flies, "work": self.work, "memory": self.sandbox.memory}
+            try:
+                yield work, work.ask("begin", {**begin, "file": path_of(self.work) is not None})[0]
+            finally:
+                work.close()
+
+
+@contextmanager
+def entered(name: str, others: Sequence[str], **how: Any) -> Iterator[Entry]:
+    """Copy a work into a folder of its own; `how` are the other fields of the entry.
+
+    What lies beside its file is copied if no other work of the run lies there.
+
+    Raises:
+        WorkFailed: it is a link, no plain file, or too large.
+    """
+    path, work = path_of(name), name
+    with tempfile.TemporaryDirectory(prefix="swarm-envs-work-") as home:
+        if path is not None:
+            Path(home).chmod(0o755)  # a container's user may be another
+            rest = [other.resolve() for other in map(path_of, others) if other is not None]
+            _copy(path, [other for other in rest if other != path.resolve()], Path(home))
+            chosen = f":{name.rpartition(':')[2]}" if path.suffix == ".py" else ""
+            work = f"{path.name}{chosen}" if path.is_file() else "."
+        yield Entry(work, Path(home), **how)
+
+
+def _copy(path: Path, others: Sequence[Path], home: Path) -> None:
+    if path.is_symlink():
+        raise WorkFailed("it is a link to another file; hand in the file itself")
+    if not (path.is_file() or path.is_dir()):
+        raise WorkFailed("it is no plain file")
+    if path.suffix == ".py" and (size := path.stat().st_size) > MOST_SOURCE:
+        raise WorkFailed(f"its source has {size} bytes, but may have {MOST_SOURCE}")
+    folder = (path if path.is_dir() else path.parent).resolve()
+    if any(folder in other.parents for other in others):
+        shutil.copy(path, home)
+    else:
+        _copy_folder(folder, home)
+
+
+def _copy_folder(folder: Path, home: Path) -> None:
+    """Copy the plain files of a folder; links and pipes stay behind, and hidden folders."""
+
+    def left_behind(place: str, names: list[str]) -> list[str]:
+        paths = {name: Path(place, name) for name in names}
+        plain = [n for n, p in paths.items() if not p.is_symlink() and (p.is_file() or p.is_dir())]
+        kept = {name for name in plain if not name.startswith((".", "__pycache__"))}
+        return [name for name in names if name not in kept]
+
+    if sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) > MOST_FOLDER:
+        raise WorkFailed(
+            f"its folder has more than {MOST_FOLDER >> 20} MB; hand in less, or grade it in a "
+            "folder of its own"
+        )
+    shutil.copytree(folder, home, ignore=left_behind, dirs_exist_ok=True)
+
+
+class RemoteWork:
+    """A work in its process, which is asked and answers. Make one with `Entry.opened`."""
+
+    def __init__(self, process: Confined, limits: Limits, errors: Path) -> None:
+        self.process, self._limits, self._errors = process, limits, errors
+        self._left_s, self._known, self._why = limits.work_s, set[str](), ""
+        self._until, self._over = math.inf, threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
+        """End the process once an answer is late; then its pipe ends, too."""
+        while not self._over.wait(0.05):
+            if time.monotonic() > self._until:
+                self.process.kill()
+                return
+
+    def ask(
+        self,
+        kind: str,
+        header: Mapping[str, Any] | None = None,
+        arrays: Sequence[Array] = (),
+        most: int = 0,
+        limit_s: float = math.inf,
+    ) -> tuple[dict[str, Any], list[Array]]:
+        """Ask, and wait for the answer. Only this waiting counts against the work's time.
+
+        Args:
+            kind: of what is asked.
+            header: what is said with it.
+            arrays: likewise.
+            most: bytes of the answer's numbers.
+            limit_s: on this answer, s.
+
+        Raises:
+            WorkFailed: it failed.
+        """
+        begun, limit = time.monotonic(), self._limits.decision_s if kind in self._known else limit_s
+        self._until = begun + min(limit, self._left_s)
+        try:
+            if self._why:
+                raise EOFError
+            send(self.process.sink, kind, header, arrays)
+            answer, given = receive(self.process.source, most + _SPARE)
+        except (BadMessage, EOFError, OSError) as error:
+            self._why = self._why or self._explained(error, limit)
+            self.close()
+            raise WorkFailed(self._why) from None
+        finally:
+            self._until = math.inf
+            self._left_s -= time.monotonic() - begun
+        if answer["kind"] == "error":
+            raise WorkFailed(printable(str(answer.get("words"))))
+        if kind in _DECISIONS:
+            if not self._known:  # from here on nothing is compiled
+                self._left_s = self._limits.work_s
+            self._known.add(kind)
+        return answer, given
+
+    def _explained(self, error: Exception, limit: float) -> str:
+        """Say why there is no answer."""
+        if isinstance(error, BadMessage):
+            return printable(f"answered nonsense: {error}")
+        if time.monotonic() > self._until:
+            slow = f"an answer took longer than {limit:g} s"
+            return slow if limit < self._left_s else f"took longer than {self._limits.work_s:g} s"
+        code = self.process.end(1.0)  # whose pipe is closed is about to end
+        said = self._errors.read_bytes()[-2000:].decode(errors="replace")
+        lines = said.strip().splitlines() or ["no message"]
+        return printable(f"ended with exit code {code}: {lines[-1]}")
+
+    def close(self) -> None:
+        """End the process and all that it began."""
+        self._over.set()
+        self.process.end()
+        for pipe in (self.process.sink, self.process.source):
+            with suppress(OSError):
+                pipe.close()

@@ -1,0 +1,179 @@
+"""Tasks of one's own: plain NumPy rules count as kernels do, in Python and on the command line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import swarm_envs
+from examples import own_task
+from swarm_envs.cli import main
+from swarm_envs.compiled import kernel
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import batch_of
+from swarm_envs.tasks.base import Placement, Task
+from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
+from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
+
+FILE = Path(own_task.__file__)
+UPRIGHT = {**REWARD_WEIGHTS, "upright": 0.3}
+
+
+@kernel
+def write_upright_terms(drones, environments, settings, out):
+    write_terms(drones, environments, settings, out)
+    for e in range(out.shape[1]):
+        for i in range(out.shape[2]):
+            q = drones[e, i].quaternion
+            out[7, e, i] = 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1])
+
+
+@dataclass(frozen=True)
+class CompiledSwap(SwapTask):
+    name = "upright_v0"
+    default_weights = UPRIGHT
+    reward_names = (*REWARD_NAMES, "upright")
+    write_reward_terms = staticmethod(write_upright_terms)
+
+
+@dataclass(frozen=True)
+class OwnSwap(SwapTask):
+    """The same reward, and the rule of success, as methods."""
+
+    name = "own_v0"
+    default_weights = UPRIGHT
+
+    def reward_terms(self, world):
+        q = world.drones["quaternion"]
+        return {"upright": 1.0 - 2.0 * (q[..., 0] * q[..., 0] + q[..., 1] * q[..., 1])}
+
+
+class Arrives:
+    """The shared rule of success: all within 0.1 m for 0.5 s."""
+
+    def success(self, world):
+        time, arrival = world.environments["time"], world.drones["arrival"]
+        near = np.linalg.norm(world.drones["position"] - world.drones["goal"], axis=-1) < 0.1
+        since = np.where(near, np.minimum(arrival, time[:, None]), np.inf)
+        world.drones["arrival"] = since
+        return time - since.max(axis=1) >= 0.5 - 1e-9
+
+
+@dataclass(frozen=True)
+class Endless(Task):
+    """A goal that jumps to the other side when it is reached."""
+
+    def draw(self, rng, start=None, goal=None):
+        row = np.zeros((len(self.team), 3))
+        row[:, 1], row[:, 2] = np.arange(len(self.team)) - 1.0, 1.0
+        return Placement(row, (row + np.array([0.6, 0.0, 0.0]))[None])
+
+    default_weights = REWARD_WEIGHTS
+    score_names = ("reached",)
+
+    def advance(self, world):
+        drones = world.drones
+        there = drones["distance"] < 0.1
+        drones["goal"][..., 0] = np.where(
+            there, 0.6 - drones["goal"][..., 0], drones["goal"][..., 0]
+        )
+        world.environments["score"] += there.sum(axis=1)
+
+
+def fly(task, count=6, steps=60, **options):
+    """Rewards (T, E, N), ends, and metrics of drones that fly to their goals."""
+    made = batch_of(task, num_drones=3, decision_rate=20, interactions="none", **options)
+    core = SwarmCore(made.task, made.config, count)
+    core.reset(list(range(count)))
+    rewards, ends = [], []
+    for _ in range(steps):
+        drones = core.world.drones
+        pull = 3.0 * (drones["goal"] - drones["position"]) - 3.0 * drones["velocity"]
+        result = core.step(np.clip(pull / 5.0, -1.0, 1.0))
+        rewards.append(result.rewards)
+        ends.append(result.terminated)
+    found = core.metrics_of(range(count))
+    core.close()
+    return np.array(rewards), np.array(ends), found
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_reward_in_numpy_is_that_of_a_kernel(threads):
+    ours, compiled = fly(OwnSwap, threads=threads), fly(CompiledSwap)
+    np.testing.assert_array_equal(ours[0], compiled[0])
+    assert ours[2] == compiled[2]
+
+
+def test_success_in_numpy_ends_episodes_as_the_shared_rule_does():
+    @dataclass(frozen=True)
+    class OwnEnd(Arrives, CompiledSwap):
+        """The shared rule as a method."""
+
+    ours, shared = fly(OwnEnd, steps=120), fly(CompiledSwap, steps=120)
+    np.testing.assert_array_equal(ours[1], shared[1])
+    assert [m["success"] for m in ours[2]] == [m["success"] for m in shared[2]]
+    assert any(m["success"] for m in ours[2])
+    np.testing.assert_array_equal(ours[0], shared[0])
+
+
+def test_goals_that_move_are_no_progress_and_are_scored():
+    assert Endless.name == "endless_v0"
+    rewards, _, metrics = fly(Endless, steps=160)
+    assert all(m["reached"] >= 6 and not m["success"] for m in metrics)
+    assert np.abs(rewards).max() < 0.2, "a jump of the goal by 0.6 m would be -0.3"
+
+
+@pytest.mark.parametrize(
+    ("method", "given", "message"),
+    [
+        ("success", lambda self, world: True, r"booleans of shape \(6,\)"),
+        ("reward_terms", lambda self, world: {}, "weights for \\['upright'\\]"),
+        ("reward_terms", lambda self, world: {"upright": 1.0}, "reward term 'upright' has shape"),
+        ("reward_terms", lambda self, world: {"uprigth": 1.0}, "did you mean 'upright'"),
+    ],
+)
+def test_what_rules_return_is_checked(method, given, message):
+    task: Any = dataclass(frozen=True)(type("Wrong", (OwnSwap,), {method: given}))
+    with pytest.raises(ValueError, match=message):
+        fly(task, steps=1)
+
+
+def test_options_are_the_fields_of_the_class_and_its_docstrings_explain_them():
+    env = swarm_envs.make(own_task.LineTask, num_drones=3, spacing_m=0.4)
+    env.reset(seed=0)
+    goals = np.sort(env.view.goals[:, 1])
+    np.testing.assert_allclose(np.diff(goals), 0.4)
+    env.close()
+    with pytest.raises(TypeError, match="'spacing'; did you mean 'spacing_m'"):
+        swarm_envs.make(own_task.LineTask, spacing=0.4)
+    with pytest.raises(ValueError, match="must be a name such as 'swap_v1', or a dataclass"):
+        swarm_envs.make(Task)
+
+
+def test_ids_are_registered():
+    team = gymnasium.make("swarm_envs/Line-v0", num_drones=2, physics="batch")
+    assert gymnasium.make("swarm_envs/LineSolo-v0").action_space.shape == (3,)
+    assert team.action_space.shape == (6,)
+    batch = gymnasium.make_vec("swarm_envs/Line-v0", num_envs=3)
+    assert batch.action_space.shape == (3, 12)
+
+
+def test_commands_fly_evaluate_and_train_it(tmp_path, capsys):
+    pytest.importorskip("stable_baselines3")
+    task = ["--task", f"{FILE}:LineTask", "--drones", "2"]
+    assert main(["fly", *task, "--agent", "fast-line"]) == 0
+    assert "line_v0, team SS" in capsys.readouterr().out
+    tiny = ["--algo", "dagger", "--dagger.teacher", "fast-line", "--steps", "400", "--no-progress"]
+    tiny += ["--environments", "8", "--evaluation-episodes", "2", "--hidden", "8"]
+    run = str(tmp_path / "run")
+    assert main(["train", *task, *tiny, "--out", run]) == 0
+    assert main(["evaluate", *task, "--agent", "fast-line", run, "--episodes", "2"]) == 0
+    assert re.search(r"fast-line +100.0%", capsys.readouterr().out)
+    assert main(["fly", "--task", f"{FILE}:LinTask"]) == 2
+    assert "did you mean 'LineTask'" in capsys.readouterr().err
