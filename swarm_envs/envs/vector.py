@@ -48,8 +48,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             new one, its action unused), `SAME_STEP` (the step itself does; `final_obs` and
             `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`). Or
             their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
-        per_agent: whether a row is a drone, and not a team. Reset masks are those of teams, (E,), or
-            of rows, equal within a team.
+        per_agent: whether a row is a drone, and not a team. Reset masks are those of teams, (E,),
+            or of rows, equal within a team.
         render_mode: `human` shows the first 16 environments in a browser, in real time; or None.
     """
 
@@ -213,7 +213,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
                 "reset(options={'reset_mask': ...})"
             )
 
-    def _by_team(self, name: str, values: npt.ArrayLike) -> npt.NDArray[Any]:
+    def _by_team(self, name: str, values: Any) -> npt.NDArray[Any]:
         """Return values (E,) of teams from those of teams or of rows.
 
         Raises:
