@@ -48,7 +48,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             new one, its action unused), `SAME_STEP` (the step itself does; `final_obs` and
             `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`). Or
             their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
-        per_agent: whether a row is a drone, and not a team. Reset masks stay those of teams, (E,).
+        per_agent: whether a row is a drone, and not a team. Reset masks are those of teams, (E,),
+            or of rows, equal within a team.
         render_mode: `human` shows the first 16 environments in a browser, in real time; or None.
     """
 
@@ -108,7 +109,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         Args:
             seed: a number for environment 0, counted up for the others; or one each.
             options: `start`, `goal` (N, 3), m, for every environment; `reset_mask` (E,) booleans,
-                which environments to reset.
+                which environments to reset. With `per_agent`, seeds and mask may have an entry for
+                each row instead, (E * N,), equal within a team.
 
         Raises:
             RuntimeError: the environment is closed.
@@ -121,6 +123,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         check_type("options", given, Mapping)
         given = dict(given)
         mask = given.pop("reset_mask", None)
+        mask = None if mask is None else self._by_team("reset_mask", mask)
         self.core.reset(self._seeds(seed), mask, given)
         where = np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask)
         self._ended[where] = False
@@ -210,11 +213,29 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
                 "reset(options={'reset_mask': ...})"
             )
 
+    def _by_team(self, name: str, values: Any) -> npt.NDArray[Any]:
+        """Return values (E,) of teams from those of teams or of rows.
+
+        Raises:
+            ValueError: the rows of a team differ.
+        """
+        array = np.asarray(values)
+        if not self.per_agent or array.shape != (self.num_envs,):
+            return array
+        rows = array.reshape(self.num_teams, -1)
+        differ = np.flatnonzero((rows != rows[:, :1]).any(axis=1))
+        if len(differ):
+            raise ValueError(
+                f"{name} is {rows[differ[0]].tolist()} for the drones of team {differ[0]}, but the "
+                "rows of a team are reset together; give all of them the same"
+            )
+        return rows[:, 0]
+
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
         if seed is None:
             return None
         if isinstance(seed, Sequence | np.ndarray):
-            return list(seed)
+            return self._by_team("seed", seed).tolist()
         first = check_integer("seed", seed, 0)
         return [first + e for e in range(self.num_teams)]
 

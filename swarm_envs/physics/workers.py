@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -29,12 +30,16 @@ class Workers:
         shared = min(_PARTS_PER_THREAD * self.threads, num_envs // together)
         count = max(self.threads, shared if self.threads > 1 else 1, -(-num_envs // largest))
         self._parts = parts(num_envs, count)
-        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        self._pool = self._new_pool()
+
+    def _new_pool(self) -> ThreadPoolExecutor | None:
+        self._process = os.getpid()
+        return ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def close(self) -> None:
         """Let the threads end. May be called more than once."""
         if self._pool is not None:
-            self._pool.shutdown()
+            self._pool.shutdown(wait=os.getpid() == self._process)
 
     def share(self, call: Call) -> None:
         """Call `call(first, last + 1, thread)` until every environment had its turn."""
@@ -42,6 +47,9 @@ class Workers:
             for first, last in self._parts:
                 call(first, last, 0)
             return
+        if os.getpid() != self._process:  # a fork copies no threads: the child would wait for ever
+            self._pool = self._new_pool()
+        assert self._pool is not None
         left = iter(self._parts)  # of which Python hands each part to one thread only
         waiting = [self._pool.submit(_work, call, left, k) for k in range(1, self.threads)]
         _work(call, left, 0)

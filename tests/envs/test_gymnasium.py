@@ -10,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TimeAwareObservation
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from swarm_envs import TASKS, gymnasium_name, make, register, swap_v1
 from swarm_envs.envs.joint import make_joint, make_solo
@@ -270,3 +271,30 @@ def test_a_batch_has_its_time_limit_too():
     env = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, horizon_s=1.0, decision_rate=48)
     assert env.spec is not None and env.spec.max_episode_steps == 48
     env.close()
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("by_row", [False, True])
+def test_masks_and_seeds_of_rows_are_those_of_their_teams(wrapped, by_row):
+    made = gymnasium.make_vec(
+        "swarm_envs/Swap-v1",
+        num_envs=3,
+        num_drones=2,
+        per_agent=True,
+        interactions="none",
+        horizon_s=0.2,
+        autoreset_mode=AutoresetMode.DISABLED,
+    )
+    env: Any = RecordEpisodeStatistics(made) if wrapped else made
+    first, _ = env.reset(seed=[4, 4, 5, 5, 6, 6] if by_row else [4, 5, 6])
+    ended = np.zeros(6, np.bool_)
+    while not ended.any():
+        *_, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
+        ended = terminated | truncated
+    if wrapped and not by_row:
+        return  # the wrapper counts rows, and refuses masks of teams itself
+    mask = ended if by_row else ended.reshape(3, 2).all(axis=1)
+    again, _ = env.reset(seed=[4, 4, 5, 5, 6, 6], options={"reset_mask": mask})
+    np.testing.assert_array_equal(again, first)
+    with pytest.raises(ValueError, match="rows of a team are reset together"):
+        made.reset(options={"reset_mask": np.array([1, 0, 1, 1, 0, 0], np.bool_)})

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import functools
+import multiprocessing
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import gymnasium
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.workers import Workers, parts
+from swarm_envs.training import SharedPolicyVecEnv
 
 
 @contextmanager
@@ -57,3 +64,33 @@ def test_what_fails_on_a_thread_is_raised():
     with working(64, 2) as workers, pytest.raises(ValueError, match="no"):
         threading.Timer(0.05, done.set).start()
         workers.share(call)
+
+
+def batch_physics():
+    physics = BatchPhysics("SS", 256, threads=2)
+    return functools.partial(physics.step, np.zeros((256, 2, 4)))
+
+
+def vector_environment():
+    env = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=256, threads=2)
+    env.reset(seed=0)
+    return functools.partial(env.step, np.zeros(env.action_space.shape, np.float32))
+
+
+def shared_policy():
+    env = SharedPolicyVecEnv("swap_v1", 256, seed=0, threads=2)
+    env.reset()
+    return functools.partial(env.step, np.zeros((env.num_envs, 3), np.float32))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes fork on Linux")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of fork beside threads
+@pytest.mark.parametrize("make", [batch_physics, vector_environment, shared_policy])
+def test_a_forked_child_steps_with_threads_of_its_own(make):
+    step = make()
+    step()
+    child = multiprocessing.get_context("fork").Process(target=step)
+    child.start()
+    child.join(60)
+    assert child.exitcode == 0, "it hangs or fails"
+    step()
