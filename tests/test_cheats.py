@@ -699,7 +699,10 @@ def test_a_force_model_is_no_memory_and_no_copy_with_a_sine(tmp_path):
 
 def test_a_shipped_force_model_is_known_by_what_it_predicts():
     rows = wake_rows(400)
-    moved, noise = exchanged(rows), np.random.default_rng(0).normal(size=len(rows))
+    moved, noise = (
+        exchanged(rows, np.random.default_rng(1)),
+        np.random.default_rng(0).normal(size=len(rows)),
+    )
     own, after = (modelled_force_g(each, "learned")[:, 2] for each in (rows, moved))
     for disguised in (0.0 * noise, 0.02 * own.std() * noise, own.std() * noise):
         assert copied_forces(rows, own + disguised, [(moved, after - own)]) == "learned"

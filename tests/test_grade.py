@@ -25,10 +25,12 @@ from swarm_envs.assignments.planner import (
     positions_of,
 )
 from swarm_envs.cli import main
+from swarm_envs.grading.assignment import Assignment
 from swarm_envs.grading.copies import copied_files
 from swarm_envs.grading.grade import (
     Course,
     Grade,
+    digest,
     episode_seeds,
     progress_file,
     student_ids,
@@ -122,7 +124,7 @@ def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
     works = [f"{file}:Fine" for file in (link, large, pipe)]
     assert main([*GRADE, "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
     said = capsys.readouterr().out
-    assert "FAILED: it is a link to another file; hand in the file itself" in said
+    assert "FAILED: it or its folder is a link to another; hand in the file itself" in said
     assert "FAILED: it is no plain file" in said
     assert "bytes, but may have 1048576" in said
 
@@ -287,7 +289,7 @@ def force_scores(work: str) -> dict[str, float]:
     fitted, held_out = rows.select(~rows.validation), rows.select(rows.validation)
     entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED)
     with entry.opened() as found:
-        return grade_model(found[0], fitted, held_out)
+        return grade_model(found[0], fitted, held_out, 3)
 
 
 def test_a_force_model_is_scored_on_what_it_has_not_seen(work):
@@ -503,3 +505,21 @@ def test_the_tests_that_students_are_given_pass(tmp_path, name):
 )
 def test_what_cannot_be_graded_is_refused(arguments, why, refused):
     assert why in refused("grade", *arguments)
+
+
+def test_a_metric_that_no_report_has_is_an_error_of_the_assignment():
+    class Mine(Assignment):
+        """Nothing."""
+
+        name = "mine"
+        metric = "rms_error"
+
+    with pytest.raises(ValueError, match="unknown metric of assignment 'mine' 'rms_error'"):
+        Mine().points({"rms_tracking_error_m": 0.1})
+
+
+def test_a_huge_file_is_not_read_and_costs_one_work_alone(tmp_path):
+    huge = tmp_path / "work.py"
+    with huge.open("wb") as file:
+        file.truncate(1 << 43)
+    assert len(digest(f"{huge}:Work")) == 64

@@ -43,7 +43,7 @@ class ForceModel(Assignment):
         rows, held_out = (collected(seed) for seed in (entry.seeds[0], entry.seeds[0] + 1))
         copied = harmless(copied_files, entry.home, entry.work)
         with entry.opened() as (work, _):
-            found = grade_model(work, rows, held_out)
+            found = grade_model(work, rows, held_out, entry.seeds[0] + 2)
         return {**found, "copied": copied or found["copied"]}
 
 
@@ -73,19 +73,26 @@ def score(predicted: Array, truth: Array) -> dict[str, float]:
 
 
 def grade_model(
-    work: RemoteWork, rows: InteractionRows, held_out: InteractionRows
+    work: RemoteWork, rows: InteractionRows, held_out: InteractionRows, seed: int
 ) -> dict[str, Any]:
     """Fit a student's model to rows, score it on others, and compare it with those that ship.
 
     It is given no label of the others, among which are as many with their velocities exchanged. The
     truth is the force of the simulation: the noise of labels would change marks with the seed.
 
+    Args:
+        work: the student's model.
+        rows: to fit it to.
+        held_out: to score it on.
+        seed: a secret one of the order of rows, and of the exchange.
+
     Raises:
         WorkFailed: it failed, or does not predict one finite number a row.
     """
     work.ask("fit", *_packed(rows))
-    order = np.random.default_rng(len(rows)).permutation(2 * len(held_out))
-    moved = exchanged(held_out)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(2 * len(held_out))
+    moved = exchanged(held_out, rng)
     both = _joined(held_out, moved).select(order)
     predicted = np.empty(len(order))
     predicted[order] = _predicted(work, both)
@@ -123,9 +130,9 @@ def _correlation(one: Array, other: Array) -> float:
     return float(np.mean((one - one.mean()) * other)) / spread if spread > 1e-9 else 0.0
 
 
-def exchanged(rows: InteractionRows) -> InteractionRows:
+def exchanged(rows: InteractionRows, rng: np.random.Generator) -> InteractionRows:
     """Return rows with the velocities of other rows."""
-    other = np.random.default_rng(1).permutation(len(rows))
+    other = rng.permutation(len(rows))
     neighbor = rows.neighbor.copy()
     neighbor[..., 3:] = np.where(rows.has_neighbor[..., None], neighbor[other][..., 3:], 0.0)
     return dataclasses.replace(rows, neighbor=neighbor, velocity=rows.velocity[other])

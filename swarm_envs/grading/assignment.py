@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.grading.copies import copied_acts, copied_files, harmless
 from swarm_envs.grading.remote import remote_agent
 from swarm_envs.grading.submission import Entry, RemoteWork, WorkFailed, path_of
@@ -61,8 +61,17 @@ class Assignment:
         return not collided(metrics)
 
     def points(self, report: Mapping[str, Any]) -> float:
-        """Return points from 0 to 100 for the metric, times the share of episodes that count."""
-        value = report.get(self.metric)
+        """Return points from 0 to 100 for the metric, times the share of episodes that count.
+
+        Raises:
+            ValueError: the report has no such metric.
+        """
+        if self.metric not in report:
+            numbers = [name for name, value in report.items() if isinstance(value, int | float)]
+            raise ValueError(
+                unknown_name(f"metric of assignment {self.name!r}", self.metric, numbers)
+            )
+        value = report[self.metric]
         if value is None:
             return 0.0
         share = (float(value) - self.zero) / (self.full - self.zero)

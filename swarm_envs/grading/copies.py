@@ -104,7 +104,8 @@ def _functions(file: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.FunctionDef):
             with suppress(RecursionError):
-                said = "\n".join(ast.dump(_Nameless().visit(line)) for line in node.body)
+                body = map(_Nameless().visit, node.body)
+                said = "\n".join(ast.dump(line) for line in body if line is not None)
                 if len(said) >= _SHORTEST:
                     yield said
 
@@ -120,9 +121,12 @@ class _Nameless(ast.NodeTransformer):
         """Forget a value that is long."""
         return ast.Constant(node.value if len(repr(node.value)) < _LONG else "long")
 
-    def visit_Expr(self, node: ast.Expr) -> ast.AST:
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         """Forget a docstring."""
-        return ast.Pass() if isinstance(node.value, ast.Constant) else self.generic_visit(node)
+        return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
+
+    def visit_Pass(self, node: ast.Pass) -> None:
+        """Forget a statement that does nothing."""
 
 
 def linear_laws(rows: Array) -> Array:

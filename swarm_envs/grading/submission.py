@@ -104,8 +104,8 @@ def entered(name: str, others: Sequence[str], **how: Any) -> Iterator[Entry]:
 
 
 def _copy(path: Path, others: Sequence[Path], home: Path) -> None:
-    if path.is_symlink():
-        raise WorkFailed("it is a link to another file; hand in the file itself")
+    if path.is_symlink() or path.parent.is_symlink():
+        raise WorkFailed("it or its folder is a link to another; hand in the file itself")
     if not (path.is_file() or path.is_dir()):
         raise WorkFailed("it is no plain file")
     if path.suffix == ".py" and (size := path.stat().st_size) > MOST_SOURCE:
@@ -131,6 +131,9 @@ def _copy_folder(folder: Path, home: Path) -> None:
             f"its folder has more than {MOST_FOLDER >> 20} MB; hand in less, or grade it in a "
             "folder of its own"
         )
+    for file in folder.rglob("*.py"):
+        if file.is_file() and (size := file.stat().st_size) > MOST_SOURCE:
+            raise WorkFailed(f"its source {file.name} has {size} bytes, but may have {MOST_SOURCE}")
     shutil.copytree(folder, home, ignore=left_behind, dirs_exist_ok=True)
 
 

@@ -172,10 +172,10 @@ def _answer(source: IO[bytes], sink: IO[bytes], work: Any, name: str) -> None:
 
 def _complain(sink: IO[bytes], error: BaseException, name: str) -> None:
     """Say an error's kind and words, and where in the student's file it came from."""
-    file = Path(name.rpartition(":")[0]).name
+    file = Path(name.rpartition(":")[0]).resolve()
     frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if Path(frame.filename).name == file]
-    place = f" (line {lines[-1]} of {file})" if lines else ""
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file]
+    place = f" (line {lines[-1]} of {file.name})" if lines else ""
     try:
         words = f"{type(error).__name__}: {error}"[:_LONGEST]
     except (Exception, SystemExit):  # the error's own words are the student's code too
