@@ -34,6 +34,7 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
+from swarm_envs.user_files import file_digest
 
 __all__ = [
     "COLLISIONS",
@@ -308,9 +309,7 @@ def source_digest(agent: Agent, name: str = "") -> str:
     file = inspect.getsourcefile(type(agent))
     digest = hashlib.sha256(Path(file).read_bytes() if file else b"")
     digest.update(str(getattr(agent, "digest", "")).encode())
-    own, colon, _ = name.rpartition(":")
-    for path in sorted(Path(own).parent.glob("*.py")) if colon else ():
-        digest.update(path.read_bytes())
+    digest.update(file_digest(name).encode())
     return digest.hexdigest()
 
 

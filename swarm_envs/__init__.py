@@ -89,7 +89,18 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
 
     `@register_task` above `class LineTask(Task)` gives the ids `swarm_envs/Line-v0` and
     `swarm_envs/LineSolo-v0` of Gymnasium, and `swarm_envs/line_v0` of PettingZoo.
+
+    Raises:
+        ValueError: it is no task, or its name is that of a task of the package.
     """
+    from swarm_envs.envs.options import own_task
+
+    own_task(task)
+    if task.name in TASKS:
+        raise ValueError(
+            f"name of {task.__name__} is {task.name!r}, which is a task of the package; give it "
+            f"one of its own, such as name = {task.__name__.lower() + '_v0'!r}"
+        )
     names = gymnasium_name(task.name), gymnasium_name(task.name, "Solo")
     for name in names:
         gymnasium.registry.pop(name, None)  # of the same class, imported before

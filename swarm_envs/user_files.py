@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import inspect
 import sys
@@ -12,7 +13,7 @@ from typing import Any
 
 from swarm_envs.errors import unknown_name
 
-__all__ = ["find_in", "import_file", "load_from_file"]
+__all__ = ["file_digest", "find_in", "import_file", "load_from_file"]
 
 _USERS_MODULE = "swarm_envs_users_file_"
 _imported: dict[str, set[str]] = {}
@@ -84,6 +85,20 @@ def _enter(folder: Path) -> None:
 def _lies_in(folder: Path, module: ModuleType) -> bool:
     place = getattr(module, "__file__", None)
     return place is not None and Path(place).parent == folder
+
+
+def file_digest(name: str) -> str:
+    """Return the SHA-256 of what a name such as `path/to/file.py:Class` depends on; "" of others.
+
+    That is every Python file of its folder: the file may import those beside it.
+    """
+    file, colon, _ = name.rpartition(":")
+    if not colon or not file.endswith(".py"):
+        return ""
+    digest = hashlib.sha256()
+    for path in sorted(Path(file).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def find_in(name: str, module: ModuleType, path: str) -> Any:

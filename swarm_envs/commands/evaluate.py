@@ -30,6 +30,7 @@ from swarm_envs.errors import check_divisor, check_integer
 from swarm_envs.files import claimed, write_json
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.scale_out import ScaleOptions
+from swarm_envs.user_files import file_digest
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -197,6 +198,8 @@ def _open_episodes(
         return None
     depends = {k: v for k, v in about.items() if k != "seed"}
     depends |= {"agent": flight.agent, "source": flight.digest, "version": __version__}
+    own = {name: file_digest(str(getattr(options, name))) for name in ("task", "interactions")}
+    depends |= {f"file of {name}": digest for name, digest in own.items() if digest}
     file = EpisodeFile(folder, flight.agent, depends)
     if before := sum(seed in file.episodes for seed in flight.seeds):
         print(

@@ -45,7 +45,7 @@ class EpisodeFields:
 
     task: str = "swap"
     """swap, ring, formation, columns, delivery, gates, pursuit or crowd, or one with its version,
-    `swap_v1`"""
+    `swap_v1`; or a task of one's own, path/to/file.py:Class"""
     layout: str | None = None
     """layout of the task, such as `random` or `stacked`; default: the task's"""
     drones: int | None = None
@@ -54,7 +54,8 @@ class EpisodeFields:
     physics: str | None = None
     """`bullet` or `batch`; default: Bullet if it is installed"""
     interactions: str = "learned"
-    """interaction forces: `none`, `wake`, `learned`, `deep-set`, or a weights file"""
+    """interaction forces: `none`, `wake`, `learned`, `deep-set`, a weights file, or
+    path/to/file.py:function"""
     horizon_s: float | None = None
     """time limit, s; default: the task's"""
 

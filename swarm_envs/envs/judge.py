@@ -221,7 +221,9 @@ def metrics(
     hurt = drones["hurt"].astype(np.int64)
     clearance, obstacles = drones["least_clearance"], drones["least_obstacle_clearance"]
     arrival = drones["arrival"].max(axis=1)
-    if not isinstance(task.success, Success):
+    if callable(task.success):  # a method: of the team, when it was done
+        arrival = np.where(ended["succeeded"], ended["time"], np.inf)
+    elif not isinstance(task.success, Success):
         arrival = np.full_like(arrival, np.inf)
     if on_contact == "end_team":
         arrived = {}

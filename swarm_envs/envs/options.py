@@ -277,24 +277,25 @@ def options_type(task: str | type[Task]) -> type[TaskOptions]:
     if isinstance(task, str) and ".py:" in task:
         task = load_from_file(task)
     if not isinstance(task, str):
-        return own_options(_checked(task))
+        return own_options(own_task(task))
     check_name("task", task, TASKS)
     module = importlib.import_module(f"swarm_envs.{task}")
     own = (c for c in vars(module).values() if getattr(c, "__module__", "") == module.__name__)
     return next(c for c in own if inspect.isclass(c) and issubclass(c, TaskOptions))
 
 
-def _checked(task: object) -> type[Task]:
+def own_task(task: object) -> type[Task]:
     """Return a task of one's own if it is one.
 
     Raises:
         ValueError: it is no task, no dataclass, or has no `draw`.
     """
-    kind = isinstance(task, type) and issubclass(task, Task) and is_dataclass(task)
-    if not kind or inspect.isabstract(task):
+    kind = isinstance(task, type) and issubclass(task, Task)
+    if not kind or "__dataclass_fields__" not in vars(task) or inspect.isabstract(task):
         raise ValueError(
-            f"task is {task!r:.80}, but must be a name such as 'swap_v1', or a dataclass that "
-            "inherits from swarm_envs.tasks.base.Task and has a method draw"
+            f"task is {task!r:.80}, but must be a name such as 'swap_v1', or a class with "
+            "@dataclass(frozen=True) that inherits from swarm_envs.tasks.base.Task and has a "
+            "method draw"
         )
     return cast(type[Task], task)
 

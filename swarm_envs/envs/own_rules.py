@@ -24,7 +24,18 @@ __all__ = ["apply_own_rules", "has_own_rules", "write_own_terms"]
 
 
 def has_own_rules(task: Task) -> bool:
-    """Return whether a task has any of the methods of this module."""
+    """Return whether a task has any of the methods of this module.
+
+    Raises:
+        ValueError: one of them is a function that is no method.
+    """
+    for name in ("success", "reward_terms"):
+        rule = getattr(task, name)
+        if callable(rule) and not inspect.ismethod(rule):
+            raise ValueError(
+                f"{name} of task {task.name!r} is {rule!r:.60}, but must be a method of its class: "
+                f"def {name}(self, world)"
+            )
     own = (task.success, task.advance, task.reward_terms)
     return any(map(inspect.ismethod, own))
 
@@ -39,7 +50,8 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
         end_on_success: whether success ends an episode.
 
     Raises:
-        ValueError: `success` returned something else than (E,) booleans.
+        ValueError: `success` returned something else than (E,) booleans, or `advance` set a goal or
+            a score that is not finite.
     """
     if inspect.ismethod(task.success):
         done = np.asarray(task.success(world))
@@ -52,6 +64,9 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
     if inspect.ismethod(task.advance):
         before = world.drones["goal"].copy()
         task.advance(world)
+        check_array(f"goal after advance of task {task.name!r}", world.drones["goal"], before.shape)
+        score = world.environments["score"]
+        check_array(f"score after advance of task {task.name!r}", score, score.shape)
         _send(world, (world.drones["goal"] != before).any(axis=-1))
 
 

@@ -158,9 +158,10 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
 
     A function is called as `f(position, velocity, types)`, with the positions (E, N, 3), m, and
     velocities (E, N, 3), m/s, of the drones of E environments in the world frame, and their
-    interaction types (E, N), such as `"S"` and `"L"`. It returns their forces (E, N, 3), N, which
-    are held until the next call; `force_rate` says how often a second that is. Drones whose
-    episode has ended are given as 1e6 m away.
+    interaction types (E, N), such as `"S"` and `"L"`. These are the environments whose force is
+    due, whose number changes from call to call: each row is to be computed by itself. It returns
+    their forces (E, N, 3), N, which are held until the next call; `force_rate` says how often a
+    second that is. Drones whose episode has ended are given as 1e6 m away and more.
 
     Args:
         name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (wakes and networks

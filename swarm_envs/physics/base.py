@@ -382,7 +382,7 @@ class Physics:
             position.reshape(-1, 3)[ended] = FAR * (1.0 + ended[:, None])
             types = np.array([interaction_types(self.teams[e]) for e in due.tolist()])
             for model, field in self._functions:
-                force = model.call(position, drones["velocity"].copy(), types)
+                force = model.call(position.copy(), drones["velocity"].copy(), types.copy())
                 if field == "force":
                     force = force * environments["force_scale"][due, None, None]
                 self.world.drones[field][due] = force

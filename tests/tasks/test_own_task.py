@@ -152,7 +152,7 @@ def test_options_are_the_fields_of_the_class_and_its_docstrings_explain_them():
     env.close()
     with pytest.raises(TypeError, match="'spacing'; did you mean 'spacing_m'"):
         swarm_envs.make(own_task.LineTask, spacing=0.4)
-    with pytest.raises(ValueError, match="must be a name such as 'swap_v1', or a dataclass"):
+    with pytest.raises(ValueError, match="must be a name such as 'swap_v1', or a class with"):
         swarm_envs.make(Task)
 
 
@@ -177,3 +177,41 @@ def test_commands_fly_evaluate_and_train_it(tmp_path, capsys):
     assert re.search(r"fast-line +100.0%", capsys.readouterr().out)
     assert main(["fly", "--task", f"{FILE}:LinTask"]) == 2
     assert "did you mean 'LineTask'" in capsys.readouterr().err
+
+
+def test_functions_that_are_no_methods_are_refused():
+    for name in ("success", "reward_terms"):
+        rule: Any = staticmethod(lambda world: {})
+        task: Any = dataclass(frozen=True)(type("Wrong", (Endless,), {name: rule}))
+        with pytest.raises(ValueError, match=f"{name} of task .* must be a method"):
+            fly(task, steps=1)
+
+
+@pytest.mark.parametrize(("table", "field"), [("drones", "goal"), ("environments", "score")])
+def test_goals_and_scores_that_are_not_finite_are_refused(table, field):
+    def advance(self, world):
+        getattr(world, table)[field][0] = np.nan
+
+    task: Any = dataclass(frozen=True)(type("Wrong", (Endless,), {"advance": advance}))
+    with pytest.raises(ValueError, match=f"{field} after advance of task 'endless_v0' is nan"):
+        fly(task, steps=1)
+
+
+def test_names_of_the_package_are_not_taken_over():
+    task: Any = dataclass(frozen=True)(type("MySwap", (SwapTask,), {}))
+    with pytest.raises(ValueError, match="MySwap is 'swap_v1', which is a task of the pack"):
+        swarm_envs.register_task(task)
+    with pytest.raises(ValueError, match="must be a name such as"):
+        swarm_envs.register_task(type("Bare", (SwapTask,), {}))
+
+
+def test_an_edited_task_is_flown_again(tmp_path, capsys):
+    file = tmp_path / "line.py"
+    file.write_text(FILE.read_text(), encoding="utf-8")
+    words = ["evaluate", "--task", f"{file}:LineTask", "--agent", "fast-line", "--episodes", "2"]
+    words += ["--interactions", "none", "--out", str(tmp_path / "out")]
+    assert main(words) == 0 and main(words) == 0
+    assert "2 of 2 episodes were flown before" in capsys.readouterr().out
+    file.write_text(FILE.read_text().replace("spacing_m: float = 0.5", "spacing_m: float = 0.3"))
+    assert main(words) == 0
+    assert "were flown before" not in capsys.readouterr().out

@@ -87,7 +87,7 @@ class RunOptions:
     out: Path
     """folder of the run: policy.safetensors, progress.csv, report.json, checkpoints, event files"""
     task: str = "swap"
-    """the task, such as `swap`, or with its version, `swap_v1`"""
+    """the task, such as `swap`, or with its version, `swap_v1`; or path/to/file.py:Class"""
     layout: str | None = None
     """the layout of the task; default: `random` for swap (half of the episodes are crowded, a
     quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`), `stack` for
@@ -162,7 +162,7 @@ class RlConfig(AirOptions, RunOptions):
     """the shipped agent whose tracking controller flies the policy's set-points, such as
     `air-aware`; the default controller if not given"""
     interactions: str = "learned"
-    """interaction forces: `none`, `wake`, `learned`, or a weights file"""
+    """interaction forces: `none`, `wake`, `learned`, a weights file or path/to/file.py:function"""
     proximity: tuple[float, float] = (4.0, 2.0)
     """cost of being near another drone, before and after 37 % of the steps; too much for too long,
     and drones hover next to their goals"""

@@ -19,6 +19,7 @@ from swarm_envs.training.rl.choosing import (
     with_defaults,
 )
 from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.user_files import file_digest
 
 __all__ = ["finished_report", "train_policy"]
 
@@ -149,6 +150,8 @@ def result_options(config: RlConfig, task: str) -> dict[str, Any]:
     foreign = ("set", "proximity") if config.imitates else ("start", "dagger")
     names = [f.name for f in fields(config) if f.name not in (*_NO_RESULT, *foreign)]
     options = {name: getattr(config, name) for name in names}
+    own = {name: file_digest(str(getattr(config, name))) for name in ("task", "interactions")}
+    options |= {f"file of {name}": digest for name, digest in own.items() if digest}
     ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
     return ready
 
