@@ -235,7 +235,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         if seed is None:
             return None
         if isinstance(seed, Sequence | np.ndarray):
-            return self._by_team("seed", seed).tolist()
+            return list(self._by_team("seed", np.array(list(seed), dtype=object)))
         first = check_integer("seed", seed, 0)
         return [first + e for e in range(self.num_teams)]
 

@@ -97,8 +97,8 @@ def _bubble(home: Path) -> list[str]:
     seen = [*_SYSTEM, *_COMPUTER, str(kernel_folder()), sys.base_prefix, sys.prefix, *_installed()]
     binds = [word for path in [*seen, *parts] for word in ("--ro-bind-try", str(path), str(path))]
     keyring = ["keyctl", "session", "-"] if shutil.which("keyctl") else []
-    own = ["--dev", "/dev", "--tmpfs", "/tmp", "--ro-bind", str(home), HOME, "--chdir", HOME]
-    return [*keyring, *_ALONE, *binds, *own]
+    empty = ["--dev", "/dev", "--tmpfs", "/tmp"]  # first: the package may be installed below it
+    return [*keyring, *_ALONE, *empty, *binds, "--ro-bind", str(home), HOME, "--chdir", HOME]
 
 
 def _clean() -> list[str]:
