@@ -51,20 +51,22 @@ def gymnasium_name(task: str, suffix: str = "") -> str:
 
 def register() -> None:
     """Register every task with Gymnasium and, from 1.27 on, PettingZoo, unless it is registered."""
-    joint = "swarm_envs.envs.joint"
     for task in TASKS:
-        given = {"task": task}
         if gymnasium_name(task) not in gymnasium.registry:
-            name, solo = gymnasium_name(task), gymnasium_name(task, "Solo")
-            vector = "swarm_envs.envs.vector:make_vector"
-            gymnasium.register(name, f"{joint}:make_joint", vector_entry_point=vector, kwargs=given)
-            gymnasium.register(solo, f"{joint}:make_solo", kwargs=given)
+            _register_with_gymnasium(task, task)
         if not hasattr(pettingzoo, "register"):
             continue
         known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`
         if f"swarm_envs/{task.replace('_v', '-v')}" not in known:
             pettingzoo.register("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
             pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
+
+
+def _register_with_gymnasium(name: str, task: str | type[Task]) -> None:
+    joint, vector = "swarm_envs.envs.joint", "swarm_envs.envs.vector:make_vector"
+    team, solo, given = gymnasium_name(name), gymnasium_name(name, "Solo"), {"task": task}
+    gymnasium.register(team, f"{joint}:make_joint", vector_entry_point=vector, kwargs=given)
+    gymnasium.register(solo, f"{joint}:make_solo", kwargs=given)
 
 
 def make(task: str | type[Task], **options: Any) -> SwarmParallelEnv:
@@ -101,13 +103,9 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
             f"name of {task.__name__} is {task.name!r}, which is a task of the package; give it "
             f"one of its own, such as name = {task.__name__.lower() + '_v0'!r}"
         )
-    names = gymnasium_name(task.name), gymnasium_name(task.name, "Solo")
-    for name in names:
-        gymnasium.registry.pop(name, None)  # of the same class, imported before
-    joint, vector = "swarm_envs.envs.joint", "swarm_envs.envs.vector:make_vector"
-    given = {"task": task}
-    gymnasium.register(names[0], f"{joint}:make_joint", vector_entry_point=vector, kwargs=given)
-    gymnasium.register(names[1], f"{joint}:make_solo", kwargs=given)
+    for suffix in ("", "Solo"):
+        gymnasium.registry.pop(gymnasium_name(task.name, suffix), None)  # of an earlier import
+    _register_with_gymnasium(task.name, task)
     if hasattr(pettingzoo, "register"):
         pettingzoo.parallel_registry.pop(f"swarm_envs/{task.name.replace('_v', '-v')}", None)
         pettingzoo.register("parallel", f"swarm_envs/{task.name}", partial(make, task))

@@ -37,9 +37,9 @@ class Command(NamedTuple):
     summary: str
     """One line for the list of commands."""
     example: str
-    """What to type first, for the help of the command."""
+    """An example of its options, for the help of the command."""
     prefixes: bool = False
-    """Whether options of a nested dataclass are named after it: `--logs.guard-s`."""
+    """True if options of a nested dataclass are named after it: `--logs.guard-s`."""
 
 
 COMMANDS: Mapping[str, Command] = {

@@ -228,7 +228,7 @@ class Agent(Agent):
     def act_batch(self, rows): return np.zeros((10**3, 10**4))
 # requires an easier task | unknown required option 'end_on_success'
 Agent.requires = {**Agent.requires, 'end_on_success': False, 'horizon_s': 1e3}
-# requires a million neighbours | must be at most 64
+# requires a million neighbours | must be an integer of at least 0 and at most 64
 Agent.requires = {**Agent.requires, 'num_neighbors': 10000}
 # requires what is no number | decision_rate
 Agent.requires = {**Agent.requires, 'decision_rate': [[[[]]]]}
@@ -333,13 +333,21 @@ def running() -> set[str]:
 
 
 def left_behind(before: set[str]) -> set[str]:
-    """What runs since then, and goes on for a while: works of other tests end by themselves."""
-    found = running() - before
-    for _ in range(60):
-        found &= running()
-        if not found:
+    """What runs since then, but for the works of tests on other workers: these have parents."""
+    beside = os.getppid() if "PYTEST_XDIST_WORKER" in os.environ else -1
+    found = {place: ancestors(place) for place in running() - before}
+    return {place for place, up in found.items() if os.getpid() in up or beside not in up}
+
+
+def ancestors(place: str) -> set[int]:
+    """Return the numbers of a process's parents, by its place in /proc; none of a control group."""
+    found, number = set[int](), Path(place).parent.name
+    while number.isdigit() and int(number) > 1:
+        try:
+            number = Path("/proc", number, "stat").read_text().rpartition(")")[2].split()[1]
+        except OSError:
             break
-        time.sleep(1.0)
+        found.add(int(number))
     return found
 
 

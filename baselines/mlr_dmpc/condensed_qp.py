@@ -143,7 +143,7 @@ _TOLERANCE = 1e-8
 
 
 class QpSolution(NamedTuple):
-    """What DAQP found."""
+    """The result of DAQP."""
 
     y: FloatArray  # (n,) the minimum, if there is one
     active: BoolArray  # (m,) rows that hold with equality, to start the next program from

@@ -71,8 +71,8 @@ class MlrDmpcConfig:
     distance_m: float = 0.25
     """Least scaled distance between references, m."""
     between_samples: bool = True
-    """Whether that is kept at any time, by a greater `sampled_distance_m` at the samples (24);
-    published: False, at the samples alone."""
+    """True to keep that distance at any time, by a greater one at the samples (24). Published:
+    False, at the samples alone."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 6.0)
     """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
     soft_m: float = 0.7

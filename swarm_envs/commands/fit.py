@@ -35,7 +35,7 @@ class FitOptions(FitConfig):
     """with --residual: draws of flights for the 95 % intervals"""
 
     def config(self) -> FitConfig | ResidualConfig:
-        """What is fitted."""
+        """Return the configuration of the fit, or of the identification with `residual`."""
         kind = ResidualConfig if self.residual else FitConfig
         return kind(**{field.name: getattr(self, field.name) for field in fields(kind)})
 

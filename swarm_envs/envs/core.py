@@ -259,7 +259,7 @@ class SwarmCore:
         if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
             check_actions(mode, asked)
         rewards: FloatArray = np.empty(drones.shape)
-        terms: FloatArray = np.zeros((len(self._weights), *drones.shape))
+        terms: FloatArray = np.empty((len(self._weights), *drones.shape))
 
         def finish(first: int, last: int, thread: int) -> None:
             """Judge, weigh and observe what has been flown."""

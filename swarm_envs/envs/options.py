@@ -159,17 +159,12 @@ def task_views(
     Callable[P, Blueprint], Callable[P, SwarmParallelEnv], Callable[P, AECEnv[str, Any, Any]]
 ]:
     """The functions of a task whose options are of a class: `blueprint`, `parallel_env`, `env`."""
-    names, owner = inspect.signature(options).parameters, getattr(options, "__name__", "options")
 
     def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
         """Make what every interface to the task is made from."""
         if args:
             raise TypeError(f"options have names, such as num_drones=4, but got {args[0]!r:.80}")
-        for name in given:
-            if name not in names:
-                said = f"{owner}() got an unexpected keyword argument {name!r}"
-                raise TypeError(f"{said}; {nearest(name, names)}")
-        return options(*args, **given).blueprint()
+        return _blueprint(options, given)
 
     def parallel_env(*args: P.args, **given: P.kwargs) -> SwarmParallelEnv:
         """Make the environment with PettingZoo's parallel interface."""
@@ -182,6 +177,16 @@ def task_views(
     for view in (blueprint, parallel_env, env) if __doc__ else ():  # python -OO has no docstrings
         _document(view, options)
     return blueprint, parallel_env, env
+
+
+def _blueprint(options: Callable[..., TaskOptions], given: Mapping[str, Any]) -> Blueprint:
+    names = inspect.signature(options).parameters
+    for name in given:
+        if name not in names:
+            owner = getattr(options, "__name__", "options")
+            said = f"{owner}() got an unexpected keyword argument {name!r}"
+            raise TypeError(f"{said}; {nearest(name, names)}")
+    return options(**given).blueprint()
 
 
 _RAISES = """\
@@ -242,8 +247,8 @@ def field_docstrings(settings: type) -> dict[str, str]:
     They are empty where the source is not there.
     """
     found = {field.name: "" for field in fields(settings)}
-    task = getattr(settings, "task_type", None)  # of a task of one's own, it documents its options
-    for base in (*reversed(settings.__mro__), *([task] if task else [])):
+    task = getattr(settings, "task_type", None)  # whose fields may be options, and explain them
+    for base in (*([task] if task else []), *reversed(settings.__mro__)):
         if is_dataclass(base):
             own = _own_docstrings(cast(type, base))
             found |= {name: text for name, text in own.items() if name in found}
@@ -328,7 +333,7 @@ def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
         TypeError: an option does not exist; the message names the nearest.
         ValueError: there is no such task, or an option has an impossible value.
     """
-    return task_views(options_type(task))[0](**options)
+    return _blueprint(options_type(task), options)
 
 
 def batch_of(task: str | type[Task], **options: Any) -> Blueprint:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 __all__ = ["MOST_DRONES", "MOST_OBSERVED", "AirOptions"]
 
 MOST_DRONES = 100_000
-"""How many drones may fly: a batch of environments shares the memory."""
+"""The largest number of drones: a batch of environments shares the memory."""
 MOST_OBSERVED = 10_000
 """The most for K or M: an observation has room for all of them in every episode."""
 

@@ -27,7 +27,7 @@ _EPISODE_S = 0.25  # CPU time for the decisions of an episode
 
 
 class Assignment:
-    """What is asked for, and what it is worth: subclass it, and grade with `--assignment my.py`.
+    """A task for students and its marks: subclass it, and grade with `--assignment my.py`.
 
     The class attributes say everything about flights in an environment; override `grade` for what
     is no flight. The docstring is the one line that describes it.
@@ -36,7 +36,7 @@ class Assignment:
     name: ClassVar[str]
     """Its name."""
     work: ClassVar[str] = "work.py:MyWork"
-    """What is handed in, as `file.py:Class`."""
+    """The submission that is asked for, as `file.py:Class`."""
     task: ClassVar[str] = "swap_v1"
     """Name of the environment."""
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})

@@ -1,4 +1,4 @@
-"""What others have written, recognised in a submission: by its weights, its source and its acts.
+"""The recognition of copies: work of others in a submission, by weights, source and actions.
 
 Known are the agents and force models that ship, and in a checkout the reference solutions of
 `tests/solutions`. Two policies are alike if what no linear law of their observations explains of

@@ -24,7 +24,7 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
 class Grade(NamedTuple):
-    """What one work is worth."""
+    """The marks of one work."""
 
     work: str  # Its name, as it can be printed
     points: float  # From 0 to 100
@@ -40,7 +40,7 @@ class Grade(NamedTuple):
 
 
 class Course(NamedTuple):
-    """How works are graded, the same for all."""
+    """The grading of a class: works, seed and limits, the same for all."""
 
     assignment: Assignment
     works: list[str]  # Their names, as of `swarm_envs.agents.load`

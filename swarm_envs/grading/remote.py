@@ -68,7 +68,7 @@ class RemoteAgent:
         asked = _checked(made.get("requires"))
         own: Any = asked.get("decision_rate")
         self.every = _repeats(own, rate)
-        """How often each action is repeated."""
+        """The number of decisions for which each action is repeated."""
         faster = {"decision_rate": own * self.every} if self.every > 1 else {}
         self.requires: Mapping[str, Any] = {**asked, **faster}
         self.kept: list[tuple[Float32Array, Array]] = []

@@ -28,7 +28,7 @@ _COMPUTER = ("/proc/cpuinfo", "/sys/devices/system/cpu")  # what libraries ask a
 
 
 class Sandbox(NamedTuple):
-    """How works are kept apart."""
+    """The separation of works from the system and from each other."""
 
     command: str | None = None
     """A command that runs what follows it, where `{work}` is the work's folder; None for bwrap."""

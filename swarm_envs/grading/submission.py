@@ -29,7 +29,7 @@ class WorkFailed(RuntimeError):
 
 
 class Limits(NamedTuple):
-    """What a work may use, beside what its sandbox allows."""
+    """The limits of a work, beside those of its sandbox."""
 
     work_s: float = 600.0  # Time until its first decision, and again for all others, s
     decision_s: float = 30.0  # Time for a decision after the first, of one team or of many, s

@@ -187,7 +187,7 @@ class Task(_Flown, ABC):
     goals_are: str = ""
     """What goals are, in a task that takes none."""
     learning: Learning | None = None
-    """How the task is learned; None if it has nothing that training could use."""
+    """Layouts, curriculum and measures of training; None to train on the task as it is."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None] = staticmethod(
         write_terms
     )

@@ -1,4 +1,4 @@
-"""How a task is learned: a `Learning` is the class attribute `learning` of every task.
+"""The training of a task: a `Learning` is the class attribute `learning` of every task.
 
 It says what `swarm-envs train` flies in place of a task's own episodes, and what makes one policy
 better than another. Training itself asks no task by its name.
@@ -50,15 +50,15 @@ def metric(name: str) -> Measure:
 
 
 RATES: Mapping[str, Measure] = MappingProxyType({"success": success, "collision": collision})
-"""What every task is measured by."""
+"""The measures of every task."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Learning:
-    """How one task is learned."""
+    """Layouts, curriculum, reward and measures with which a task is learned."""
 
     layouts: Mapping[str, Mapping[str, Any]]
-    """What `--layout` may name, the default first: options of the task's environment."""
+    """Options of the environment by the names that `--layout` takes, the default first."""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Layouts on which the policy of a layout is evaluated; itself alone where nothing is given."""
     beside: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -67,9 +67,9 @@ class Learning:
     """Default time limit in training, s, after which the value is bootstrapped: failures come
     early. None for the task's."""
     observe_load: bool | None = None
-    """Whether loads are observed by default; None for the task's default."""
+    """True to observe loads by default; None for the task's default."""
     has_obstacles: bool = False
-    """Whether the task has obstacles of its own, in some layout."""
+    """True if the task has obstacles of its own, in some layout."""
     reward_weights: Mapping[str, float] = field(default_factory=dict)
     """Weights of the reward in training that differ from the task's. Those of proximity and of a
     crash come from the options of training; `at_goal` and `tracking` are for a whole episode."""
@@ -78,7 +78,7 @@ class Learning:
     parts: Callable[[Any, str], Parts] = lambda task, layout: {layout: (1.0, task)}
     """That task as parts, for which DAgger may have teachers of their own."""
     measures: Mapping[str, Measure] = field(default_factory=lambda: RATES)
-    """What an episode of an evaluation is measured by."""
+    """The measures of an episode of an evaluation."""
     cost: Mapping[str, float] = field(default_factory=dict)
     """Factors: what one unit of a measure takes off the success of a layout in `quality`."""
 
