@@ -148,11 +148,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             self.core.reset(mask=again)
         over = (result.terminated | result.truncated) & ~again
         self._ended[:] = over
-        infos: Infos = {"active": result.active}
+        infos: Infos = {"active": result.active.copy()}
         if self.per_agent:
             ends = result.ended | (over[:, None] & ~result.active)  # who waited ends again
             given = result.rewards, ends, result.truncated[:, None] & ~ends
-            again, infos = again[:, None], {"active": result.active.reshape(-1)}
+            again, infos = again[:, None], {"active": infos["active"].reshape(-1)}
         else:
             given = result.rewards.mean(axis=1), result.terminated, result.truncated
             infos["rewards"] = result.rewards.copy()
