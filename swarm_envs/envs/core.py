@@ -39,10 +39,7 @@ __all__ = ["SwarmCore"]
 
 
 class StepResult(NamedTuple):
-    """The result of a step of E environments of N drones.
-
-    All but `terminated` and `truncated` are buffers, valid until the next step.
-    """
+    """The result of a step of E environments of N drones: buffers, valid until the next step."""
 
     observations: Float32Array
     """(E, N, width) rows; see `observation_layout`."""
@@ -122,12 +119,7 @@ class SwarmCore:
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
-        shape = self.world.drones.shape
-        self._actions: FloatArray = np.zeros((*shape, self.mode.width))
-        self._rewards: FloatArray = np.zeros(shape)
-        self._terms: FloatArray = np.zeros((len(weights), *shape))
-        self._active: BoolArray = np.zeros(shape, dtype=np.bool_)
-        self._ended: BoolArray = np.zeros(shape, dtype=np.bool_)
+        self._actions: FloatArray = np.zeros((num_envs, self.num_drones, self.mode.width))
         ranges = self.ranges = config.ranges
         self._noisy = ranges is not None and ranges.noisy
         sensed = self._noisy or config.hall is not None
@@ -143,6 +135,15 @@ class SwarmCore:
             self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
         self._own_rules = has_own_rules(task)
+        self._result = StepResult(
+            observations=self.rows,
+            rewards=np.zeros(drones.shape),
+            reward_terms=np.zeros((len(weights), *drones.shape)),
+            terminated=np.zeros(num_envs, np.bool_),
+            truncated=np.zeros(num_envs, np.bool_),
+            active=np.zeros(drones.shape, np.bool_),
+            ended=np.zeros(drones.shape, np.bool_),
+        )
         whole = (0, num_envs)
         self._parts = {part: self._part(*part) for part in (*self.physics.workers.parts, whole)}
 
@@ -150,8 +151,8 @@ class SwarmCore:
         """Return views of what the environments first to last - 1 have: all of it stays."""
         here = slice(first, last)
         drones, environments, goals = (table[here] for table in self.world)
-        flown, terms = self._flown[here], self._terms[:, here]
-        written = self._rewards[here], self._active[here], self._ended[here]
+        flown, (_, rewards, all_terms, *flags) = self._flown[here], self._result
+        terms, written = all_terms[:, here], (rewards[here], *(flag[here] for flag in flags))
         return _Part(
             actions=self._actions[here],
             state=(drones, environments, goals, self.settings),
@@ -298,8 +299,7 @@ class SwarmCore:
             self._finish(0, self.num_envs, 0)
         else:
             self.physics.fly(self._substeps, flown, self._finish)
-        ends = environments["terminated"].copy(), environments["truncated"].copy()
-        return StepResult(self.rows, self._rewards, self._terms, *ends, self._active, self._ended)
+        return self._result
 
     def _finish(self, first: int, last: int, thread: int) -> None:
         """Evaluate, reward and observe the decision that a part of the environments has flown."""

@@ -88,10 +88,12 @@ def weigh(
     drones: Records,
     environments: Records,
     rewards: FloatArray,
+    terminated: BoolArray,
+    truncated: BoolArray,
     active: BoolArray,
     ended: BoolArray,
 ) -> None:
-    """Sum weighted terms, in their order, and note which drones have flown and which have ended.
+    """Sum weighted terms, in their order, and write who has flown and whose episode has ended.
 
     Compiled, so that no batch changes the last bit.
 
@@ -102,10 +104,13 @@ def weigh(
         drones: (E, N) records.
         environments: (E,) records.
         rewards: (E, N), written.
+        terminated: (E,) ended by a crash or by success, written.
+        truncated: (E,) ended by the time limit, written.
         active: (E, N) drones that have flown this decision, written.
         ended: (E, N) those whose own episode was terminated in it, written.
     """
     for e in range(rewards.shape[0]):
+        terminated[e], truncated[e] = environments[e].terminated, environments[e].truncated
         for i in range(rewards.shape[1]):
             d, total = drones[e, i], 0.0
             flew = d.active + d.crashed > 0.0
@@ -115,4 +120,4 @@ def weigh(
                 total += weights[t] * terms[t, e, i]
             rewards[e, i] = total if flown[e] else 0.0
             active[e, i] = flown[e] and flew
-            ended[e, i] = active[e, i] and (environments[e].terminated or d.active == 0.0)
+            ended[e, i] = active[e, i] and (terminated[e] or d.active == 0.0)
