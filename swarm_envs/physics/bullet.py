@@ -14,7 +14,7 @@ import numpy as np
 from swarm_envs.physics.base import Physics
 from swarm_envs.physics.contact import BOX
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.physics.step import BEGIN, CONTROL, SPIN, TOUCH
+from swarm_envs.physics.step import BEGIN, CONTACTS, CONTROL, FORCES
 from swarm_envs.physics.workers import Call
 from swarm_envs.state import BoolArray, IntArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
@@ -159,8 +159,8 @@ def import_bullet() -> Any:
 class BulletPhysics(Physics):
     """Rigid bodies in Bullet, built once for a team; a reset sets poses and velocities.
 
-    Collisions are decided by the phase `TOUCH` of `fly`, as on the compiled engine. Where one ends
-    the team's episode Bullet's contacts give the response; else Bullet lets bodies pass.
+    Collisions are decided by the phase `CONTACTS` of `fly`, as on the compiled engine. Where one
+    ends the team's episode Bullet's contacts give the response; else Bullet lets bodies pass.
     Call `close()` when done, or use it in `with`.
 
     Raises:
@@ -278,14 +278,14 @@ class BulletPhysics(Physics):
 
     def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly; see `Physics.fly`."""
-        self._step_bodies(CONTROL | SPIN, steps, np.ascontiguousarray(flown), settles=True)
+        self._step_bodies(CONTROL | FORCES, steps, np.ascontiguousarray(flown), settles=True)
         then(0, self.num_envs, 0)
 
     def _advance(self) -> None:
-        self._step_bodies(SPIN, 1, self._everywhere, settles=False)
+        self._step_bodies(FORCES, 1, self._everywhere, settles=False)
 
     def _step_bodies(self, before: int, steps: int, flown: BoolArray, settles: bool) -> None:
-        """Make physics steps, with Bullet in the place of the phase MOVE.
+        """Make physics steps, with Bullet in the place of the phase INTEGRATE.
 
         One call of the kernel ends a step and begins the next: it has to load and store once.
 
@@ -302,12 +302,12 @@ class BulletPhysics(Physics):
         for k in range(steps):
             if self._functions:
                 self._call_functions(flown)
-            kernel(0, self.num_envs, before | (TOUCH if k else BEGIN), *given)
+            kernel(0, self.num_envs, before | (CONTACTS if k else BEGIN), *given)
             for e in where.tolist():
                 if k and bounces:
                     self.settle(e)
                 self._move_bodies(e, settles and k == steps - 1, ends_team)
-        kernel(0, self.num_envs, TOUCH, *given)
+        kernel(0, self.num_envs, CONTACTS, *given)
         if not ends_team:  # who bounced, or has ended, is not where its body is
             for e in where.tolist():
                 self.settle(e)
