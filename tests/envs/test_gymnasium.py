@@ -135,8 +135,8 @@ def test_what_was_refused_can_be_closed():
 def test_options_of_a_batch_and_of_a_team_in_one_box():
     with pytest.raises(ValueError, match="unknown autoreset_mode 'Same'"):
         make_vector("swap_v1", num_envs=2, autoreset_mode="Same", **QUICK)
-    with pytest.raises(ValueError, match="unknown render_mode of many environments 'rgb_array'"):
-        gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, render_mode="rgb_array")
+    with pytest.raises(ValueError, match="unknown render_mode 'rgb'"):
+        make_vector("swap_v1", num_envs=2, render_mode="rgb", **QUICK)
     with pytest.raises(ValueError, match="but a team in one Box has 'flat' rows"):
         make_joint("swap_v1", observation="dict", **QUICK)
 
