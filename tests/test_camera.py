@@ -121,7 +121,10 @@ def test_rotors_stand_where_the_attitude_says(seed):
         yaw, tilt, way = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi / 6), rng.uniform(0, 6.3)
         lean = np.sin(tilt / 2) * np.array([np.cos(way), np.sin(way)])
         c, s = np.cos(yaw / 2), np.sin(yaw / 2)
-        q[:] = [*(c * lean + s * np.array([lean[1], -lean[0]])), *(np.cos(tilt / 2) * np.array([s, c]))]
+        q[:] = [
+            *(c * lean + s * np.array([lean[1], -lean[0]])),
+            *(np.cos(tilt / 2) * np.array([s, c])),
+        ]
     camera = Camera(LS, 640, 480, elevation_deg=75.0)
     picture = camera.picture(state)
     for drone in (0, 1):
@@ -199,7 +202,7 @@ def test_obstacles_tint_the_drones_behind_them_alone(seed, azimuth, elevation):
 
 def test_a_long_wall_is_behind_what_stands_before_it_though_its_middle_is_nearer():
     eye, box = np.array([-5.0, -1.0, 1.0]), Solid(False, (3.9, 0.0, 0.0), (4.1, 0.3, 2.0))
-    wall = Solid(False, (-4.0, 1.0, 0.0), (9.0, 1.1, 2.0))
+    wall = Solid(False, (-5.0, 1.0, 0.0), (12.0, 1.1, 2.0))
     forward = np.array([9.0, 1.15, 0.0]) / np.hypot(9.0, 1.15)
     up = np.array([0.0, 0.0, 1.0])
     lens = Lens(200, 100, 0.03, eye, np.cross(forward, up), up, forward)
@@ -234,7 +237,7 @@ def test_a_shadow_lies_on_the_floor_right_below_its_drone(height):
     lens = aim([[-1, -1, 0], [1, 1, 1]], 640, 480, -60.0, 70.0, 35.0, 0.1)
     backdrop, foot = Backdrop(lens), np.array([0.3, -0.2, 0.0])
     bare = backdrop.draw(np.zeros((0, 3)), np.zeros(0)).astype(float).sum(axis=2)
-    drone = (foot + [0.0, 0.0, height])[None]
+    drone = (foot + np.array([0.0, 0.0, height]))[None]
     shaded = backdrop.draw(drone, np.array([0.1])).astype(float).sum(axis=2)
     dark = bare - shaded
     assert dark.min() >= 0.0
@@ -296,12 +299,13 @@ def inked(*solids: Solid, **shown: np.ndarray) -> tuple[float, float, float, flo
 
 def test_marks_stand_where_geometry_says_in_the_drones_colour():
     point = np.array([[1.0, 0.0, 1.4]])  # 50 pixels right of the middle, 20 above
-    for mark in ("goals", "references"):
-        left, right, top, bottom = inked(**{mark: point})
+    marks: tuple[dict[str, Any], ...] = ({"goals": point}, {"references": point})
+    for mark in marks:
+        left, right, top, bottom = inked(**mark)
         assert (left + right) / 2 == pytest.approx(150, abs=1.0)
         assert (top + bottom) / 2 == pytest.approx(30, abs=1.0)
         assert 8 <= right - left <= 30
-        near = painted(**{mark: point})[20:41, 140:161].reshape(-1, 3).astype(int)
+        near = painted(**mark)[20:41, 140:161].reshape(-1, 3).astype(int)
         assert np.abs(near - rgb(drone_colors(parse_team("S"))[0])).max(axis=1).min() < 10
 
 
@@ -350,7 +354,9 @@ def test_every_interface_draws_the_same_picture_without_pybullet(monkeypatch):
     given: Any = {"num_drones": 2, "render_mode": "rgb_array"}
     parallel: Any = swap_v1.parallel_env(**given)
     assert parallel.physics_name == "batch"
-    joint, solo = (gymnasium.make(f"swarm_envs/{name}-v1", **given) for name in ("Swap", "SwapSolo"))
+    joint, solo = (
+        gymnasium.make(f"swarm_envs/{name}-v1", **given) for name in ("Swap", "SwapSolo")
+    )
     vector: Any = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, **given)
     rows: Any = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, per_agent=True, **given)
     solos: Any = gymnasium.make_vec("swarm_envs/SwapSolo-v1", num_envs=2, **given)

@@ -52,8 +52,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
         per_agent: whether a row is a drone, and not a team. Reset masks are those of teams, (E,),
             or of rows, equal within a team.
-        render_mode: `rgb_array` (pictures), `human` (the first 16 environments in a browser, in real
-            time) or None.
+        render_mode: `rgb_array` (pictures), `human` (the first 16 environments in a browser, in
+            real time) or None.
     """
 
     def __init__(

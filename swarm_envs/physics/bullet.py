@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 import weakref
 from collections.abc import Sequence
 from struct import Struct

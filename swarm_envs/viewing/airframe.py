@@ -36,7 +36,11 @@ class Airframes:
         self._rotors = np.array([_rotors(vehicle) for vehicle in team])
 
     def faces(
-        self, lens: Lens, position: FloatArray, quaternion: FloatArray, inks: Sequence[Sequence[int]]
+        self,
+        lens: Lens,
+        position: FloatArray,
+        quaternion: FloatArray,
+        inks: Sequence[Sequence[int]],
     ) -> list[list[Face]]:
         """What is seen of each drone, in the order in which it is drawn.
 

@@ -18,7 +18,7 @@ from swarm_envs.state import FloatArray, SwarmState
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 from swarm_envs.viewing.floor import Backdrop
 from swarm_envs.viewing.lens import Lens, aim
-from swarm_envs.viewing.painting import ZOOM, Overlay, Painter
+from swarm_envs.viewing.painting import NOTHING, ZOOM, Overlay, Painter
 from swarm_envs.viewing.record import Solid, solids
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Camera:
         painter = Painter(large, self.team, self._solids, self._arena)
         self._scene = Backdrop(lens), painter
 
-    def picture(self, state: SwarmState, overlay: Overlay = Overlay()) -> Picture:
+    def picture(self, state: SwarmState, overlay: Overlay = NOTHING) -> Picture:
         """Draw a state.
 
         Args:
@@ -112,7 +112,7 @@ class Camera:
         """
         return np.array(self.canvas(state, overlay).reduce(ZOOM))
 
-    def canvas(self, state: SwarmState, overlay: Overlay = Overlay()) -> Image:
+    def canvas(self, state: SwarmState, overlay: Overlay = NOTHING) -> Image:
         """The same before it is averaged: an image twice as wide and high, to be drawn on."""
         from PIL import Image
 

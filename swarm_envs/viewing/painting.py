@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageDraw import ImageDraw
 
-__all__ = ["ZOOM", "Overlay", "Painter", "arena_edges", "draw_arrow"]
+__all__ = ["NOTHING", "ZOOM", "Overlay", "Painter", "arena_edges", "draw_arrow"]
 
 ZOOM = 2
 """Pixels of a canvas in one of the picture, along each side."""
@@ -48,6 +48,10 @@ class Overlay(NamedTuple):
     references: FloatArray | None = None  # (N, 3), drawn as circles
     trails: FloatArray | None = None  # (K, N, 3) positions so far, oldest first
     arrows: FloatArray | None = None  # (M, 2, 3) foot and tip of forces
+
+
+NOTHING = Overlay()
+"""Drones alone."""
 
 
 class _Stroke(NamedTuple):
@@ -90,11 +94,12 @@ class Painter:
                 pen.line(edge, _EDGE, 1)
         strokes = [*self._marks(pen, overlay), *self._drones(Draw(canvas), position, quaternion)]
         places = np.array([stroke.place for stroke in strokes])
+        layers = np.array([stroke.layer for stroke in strokes])
         radii = np.array([stroke.radius for stroke in strokes])
         before = self._solids.first_over(places, radii)
         away = np.linalg.norm(places - self._lens.eye, axis=1)
         drawn = 0
-        for i in np.lexsort((-away, [stroke.layer for stroke in strokes], before)):
+        for i in np.lexsort((-away, layers, before)):
             for part in self._solids.parts[drawn : before[i]]:
                 pen.solid(part.solid, part.outline)
             drawn = before[i]
@@ -186,7 +191,8 @@ class _Pen:
     def arrow(self, foot: FloatArray, tip: FloatArray) -> None:
         ends = self._pixels(np.stack([foot, tip]))
         if len(ends) == 2:
-            draw_arrow(self._canvas, *np.array(ends), _FORCE, width=4, head=14.0)
+            start, end = np.array(ends)
+            draw_arrow(self._canvas, start, end, _FORCE, width=4, head=14.0)
 
     def _pixels(self, points: FloatArray) -> list[tuple[float, float]]:
         """Places on the canvas of the points that lie before the camera."""

@@ -96,8 +96,8 @@ def _visible_faces(solid: Solid, eye: FloatArray) -> FloatArray:
 
 def _beyond(faces: FloatArray, points: FloatArray) -> BoolArray:
     """Whether one of the planes (F, 4) has all K points of a thing (T, K, 3) beyond it: (T,)."""
-    beyond = points @ faces[:, :3].T >= faces[:, 3] - 1e-9
-    return np.asarray(beyond.all(axis=1).any(axis=1))
+    beyond: BoolArray = points @ faces[:, :3].T >= faces[:, 3] - 1e-9
+    return np.asarray(np.any(np.all(beyond, axis=1), axis=1))
 
 
 def _box_of(lens: Lens, points: FloatArray) -> FloatArray:
