@@ -15,7 +15,6 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from swarm_envs import TASKS, gymnasium_name, make, register, swap_v1
 from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import SwarmVectorEnv, make_vector
-from swarm_envs.training import SharedPolicyVecEnv
 
 QUICK: dict[str, Any] = {"num_drones": 2, "physics": "batch", "horizon_s": 0.5}
 
@@ -238,6 +237,9 @@ def test_actions_are_clipped_if_that_is_wanted(action):
 
 
 def test_infos_are_of_their_own():
+    pytest.importorskip("stable_baselines3", reason="the extra `train`")
+    from swarm_envs.training import SharedPolicyVecEnv
+
     env, rows = clipped(horizon_s=0.05)
     *_, infos = env.step({agent: np.zeros(3, np.float32) for agent in rows})
     while env.agents:

@@ -17,6 +17,7 @@ TESTS = (
     "control/test_closed_loop.py",
     "envs/test_turns.py",
     "envs/test_gymnasium.py",
+    "test_camera.py",
 )
 """Tests that are run against the installation: those nearest to the kernels and the interfaces."""
 
