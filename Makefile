@@ -29,7 +29,7 @@ help:
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
-	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
+	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.14'
 	@echo 'make lint      ruff, mypy and import-linter'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'

@@ -204,7 +204,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
             if self._screen is None:
                 from swarm_envs.viewing.camera import Screen
 
-                self._screen = Screen(self.core)
+                self._screen = Screen(self.core.task)
             return self._screen.render(self.view)
         if self.render_mode == "human":
             if self._live is None:
@@ -217,13 +217,12 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return None
 
     def close(self) -> None:
-        """Free what physics and renderer hold. May be called more than once."""
+        """Free what physics and viewer hold. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
-        for viewer in (self._screen, self._live):
-            if viewer is not None:
-                viewer.close()
+        if self._live is not None:
+            self._live.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 import weakref
 from collections.abc import Sequence
 from struct import Struct
@@ -21,14 +20,6 @@ from swarm_envs.vehicles import GRAVITY, Vehicle
 
 __all__ = ["build_body", "import_bullet"]
 
-_COLORS = {
-    "S": [0.13, 0.45, 0.85, 1.0],
-    "L": [0.90, 0.45, 0.10, 1.0],
-    "S*": [0.10, 0.65, 0.35, 1.0],
-}
-_OTHER_COLOR = [0.5, 0.5, 0.5, 1.0]
-_DARK = [0.15, 0.15, 0.18, 1.0]
-
 
 def build_body(
     bullet: Any, client: int, vehicle: Vehicle, mass: float, inertia: list[float]
@@ -38,7 +29,7 @@ def build_body(
     Args:
         bullet: the pybullet module.
         client: id of the physics client.
-        vehicle: gives the collision radius and the looks.
+        vehicle: gives the collision radius.
         mass: kg.
         inertia: principal moments, kg m^2.
 
@@ -51,7 +42,6 @@ def build_body(
     body = bullet.createMultiBody(
         baseMass=mass,
         baseCollisionShapeIndex=sphere,
-        baseVisualShapeIndex=_looks(bullet, client, vehicle),
         useMaximalCoordinates=False,
         physicsClientId=client,
     )
@@ -67,27 +57,6 @@ def build_body(
         physicsClientId=client,
     )
     return int(body)
-
-
-def _looks(bullet: Any, client: int, vehicle: Vehicle) -> int:
-    color = _COLORS.get(vehicle.token, _OTHER_COLOR)
-    offset, arm = vehicle.arm / math.sqrt(2.0), vehicle.arm
-    half_turns = [math.pi / 8, -math.pi / 8]
-    bars = [[0.0, 0.0, math.sin(a), math.cos(a)] for a in half_turns]
-    rotors = [[x * offset, y * offset, 0.012] for x in (1, -1) for y in (1, -1)]
-    shape = bullet.createVisualShapeArray(
-        shapeTypes=[bullet.GEOM_BOX] * 3 + [bullet.GEOM_CYLINDER] * 4,
-        halfExtents=[[0.25 * arm, 0.25 * arm, 0.009]]
-        + [[arm, 0.08 * arm, 0.004] for _ in bars]
-        + [[0.0] * 3] * 4,
-        radii=[0.0] * 3 + [vehicle.rotor_radius] * 4,
-        lengths=[0.0] * 3 + [0.003] * 4,
-        visualFramePositions=[[0.0] * 3] * 3 + rotors,
-        visualFrameOrientations=[[0.0, 0.0, 0.0, 1.0], *bars] + [[0.0, 0.0, 0.0, 1.0]] * 4,
-        rgbaColors=[_DARK] * 3 + [color] * 4,
-        physicsClientId=client,
-    )
-    return int(shape)
 
 
 def build_floor(bullet: Any, client: int) -> int:
