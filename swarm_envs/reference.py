@@ -92,7 +92,7 @@ def root(x: Array, n: float = 2.0) -> Array:
     """Return the n-th root of x >= 0; its derivative at 0 is 0, not infinite."""
     xp = array_namespace(x)
     above = xp.where(x > 0.0, x, 1.0)
-    return xp.where(x > 0.0, xp.sqrt(above) if n == 2.0 else above ** (1.0 / n), 0.0)
+    return xp.where(x > 0.0, above ** (1.0 / n), 0.0)
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -131,8 +131,7 @@ def lagged(thrust: Array, command: Array, body: Parameters, dt: float = DT) -> A
     """Rotors follow their commands late, eq. (1c): u' = lambda (u_c - u), exactly over dt."""
     xp = array_namespace(thrust)
     reachable = xp.clip(command, 0.0, body.max_rotor_thrust[..., None])
-    decay = xp.exp(-body.motor_rate * dt)[..., None]
-    return reachable + (thrust - reachable) * decay
+    return reachable + (thrust - reachable) * xp.exp(-body.motor_rate * dt)[..., None]
 
 
 def wrench(rotors: Array, body: Parameters) -> tuple[Array, Array]:
@@ -160,16 +159,12 @@ def turned_exactly(q: Array, w: Array, tau: Array, inertia: Array, dt: float) ->
 
     The attitude turns by the angular velocity of the middle of the step. No engine does this.
     """
-
-    def spin(q: Array, momentum: Array) -> Array:
-        return rotate(q, rotate(inverse(q), momentum) / inertia)
-
-    before = rotate(q, inertia * rotate(inverse(q), w))
-    after = before + dt * rotate(q, tau)
-    middle = multiply(turn_by(0.5 * dt * w), q)
-    q = multiply(turn_by(dt * spin(middle, 0.5 * (before + after))), q)
+    momentum = rotate(q, inertia * rotate(inverse(q), w))
+    gained, middle = dt * rotate(q, tau), multiply(turn_by(0.5 * dt * w), q)
+    w = rotate(middle, rotate(inverse(middle), momentum + 0.5 * gained) / inertia)
+    q = multiply(turn_by(w * dt), q)
     q = q / root(dot(q, q))[..., None]
-    return q, spin(q, after)
+    return q, rotate(q, rotate(inverse(q), momentum + gained) / inertia)
 
 
 def moved(
@@ -190,8 +185,7 @@ def moved(
 # Forces of the air f_a. Of pairs, arrays are (..., N, N-1): row i feels the others, its columns j
 def of_others(x: Array, air: Numbers) -> Array:
     """Return what (..., N, 3) is of the others of each drone (..., N, N-1, 3)."""
-    xp, count = array_namespace(x), x.shape[-2]
-    shape = (*x.shape[:-1], count - 1, x.shape[-1])
+    xp, shape = array_namespace(x), (*x.shape[:-1], x.shape[-2] - 1, x.shape[-1])
     return xp.reshape(xp.take(x, air["others"], axis=-2), shape)
 
 
@@ -369,12 +363,7 @@ def wall_gaps(position: Array, body: Parameters, low: Array, high: Array) -> Arr
     return array_namespace(position).concat(gaps, axis=-1)
 
 
-# Tracking controller, Sec. VI. Gains are of `swarm_envs.control.config`; K of z stands for yaw
-def by_axis(a: Array, tilt: Array, yaw: Array) -> Array:
-    """Return K a, with K = diag(tilt, tilt, yaw)."""
-    return array_namespace(a).concat([tilt * a[..., :2], yaw * a[..., 2:]], axis=-1)
-
-
+# Tracking controller, Sec. VI; its gains k are those of `gains_of`
 def desired_force(
     state: State, setpoint: Setpoint, predicted: Array, body: Parameters, k: Numbers, dt: float
 ) -> tuple[Array, Array]:
@@ -384,12 +373,12 @@ def desired_force(
     as a model predicts it; the integral learns slowly what is left.
     """
     p_error = state.position - setpoint.position  # p~
-    v_r = setpoint.velocity - k["position_gain"] * p_error  # (18)
-    v_r_rate = setpoint.acceleration - k["position_gain"] * (state.velocity - setpoint.velocity)
+    v_r = setpoint.velocity - k["position"] * p_error  # (18)
+    v_r_rate = setpoint.acceleration - k["position"] * (state.velocity - setpoint.velocity)
     v_error, limit = state.velocity - v_r, k["velocity_integral_limit"]  # v~
     xp, least = array_namespace(p_error), k["min_vertical_thrust_fraction"]
     integral = xp.clip(state.velocity_integral + v_error * dt, -limit, limit)
-    gain, rate = k["velocity_gain"], k["integral_gain"]  # K_v / m, Gamma_v
+    gain, rate = k["velocity"], k["integral"]  # K_v / m, Gamma_v
     wanted = v_r_rate - (gain + rate) * v_error - gain * rate * integral
     weight = body.mass * GRAVITY
     x, y, z = components(body.mass[..., None] * wanted + along_z(weight) - predicted)  # (19)
@@ -399,10 +388,7 @@ def desired_force(
 def followed(
     state: State, setpoint: Setpoint, predicted: Array, body: Parameters, k: Numbers, dt: float = DT
 ) -> tuple[State, tuple[Array, Array, Array]]:
-    """Position and attitude loop: new memory, and what is asked of the rate loop.
-
-    That is thrust (..., N), N, body rates w_r (..., N, 3), rad/s, and their derivative, rad/s^2.
-    """
+    """Position and attitude loop: new memory; thrust, body rates w_r and w_r' to be asked for."""
     xp, q = array_namespace(state.position), state.quaternion
     f_d, integral = desired_force(state, setpoint, predicted, body, k, dt)
     # T_d = f_d . R e_z. The rotors lag by 1 / lambda, and so would the thrust. Eq. (22) looks ahead
@@ -423,12 +409,11 @@ def followed(
     w_d = rotate(inverse(yaw), tilt_rate) + along_z(setpoint.yaw_rate)
 
     error = from_to(multiply(tilt, yaw), q)  # q~, of R~ = R_d^T R
-    vector, gain = error[..., :3], (k["attitude_tilt"], k["attitude_yaw"])  # Lambda_q
-    fed = rotate(inverse(error), w_d)
-    w_r = fed - by_axis(vector, *gain)  # (20)
+    vector, fed = error[..., :3], rotate(inverse(error), w_d)
+    w_r = fed - k["attitude"] * vector  # (20)
     # Its derivative, as far as the error's is: that of w_d would differentiate v thrice.
     relative = rotate(inverse(q), state.angular_velocity) - fed
-    w_r_rate = -0.5 * by_axis(error[..., 3:] * relative + cross(vector, relative), *gain)
+    w_r_rate = -0.5 * k["attitude"] * (error[..., 3:] * relative + cross(vector, relative))
     memory = (integral, thrust, thrust_rate, tilt, tilt_rate)
     return State(*state[:5], *memory, *state[10:]), (asked, w_r, w_r_rate)
 
@@ -444,8 +429,7 @@ def held(
     rate = state.rate_error_rate + k["rate_error_blend"] * state.started[..., None] * change
     integral = array_namespace(w).clip(state.rate_integral + error * dt, -limit, limit)
     ahead = error + k["lead"] / body.motor_rate[..., None] * rate  # (22)
-    wanted = w_r_rate - by_axis(ahead, k["rate_tilt"], k["rate_yaw"])
-    wanted = wanted - by_axis(integral, k["rate_integral_tilt"], k["rate_integral_yaw"])
+    wanted = w_r_rate - k["rate"] * ahead - k["rate_integral"] * integral
     torque = body.inertia * wanted - cross(body.inertia * w, w_r)  # (21)
     memory = (error, rate, integral, 1.0 + 0.0 * state.started)
     return State(*state[:10], *memory), mixed(thrust, torque, body)
@@ -471,8 +455,9 @@ def mixed(thrust: Array, torque: Array, body: Parameters) -> Array:
     base = xp.clip(0.25 * thrust, lowest, highest)
     room = xp.maximum(xp.minimum(base - losing, most - gaining - base), 0.0)
     yaw = xp.clip(yaw, -room, room)
-    first = [base + diagonal_1 - yaw, base + diagonal_2 + yaw]
-    rotors = xp.stack([*first, base - diagonal_1 - yaw, base - diagonal_2 + yaw], axis=-1)
+    front_right, back_left = base + diagonal_1 - yaw, base - diagonal_1 - yaw
+    back_right, front_left = base + diagonal_2 + yaw, base - diagonal_2 + yaw
+    rotors = xp.stack([front_right, back_right, back_left, front_left], axis=-1)
     return xp.clip(rotors, 0.0, most[..., None])
 
 

@@ -29,21 +29,48 @@ def bodies_of(team: str | Sequence[Vehicle], xp: ModuleType = np) -> Parameters:
     return Parameters(*(xp.asarray(value) for value in parameters(parse_team(team))))
 
 
-def gains_of(config: ControllerConfig | None = None, dt: float = 1.0 / 240.0) -> Numbers:
-    """Return the numbers of a controller for steps of dt, s.
+def gains_of(
+    config: ControllerConfig | None = None, dt: float = 1.0 / 240.0, xp: ModuleType = np
+) -> Numbers:
+    """Return the numbers of a controller for steps of dt, s, as arrays of the library `xp`.
 
-    Names are those of `ControllerConfig` and of the settings in `swarm_envs.tables`; `lead` is 1
-    where the rotors' lag is compensated, and a `blend` is 1 - exp(-2 pi f dt) of a cut-off f.
+    | name | |
+    |---|---|
+    | `position`, `velocity`, `integral` | Lambda_p, K_v / m, Gamma_v, 1/s |
+    | `attitude`, `rate`, `rate_integral` | (3,) Lambda_q, K_w / J, 1/s, Gamma_w / J, 1/s^2 |
+    | `lead` | 1 if the rotors' lag is compensated, eq. (22), else 0 |
+    | `thrust_rate_blend`, `desired_rate_blend`, `rate_error_blend` | 1 - exp(-2 pi f dt) |
+    | `velocity_integral_limit`, `rate_integral_limit` | largest integrals, m, rad |
+    | `min_vertical_thrust_fraction` | least vertical part of f_d over the weight |
 
     Raises:
-        ValueError: the configuration adapts, which the reference does not, or dt is not positive.
+        ValueError: the configuration adapts, which the reference does not; or dt is not positive.
     """
     chosen = ControllerConfig() if config is None else config
     if chosen.adaptation is not None:
         raise ValueError(
             f"adaptation is {chosen.adaptation}, but the reference has none; leave it out"
         )
-    return gains(chosen, dt)
+    found = gains(chosen, dt)
+    return {
+        **{name: found[f"{name}_gain"] for name in ("position", "velocity", "integral")},
+        **{
+            name: xp.asarray(np.array([found[f"{name}_tilt"]] * 2 + [found[f"{name}_yaw"]]))
+            for name in ("attitude", "rate", "rate_integral")
+        },
+        **{name: found[name] for name in _LOW_PASSES_AND_LIMITS},
+    }
+
+
+_LOW_PASSES_AND_LIMITS = (
+    "lead",
+    "thrust_rate_blend",
+    "desired_rate_blend",
+    "rate_error_blend",
+    "velocity_integral_limit",
+    "rate_integral_limit",
+    "min_vertical_thrust_fraction",
+)
 
 
 def air_of(
