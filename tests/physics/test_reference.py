@@ -12,11 +12,11 @@ import pytest
 from swarm_envs import reference
 from swarm_envs.control.config import MID, STIFF, ControllerConfig
 from swarm_envs.interactions import load
-from swarm_envs.physics import TIME_STEP, BatchPhysics, BulletPhysics, bullet_available
+from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
 from swarm_envs.physics.step import RATES, ROTORS, SETPOINTS
-from swarm_envs.reference import State, held, moved, moved_on, multiply, rotate, turned_exactly
-from swarm_envs.reference_numbers import Numbers, air_of, bodies_of, gains_of
-from swarm_envs.state import FloatArray, Parameters, Setpoint, SwarmState, hover_state
+from swarm_envs.reference import State, held, moved, moved_on
+from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import parse_team
 
 ENGINES = (BatchPhysics, BulletPhysics) if bullet_available() else (BatchPhysics,)
@@ -54,7 +54,9 @@ def flights() -> Iterator[Any]:
             marks = () if level == SETPOINTS or model == "learned" else (pytest.mark.slow,)
             yield pytest.param(flight, id=f"{model}, {name}", marks=marks)
         if model != "none":
-            flight = Flight(model, SETPOINTS, "SLS", ControllerConfig(feedforward=load("wake")), True)
+            flight = Flight(
+                model, SETPOINTS, "SLS", ControllerConfig(feedforward=load("wake")), True
+            )
             marks = () if model == "learned" else (pytest.mark.slow,)
             yield pytest.param(flight, id=f"{model}, torque", marks=marks)
 
@@ -115,9 +117,7 @@ class ByReference:
         if level == RATES:
             self.outer = self.outer._replace(started=np.ones_like(thrust))
             for _ in range(self.steps):
-                memory, command = held(
-                    self.state, (thrust, w_r, 0.0 * w_r), self.body, self.gains
-                )
+                memory, command = held(self.state, (thrust, w_r, 0.0 * w_r), self.body, self.gains)
                 self.move(memory, command)
             return {"asked": np.concatenate([thrust[..., None], w_r], axis=-1)}
         asked = (thrust, w_r, w_r_rate)
@@ -132,8 +132,6 @@ class ByReference:
             torque = reference.air_torque(self.forces, self.state, self.body)
         self.force = force
         self.state = moved(memory, command, force, torque, self.body)
-
-
 
 
 def forces_of(model: str, team: str) -> Any:
