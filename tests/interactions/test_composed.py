@@ -1,4 +1,4 @@
-"""The composed model: it is that of the equations, turns with the swarm, and its files are checked."""
+"""The composed model: that of the equations; it turns with the swarm; files are checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Both engines fly what `swarm_envs.reference` says, to 1e-9, over whole flights; and its physics."""
+"""Both engines fly what `swarm_envs.reference` says, to 1e-9, over whole flights."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def starts(team: str) -> FloatArray:
     """(2, N, 3) stacks, 0.35 m between drones that are a little beside each other, m."""
     places = np.arange(len(parse_team(team)))
     beside = np.stack([0.05 * np.sin(3.0 * places), 0.05 * np.cos(5.0 * places), 0.35 * places], 1)
-    return np.array([beside + [0.0, 0.0, 0.3], 1.3 * beside + [0.4, -0.3, 2.0]])
+    return np.array([beside + np.array([0.0, 0.0, 0.3]), 1.3 * beside + np.array([0.4, -0.3, 2.0])])
 
 
 def path(start: FloatArray, t: float) -> Setpoint:
