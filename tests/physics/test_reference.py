@@ -12,9 +12,20 @@ import pytest
 from swarm_envs import reference
 from swarm_envs.control.config import MID, STIFF, ControllerConfig
 from swarm_envs.interactions import load
-from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
+from swarm_envs.physics import TIME_STEP, BatchPhysics, BulletPhysics, bullet_available
 from swarm_envs.physics.step import RATES, ROTORS, SETPOINTS
-from swarm_envs.reference import State, held, moved, moved_on
+from swarm_envs.reference import (
+    State,
+    clearances,
+    held,
+    inverse,
+    moved,
+    moved_on,
+    rotate,
+    turned,
+    turned_exactly,
+    wall_gaps,
+)
 from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import parse_team
@@ -179,7 +190,60 @@ def test_engines_fly_the_equations(flight: Flight) -> None:
             worst[engine.name, "force"] = max(off, worst.get((engine.name, "force"), 0.0))
     for engine in engines:
         engine.close()
-    print({k: f"{v:.1e}" for k, v in worst.items()}, felt)
     assert max(worst.values()) < 1e-9
     if len(plain.start[0]) > 1 and flight.model != "none":
         assert felt > 0.03
+
+
+def test_contacts_are_distances() -> None:
+    """The compiled engine's contacts at random places, some of which overlap."""
+    team, low, high = "SLS*", np.array([-0.2, -0.2, 0.0]), np.array([0.2, 0.2, 1.0])
+    physics, body = BatchPhysics(team, 200, "none", arena=[low, high]), bodies_of(team)
+    rng = np.random.default_rng(0)
+    position = rng.uniform([-0.2, -0.2, 0.1], [0.2, 0.2, 0.5], (200, 3, 3))
+    physics.reset(hover_state(parse_team(team), position))
+    physics.step(physics.state.rotor_thrust)
+    found, p = physics.contacts, physics.state.position
+    clearance = clearances(p, body) + 1e9 * np.eye(3)
+    gaps = wall_gaps(p, body, low, high)
+    np.testing.assert_allclose(found.clearance, clearance.min(axis=-1), rtol=1e-12)
+    np.testing.assert_array_equal(found.drone >= 0, clearance.min(axis=-1) < 1.0)
+    np.testing.assert_array_equal(found.floor, gaps[..., 2] < 0.0)
+    walls = np.delete(gaps, 2, axis=-1).min(axis=-1) < 0.0
+    np.testing.assert_array_equal(found.wall, walls)
+    assert 0 < (found.drone >= 0).sum() < 600
+    assert 0 < walls.sum() < 600
+
+
+@pytest.mark.parametrize(("rate", "gained", "kept"), [(16.0, 1.12, 5e-5), (50.0, 4.4, 5e-3)])
+def test_a_free_spin_keeps_its_momentum_and_energy_in_the_exact_turn_alone(
+    rate: float, gained: float, kept: float
+) -> None:
+    """A small drone about (1, 1, 1), rad/s, for a second; the numbers of docs/limits.md."""
+    inertia, start = bodies_of("S").inertia, np.full((1, 3), rate / np.sqrt(3.0))
+    energies = {}
+    for turn in (turned, turned_exactly):
+        q, w = np.array([[0.0, 0.0, 0.0, 1.0]]), start
+        for _ in range(240):
+            q, w = turn(q, w, np.zeros((1, 3)), inertia, TIME_STEP)
+        body_rate = rotate(inverse(q), w)
+        energies[turn.__name__] = float((inertia * body_rate**2).sum() / (inertia * start**2).sum())
+    momentum = rotate(q, inertia * body_rate)
+    np.testing.assert_allclose(momentum, inertia * start, rtol=0, atol=1e-12 * rate * inertia.max())
+    assert energies["turned"] == pytest.approx(gained, rel=0.01)
+    assert energies["turned_exactly"] == pytest.approx(1.0, abs=kept)
+
+
+def test_the_exact_turn_is_of_second_order_that_of_engines_of_first() -> None:
+    inertia, q0, w0 = bodies_of("S").inertia, np.array([[0.0, 0.0, 0.0, 1.0]]), [[3.0, -2.0, 5.0]]
+
+    def flown(turn: Any, steps: int) -> FloatArray:
+        q, w = q0, np.array(w0)
+        for _ in range(steps):
+            q, w = turn(q, w, np.array([[2e-5, -1e-5, 3e-5]]), inertia, 0.5 / steps)
+        return np.asarray(rotate(inverse(q), w))
+
+    truth = flown(turned_exactly, 20_000)
+    for turn, order in ((turned, 1), (turned_exactly, 2)):
+        coarse, fine = (np.abs(flown(turn, n) - truth).max() for n in (120, 1200))
+        assert np.log10(coarse / fine) == pytest.approx(order, abs=0.15)
