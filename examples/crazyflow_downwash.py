@@ -3,11 +3,11 @@
     pip install crazyflow
     python examples/crazyflow_downwash.py
 
-crazyflow 0.4 (https://github.com/utiasDSL/crazyflow) simulates swarms in JAX, without forces between
-drones. Two drones hover, 0.3 m over each other, level and with as much thrust as weight; the forces
-are those of a large drone over a small one. crazyflow flies equal vehicles, so forces are scaled by
-its mass over ours: accelerations are the same. By how much a drone sinks is the difference of two
-flights, with the forces and without, which leaves out how rotors start.
+crazyflow 0.4 (https://github.com/utiasDSL/crazyflow) simulates swarms in JAX, without forces
+between drones. Two drones are let go 0.3 m over each other, level and with as much thrust as
+weight; the forces are those of a large drone over a small one. crazyflow flies equal vehicles, so
+forces are scaled by its mass over ours: accelerations are the same. By how much a drone sinks is
+the difference of two flights, with the forces and without, which leaves out how rotors start.
 """
 
 from __future__ import annotations

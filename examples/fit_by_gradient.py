@@ -27,7 +27,11 @@ ASIDE_M = (0.0, 0.09)  # where the small drone hovers in each flight, from the l
 
 def flown(factors: Tensor, seconds: float, dt: float) -> Tensor:
     """Positions (steps, 2, 2, 3), m, of both flights if the wake has these factors (2,)."""
-    body, gains, air = bodies_of(TEAM, torch), gains_of(dt=dt, xp=torch), air_of("wake", TEAM, torch)
+    body, gains, air = (
+        bodies_of(TEAM, torch),
+        gains_of(dt=dt, xp=torch),
+        air_of("wake", TEAM, torch),
+    )
     changed = {"strength": factors[0] * air["strength"], "width": factors[1] * air["width"]}
     forces = partial(wake, air=air | changed)
     start = torch.tensor(
