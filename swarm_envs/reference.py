@@ -191,8 +191,9 @@ def of_others(x: Array, air: Numbers) -> Array:
 
 def fade(distance: Array, full: float, end: float) -> Array:
     """Weight by a distance, m: 1 up to `full`, 0 from `end` on, between them without a kink."""
-    u = array_namespace(distance).clip((distance - full) / max(end - full, 1e-12), 0.0, 1.0)
-    return 1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0))
+    xp = array_namespace(distance)
+    u = xp.clip((distance - full) / max(end - full, 1e-12), 0.0, 1.0)
+    return xp.maximum(1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0)), 0.0)  # rounding at the end
 
 
 def fade_in_box(offset: Array, air: Numbers) -> Array:

@@ -102,3 +102,11 @@ def test_forces_turn_with_the_swarm(
             if model == "learned":
                 np.testing.assert_allclose(off, 0.0, rtol=0, atol=1e-12)
         assert least_g <= worst < most_g
+
+
+def test_no_weight_at_the_edge_is_below_nothing() -> None:
+    """A power of a push that rounding made negative would be no number."""
+    distance = 0.35 - np.geomspace(1e-9, 1e-3, 5000)
+    weight = reference.fade(distance, 0.25, 0.35)
+    assert (weight >= 0.0).all()
+    assert (weight == 0.0).any()
