@@ -33,7 +33,7 @@ from swarm_envs.state import Setpoint
 
 TEAM, DECISION = "LSSS", 5  # steps of a decision
 PLACES = np.array([[0.0, 0.0, 1.6], [0.05, 0.0, 1.2], [-0.2, 0.2, 1.0], [0.2, -0.2, 1.4]])
-MODELS = {
+MODELS: dict[str, Callable[..., Any]] = {
     "none": reference.still_air,
     "wake": reference.wake,
     "learned": reference.learned,
@@ -99,8 +99,9 @@ def prepared(library: str, device: str, precision: str, envs: int, name: str) ->
         torch.set_num_threads(1)
         place = torch.device("cuda" if device == "gpu" else "cpu")
         to = partial(torch.asarray, device=place)
-        wait = torch.cuda.synchronize if device == "gpu" else lambda: None
-        return *(converted(x, to, precision) for x in made), lambda state: wait()
+        on_gpu = device == "gpu"
+        wait = lambda state: torch.cuda.synchronize() if on_gpu else None  # noqa: E731
+        return *(converted(x, to, precision) for x in made), wait
     return *(converted(x, lambda array: array, precision) for x in made), lambda state: None
 
 

@@ -43,7 +43,7 @@ def flown(factors: Tensor, seconds: float, dt: float) -> Tensor:
     still, none, positions = 0.0 * start, 0.0 * start[..., 0], []
     for k in range(round(seconds / dt)):
         positions.append(state.position)
-        setpoint = Setpoint(start + dt * k * speed, speed, still, still, none, none)
+        setpoint = Setpoint._make((start + dt * k * speed, speed, still, still, none, none))
         state = step(state, setpoint, body, gains, forces=forces, dt=dt)
     return torch.stack(positions)
 
@@ -66,13 +66,13 @@ def main(rounds: int = 6, seconds: float = 1.0, dt: float = 1.0 / 100.0) -> Tens
     def loss() -> Tensor:
         descent.zero_grad()
         found = misfit(factors, recorded, seconds, dt)
-        found.backward()
+        found.backward()  # type: ignore[no-untyped-call]
         strength, width = factors.detach().tolist()
         off = found.item() ** 0.5
         print(f"strength {strength:.3f}, width {width:.3f}: {off:.2f} mm off")
         return found
 
-    descent.step(loss)
+    descent.step(loss)  # type: ignore[no-untyped-call]
     print(f"in truth strength {TRUTH[0]}, width {TRUTH[1]}")
     return factors.detach()
 

@@ -53,7 +53,7 @@ def height_errors(sizes: Tensor, dt: float) -> Tensor:
     still, none = torch.zeros(2, 3, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
     state, heights = hovering(line[0], body)._replace(velocity=speed), []
     for k in range(len(line)):
-        setpoint = Setpoint(line[k] + p[k], speed + v[k], a[k], still, none, none)
+        setpoint = Setpoint._make((line[k] + p[k], speed + v[k], a[k], still, none, none))
         heights.append(state.position[1, 2])
         state = step(state, setpoint, body, gains, forces=air, dt=dt)
     return torch.stack(heights) - LOWEST
@@ -75,12 +75,12 @@ def main(rounds: int = 8, dt: float = 1.0 / 120.0) -> tuple[float, float]:
         descent.zero_grad()
         errors = 100.0 * height_errors(sizes, dt)
         mean = (errors**2).mean()
-        mean.backward()
+        mean.backward()  # type: ignore[no-untyped-call]
         print(f"worst height error {errors.abs().max().item():.2f} cm")
         return mean
 
     for _ in range(rounds):
-        descent.step(loss)
+        descent.step(loss)  # type: ignore[no-untyped-call]
     before, after = (worst_cm(x, 1.0 / 240.0) for x in (torch.zeros_like(sizes), sizes.detach()))
     print(f"at 240 Hz: {before:.1f} cm before, {after:.1f} cm after")
     return before, after

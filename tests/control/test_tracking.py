@@ -108,7 +108,7 @@ def test_compiled_agrees_with_the_equations(wildness: float, config: ControllerC
             limited += int((abs(more[at]) >= 0.999 * TEAM[at[1]].mass * GRAVITY).any())
         if places:
             np.testing.assert_allclose(drones["adaptive_force"], more, rtol=0, atol=1e-9)
-        memory = State(*(array.copy() for array in state[:5]), *memory[5:])
+        memory = State._make([*(array.copy() for array in state[:5]), *memory[5:]])
         memory, asked = followed(memory, setpoint, force + more, body, gains)
         memory, expected = held(memory, asked, body, gains)
         np.testing.assert_allclose(commands, expected, rtol=0, atol=1e-9)

@@ -25,6 +25,7 @@ def test_gradients_are_finite_differences() -> None:
                 for sign in (1.0, -1.0)
             )
             expected = float((up - down) / (2.0 * h))
+            assert factors.grad is not None
             assert float(factors.grad @ way) == pytest.approx(expected, rel=1e-5)
 
 

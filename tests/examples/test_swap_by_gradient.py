@@ -23,6 +23,7 @@ def test_gradients_are_finite_differences() -> None:
         for _ in range(2):
             way = torch.tensor(rng.normal(size=example.BUMPS))
             difference = (loss(sizes + h * way) - loss(sizes - h * way)) / (2.0 * h)
+            assert sizes.grad is not None
             assert float(sizes.grad @ way) == pytest.approx(float(difference), rel=1e-5)
 
 

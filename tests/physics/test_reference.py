@@ -98,8 +98,8 @@ class ByReference:
         self.flight, self.start, self.steps = flight, starts(flight.team), STEPS[flight.level]
         self.body = bodies_of(flight.team)
         self.forces = forces_of(flight.model, flight.team)
-        believed = flight.config.feedforward
-        self.predicted = forces_of("none" if believed is None else believed.name, flight.team)
+        believed = load(flight.config.feedforward or "none")
+        self.predicted = forces_of(believed.name, flight.team)
         self.state = reference.hovering(self.start, self.body)
         self.outer = self.state  # the memory of the loop that commands, where that is outside
         self.gains = gains_of(flight.config)
@@ -172,7 +172,8 @@ def test_engines_fly_the_equations(flight: Flight) -> None:
     ]
     for engine in engines:
         engine.reset(hover_state(parse_team(flight.team), plain.start))
-    everywhere, felt, worst = np.ones(2, np.bool_), 0.0, {}
+    everywhere, felt = np.ones(2, np.bool_), 0.0
+    worst: dict[tuple[str, str], float] = {}
     for decision in range(round(SECONDS * 240 / plain.steps)):
         given = plain.decide(decision * plain.steps / 240)
         felt = max(felt, float(abs(plain.force[..., 2]).max()))
