@@ -9,7 +9,8 @@ given. Equation numbers are those of Neural-Swarm2 (version 1), and so are most 
     u, u_c  thrust of each rotor, and what it is commanded to give, N
     T, tau  thrust of all rotors, N, and their torque, N m, in the body frame
     f_a     force of the air on a drone beside its own thrust: downwash, ground effect, drag; N
-    x~, f^  an error (what is less what is desired), and a force as a model predicts it
+    p_ij    push down on drone i by the jet of drone j, N; dz, r: how deep below j, how far beside
+    x~, f^  an error, what is minus what is desired; and a force as a model predicts it
 
 Arrays are (..., N, 3) for N drones; whatever stands before counts flights that do not know of each
 other. Numbers of vehicles, air and controller are arguments, see `swarm_envs.reference_numbers`.
@@ -128,7 +129,7 @@ def from_to(a: Array, b: Array) -> Array:
 
 # Rotors and bodies, eq. (1)
 def lagged(thrust: Array, command: Array, body: Parameters, dt: float = DT) -> Array:
-    """Rotors follow their commands late, eq. (1c): u' = lambda (u_c - u), exactly over dt."""
+    """Rotors follow their commands late, eq. (1c): u' = lambda (u_c - u), solved over dt."""
     xp = array_namespace(thrust)
     reachable = xp.clip(command, 0.0, body.max_rotor_thrust[..., None])
     return reachable + (thrust - reachable) * xp.exp(-body.motor_rate * dt)[..., None]
@@ -143,10 +144,10 @@ def wrench(rotors: Array, body: Parameters) -> tuple[Array, Array]:
 
 
 def turned(q: Array, w: Array, tau: Array, inertia: Array, dt: float) -> tuple[Array, Array]:
-    """Turn bodies by eq. (1b), J w' = J w x w + tau, as both engines do.
+    """Turn bodies by eq. (1b), J w' = J w x w + tau in the body frame, as both engines do.
 
-    Semi-implicit: first the angular velocity, by torques as they were, then the attitude by the new
-    angular velocity. A free spin gains energy by that; `turned_exactly` does without.
+    Semi-implicit: first the angular velocity, by the torque as it was, then the attitude by the new
+    angular velocity. A free spin gains energy by that; in `turned_exactly` it does not.
     """
     w_b = rotate(inverse(q), w)
     w = rotate(q, w_b + dt * (tau - cross(w_b, inertia * w_b)) / inertia)
@@ -182,15 +183,15 @@ def moved(
     return State(state.position + dt * v, v, q, w, rotors, *state[5:])
 
 
-# Forces of the air f_a. Of pairs, arrays are (..., N, N-1): row i feels the others, its columns j
+# Forces of the air f_a. Arrays of pairs are (..., N, N-1): row i feels, column j is another drone
 def of_others(x: Array, air: Numbers) -> Array:
-    """Return what (..., N, 3) is of the others of each drone (..., N, N-1, 3)."""
+    """Return positions or velocities of all others for each drone: (..., N, N-1, 3)."""
     xp, shape = array_namespace(x), (*x.shape[:-1], x.shape[-2] - 1, x.shape[-1])
     return xp.reshape(xp.take(x, air["others"], axis=-2), shape)
 
 
 def fade(distance: Array, full: float, end: float) -> Array:
-    """Weight by a distance, m: 1 up to `full`, 0 from `end` on, between them without a kink."""
+    """Weight by a distance, m: 1 up to `full`, 0 from `end` on, and no kink between."""
     xp = array_namespace(distance)
     u = xp.clip((distance - full) / max(end - full, 1e-12), 0.0, 1.0)
     return xp.maximum(1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0)), 0.0)  # rounding at the end
@@ -212,23 +213,24 @@ def way_to_axis(offset: Array, velocity: Array, air: Numbers) -> tuple[Array, Ar
 
 
 def jet(square: Array, dz: Array, air: Numbers) -> Array:
-    """Push at depth dz of a jet and r^2 = `square` from its axis, N.
+    """Push p_ij, N, at depth dz of a jet and r^2 = `square` from its axis, if nobody else blows.
 
-    A (w0 / w)^p exp(-(r / w)^2 / 2) s(dz / 3 cm): it is w = w0 + S dz wide; the logistic function s
-    says that there is none above the rotors.
+    strength (width / wide)^decay exp(-(r / wide)^2 / 2) s(dz / 3 cm), wide = width + spread dz: it
+    widens and gets weaker. s is the logistic function: above the rotors there is no jet.
     """
     xp = array_namespace(square)
-    width = air["width"] + air["spread"] * xp.maximum(dz, 0.0)
+    wide = air["width"] + air["spread"] * xp.maximum(dz, 0.0)
     below = 0.5 * (1.0 + xp.tanh(0.5 * dz / ONSET))  # s
-    thinner = air["decay"] * xp.log(width / air["width"])  # exp(-thinner) is (w0 / w)^p
-    return air["strength"] * xp.exp(-thinner - 0.5 * square / width**2) * below
+    thinner = air["decay"] * xp.log(wide / air["width"])  # exp(-thinner) is (width / wide)^decay
+    return air["strength"] * xp.exp(-thinner - 0.5 * square / wide**2) * below
 
 
 def added_up(push: Array, height: Array, air: Numbers) -> Array:
     """Downwash of all neighbours, N, from the push p_ij of each alone: (sum_j p_ij^q)^(1/q).
 
-    A single jet pushes by p, whatever q is. Two equal ones push by 2^(1/q) p, which were their sum
-    if q were 1; it is 1.13 in `wake`, 1.07 in `learned`. A share M of it is lost at the ground.
+    If q were 1, this would be their sum. It is 1.13 in `wake`, 1.07 in `learned`: two equal jets
+    push 2^(1/q) times as hard as one, 1.85 or 1.91 and not 2, for the second finds air that sinks
+    already. One jet pushes by p_ij whatever q is. At the ground a share of it all is lost.
     """
     xp, q = array_namespace(push), air["combine"]
     together = root(xp.sum(push**q, axis=-1), q)
@@ -239,7 +241,7 @@ def added_up(push: Array, height: Array, air: Numbers) -> Array:
 def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
     """f_a of `wake`: jets in closed form, ground effect, drag -c v.
 
-    `felt`: where it is felt, if not at the drones' positions; so in all of these.
+    `felt`: where it is felt, if not at the centres of drones (`air_torque`); so in all of these.
     """
     xp, felt = array_namespace(position), position if felt is None else felt
     p_j, height = of_others(position, air), felt[..., 2]
@@ -247,50 +249,48 @@ def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = No
     x, y = way_to_axis(offset, of_others(velocity, air), air)
     weight = fade_in_box(p_j - position[..., None, :], air)
     down = added_up(weight * jet(x * x + y * y, offset[..., 2], air), height, air)
-    lift = air["lift"] * xp.exp(
-        (LOWEST_HEIGHT - xp.maximum(height, LOWEST_HEIGHT)) / air["cushion"]
-    )
+    lift = air["lift"] * xp.exp(-xp.maximum(height - LOWEST_HEIGHT, 0.0) / air["cushion"])
     return along_z(lift - down) - air["drag"] * velocity
 
 
 def network(layers: Layers, x: Array) -> Array:
     """Apply ReLU networks, each drone or pair its own: (..., N, inputs), (..., N, N-1, inputs)."""
-    xp, own = array_namespace(x), layers[0][0].ndim - 1  # the last axes of x: no flights
+    xp, own = array_namespace(x), layers[0][0].ndim - 1  # how many axes of x are not of flights
     rows = xp.reshape(x, (math.prod(x.shape[:-own]), *x.shape[-own:]))
-    rows = xp.moveaxis(rows, 0, -2)  # flights side by side: one product of matrices a network
+    rows = xp.moveaxis(rows, 0, -2)  # flights are rows of one matrix product for each network
     for k, (weight, bias) in enumerate(layers):
         rows = xp.matmul(xp.maximum(rows, 0.0) if k else rows, weight) + bias[..., None, :]
     return xp.reshape(xp.moveaxis(rows, -2, 0), (*x.shape[:-1], rows.shape[-1]))
 
 
 def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """f_a of `learned`: p_ij = w_ij max(0, jet + n), n of networks; with a horizontal part.
+    """f_a of `learned`: p_ij = weight max(0, jet + n), n of a network; and a horizontal part.
 
     Inputs of n stay the same when the swarm is turned about the vertical or mirrored: distance r
-    from the jet's axis, depth, relative velocity along the way to the axis, across it, and upwards.
+    from the jet's axis, depth dz, relative velocity along the way to the axis, across, and upwards.
     """
     xp, at = array_namespace(position), position if felt is None else felt
     p_j, v_j, (low, high) = of_others(position, air), of_others(velocity, air), air["pair_range"]
     offset, v = p_j - at[..., None, :], v_j - velocity[..., None, :]
     x, y = way_to_axis(offset, v_j, air)
     square = x * x + y * y
-    way = 1.0 / xp.sqrt(square + AXIS_RADIUS**2)  # (x, y) way: to the axis; shorter near it
+    way = 1.0 / xp.sqrt(square + AXIS_RADIUS**2)  # (x, y) way leads to the axis, by 1, less near it
     towards = (x * v[..., 0] + y * v[..., 1]) * way
     across = root(xp.maximum(v[..., 0] ** 2 + v[..., 1] ** 2 - towards**2, 0.0))
     r = xp.minimum(root(square), (high[0] ** 2 + high[1] ** 2) ** 0.5)
     dz, rise = xp.clip(offset[..., 2], low[2], high[2]), xp.clip(v[..., 2], low[5], high[5])
     motion = (r, dz, xp.clip(towards, low[3], high[3]), xp.minimum(across, high[3]), rise)
     inputs = [value / unit for value, unit in zip(motion, UNITS_OF_PAIR, strict=True)]
-    n = network(air["pair"], xp.stack(inputs, axis=-1))
+    n = network(air["pair"], xp.stack(inputs, axis=-1))  # a push, g, and its lean to the axis
 
     beside = root(offset[..., 0] ** 2 + offset[..., 1] ** 2)
     weight = fade(beside, *air["sides"]) * fade(xp.abs(offset[..., 2]), *air["depth"])
-    if felt is not None:  # who is near is judged by the centres
+    if felt is not None:  # who is near is judged by centres
         weight = xp.where(fade_in_box(p_j - position[..., None, :], air) > 0.0, weight, 0.0)
     push = weight * xp.maximum(jet(r * r, dz, air) + GRAM_FORCE * n[..., 0], 0.0)
     down, total = added_up(push, at[..., 2], air), xp.sum(push, axis=-1)
     share = down / xp.where(total > 0.0, total, 1.0)
-    lean = push * xp.clip(n[..., 1], -1.0, 1.0) * way  # horizontally, towards each axis
+    lean = push * xp.clip(n[..., 1], -1.0, 1.0) * way
     aside = [share * xp.sum(lean * x, axis=-1), share * xp.sum(lean * y, axis=-1)]
     lift = ground_effect(at[..., 2], velocity, air)
     return xp.stack([*aside, lift - down], axis=-1) - air["drag"] * velocity
@@ -311,7 +311,7 @@ def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
 
 
 def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """f_a of `deep-set`, eq. (10): rho(phi_env + sum_j w_ij phi(x_ij)), less what it is aloft.
+    """f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), minus it alone aloft.
 
     Neighbours are added up as codes, not as forces: rho has learned what several do together. A sum
     knows no order, so drones of one type may change places (Theorem 4).
@@ -370,8 +370,8 @@ def desired_force(
 ) -> tuple[Array, Array]:
     """f_d of eqs. (18) and (19), N, and the integral of v~, m.
 
-    v_r leads back to the desired path, the faster the farther. f^_a is taken off at once, as soon
-    as a model predicts it; the integral learns slowly what is left.
+    v_r leads back to the desired path, the faster the farther. A force that a model predicts, f^_a,
+    is taken off at once; the integral finds slowly what is left.
     """
     p_error = state.position - setpoint.position  # p~
     v_r = setpoint.velocity - k["position"] * p_error  # (18)
@@ -392,8 +392,8 @@ def followed(
     """Position and attitude loop: new memory; thrust, body rates w_r and w_r' to be asked for."""
     xp, q = array_namespace(state.position), state.quaternion
     f_d, integral = desired_force(state, setpoint, predicted, body, k, dt)
-    # T_d = f_d . R e_z. The rotors lag by 1 / lambda, and so would the thrust. Eq. (22) looks ahead
-    # by as much: it asks now for what will be wanted then, T_d + T_d' / lambda.
+    # T_d = f_d . R e_z. Rotors lag by 1 / lambda, and so would the thrust: eq. (22) looks ahead as
+    # far. By (1c), u' = lambda (u_c - u), they give T_d in time if told T_d + T_d' / lambda now.
     thrust = dot(f_d, rotate(q, along_z(1.0 + 0.0 * f_d[..., 2])))
     change = (thrust - state.thrust) / dt - state.thrust_rate
     thrust_rate = state.thrust_rate + k["thrust_rate_blend"] * state.started * change  # low-passed
