@@ -39,8 +39,9 @@ from swarm_envs.reference_numbers import Numbers
 from swarm_envs.state import Parameters, Setpoint
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY
 
+__all__ = ["State", "deep_set", "hovering", "learned", "moved", "moved_on", "step", "wake"]
+
 Array = Any  # of NumPy, torch or JAX
-Layers = list[tuple[Array, Array]]  # weights (..., inputs, outputs), biases (..., outputs)
 Forces = Callable[..., Array]  # f_a of positions and velocities: `partial(wake, air=air)`
 
 DT = 1.0 / 240.0  # s, one step
@@ -253,7 +254,7 @@ def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = No
     return along_z(lift - down) - air["drag"] * velocity
 
 
-def network(layers: Layers, x: Array) -> Array:
+def network(layers: list[tuple[Array, Array]], x: Array) -> Array:
     """Apply ReLU networks, each drone or pair its own: (..., N, inputs), (..., N, N-1, inputs)."""
     xp, own = array_namespace(x), layers[0][0].ndim - 1  # how many axes of x are not of flights
     rows = xp.reshape(x, (math.prod(x.shape[:-own]), *x.shape[-own:]))
@@ -447,7 +448,6 @@ def mixed(thrust: Array, torque: Array, body: Parameters) -> Array:
     largest = xp.maximum(xp.abs(diagonal_1), xp.abs(diagonal_2))
     scale = xp.minimum(0.5 * most / xp.maximum(largest, 1e-30), 1.0)
     diagonal_1, diagonal_2, largest = scale * diagonal_1, scale * diagonal_2, scale * largest
-
     yaw = z / (4.0 * body.thrust_to_torque)  # taken from one diagonal, given to the other
     losing = xp.abs(xp.where(yaw < 0.0, diagonal_2, diagonal_1))
     gaining = xp.abs(xp.where(yaw < 0.0, diagonal_1, diagonal_2))
