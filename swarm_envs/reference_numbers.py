@@ -13,7 +13,7 @@ import numpy as np
 
 from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.interactions.base import InteractionModel, load
-from swarm_envs.interactions.field import COMPOSED, LEARNED, NO_LIMIT, ForceField
+from swarm_envs.interactions.field import COMPOSED, DEEP_SET, NO_LIMIT, ForceField
 from swarm_envs.interactions.packed import layers_of
 from swarm_envs.state import FloatArray, IntArray, Parameters, parameters
 from swarm_envs.vehicles import Vehicle, parse_team
@@ -100,7 +100,7 @@ def air_of(
     """
     found, drones = load(model), parse_team(team)
     field, own = found.field, found.type_indices(drones)
-    if found.function is not None or field.kind not in (0, 1, LEARNED, COMPOSED):
+    if found.function is not None or field.kind not in (0, 1, DEEP_SET, COMPOSED):
         raise ValueError(
             f"interaction model {found.name!r} has no equations in swarm_envs.reference; give "
             "'wake', 'learned', 'deep-set', or a file that was fitted as one of these"
@@ -153,7 +153,7 @@ def _networks(field: ForceField, own: IntArray, blows: IntArray) -> dict[str, La
         pairs = kinds * kinds
         felt_by = chosen(0, pairs, blows * kinds + own[:, None])
         return {"pair": felt_by, "own": chosen(pairs, kinds, own)}
-    if field.kind == LEARNED:
+    if field.kind == DEEP_SET:
         return {
             "phi": chosen(0, kinds, blows),
             "phi_env": chosen(kinds, 1, none),
