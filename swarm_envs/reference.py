@@ -18,7 +18,7 @@ Nothing is changed in place, and no value decides which line runs: a `where` cho
 results. So gradients go through a flight, and it compiles as a whole:
 
     body, air, gains = bodies_of("LS"), air_of("learned", "LS"), gains_of()
-    p = np.array([[0.0, 0.0, 1.3], [0.0, 0.0, 1.0]])
+    p = np.array([[[0.0, 0.0, 1.3], [0.0, 0.0, 1.0]]])  # one flight of two drones
     state, setpoint = hovering(p, body), Setpoint.hold(p)
     for _ in range(240):
         state = step(state, setpoint, body, gains, forces=partial(learned, air=air))
@@ -162,10 +162,10 @@ def turned_exactly(q: Array, w: Array, tau: Array, inertia: Array, dt: float) ->
     The attitude turns by the angular velocity of the middle of the step. No engine does this.
     """
     momentum = rotate(q, inertia * rotate(inverse(q), w))
-    gained, middle = dt * rotate(q, tau), multiply(turn_by(0.5 * dt * w), q)
+    middle = multiply(turn_by(0.5 * dt * w), q)
+    gained = dt * rotate(middle, tau)
     w = rotate(middle, rotate(inverse(middle), momentum + 0.5 * gained) / inertia)
     q = multiply(turn_by(w * dt), q)
-    q = q / root(dot(q, q))[..., None]
     return q, rotate(q, rotate(inverse(q), momentum + gained) / inertia)
 
 
