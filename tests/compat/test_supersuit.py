@@ -19,11 +19,13 @@ def sampled(env):
 
 
 def test_dead_drones_stay_until_the_end_and_observe_zeros():
-    made = crowd_v0.parallel_env(num_drones=5, layout="open", on_contact="end_pair", physics="batch")
+    made = crowd_v0.parallel_env(
+        num_drones=5, layout="open", on_contact="end_pair", physics="batch"
+    )
     env = supersuit.black_death_v3(made)
     seen, _ = env.reset(seed=0)
     counts = []
-    down = np.array([0.0, 0.0, -1.0], np.float32)  # of drone 0 alone, from the start
+    down = np.array([0.0, 0.0, -1.0], np.float32)  # of drone 0 alone
     while env.agents:
         assert set(seen) == set(made.possible_agents)
         counts.append(sum(bool(row.any()) for row in seen.values()))
