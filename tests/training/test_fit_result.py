@@ -189,6 +189,8 @@ def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
         ({"advection_velocity": "relative"}, "only 'neighbor'"),
         ({"pair": {}}, "'S>S'"),
         ({"combine_q": "two"}, "could not convert"),
+        ({"combine_q": 0.0}, "combine_q is 0, .* must be at least 1"),
+        ({"advection_speed": {"S": -1.0, "L": 1.0}}, "advection_speed .* negative"),
     ):
         path.write_text(json.dumps(content | change))
         with pytest.raises(ValueError, match=f"damaged or not a 'wake-1' file .*{reason}"):
