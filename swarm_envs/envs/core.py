@@ -74,6 +74,9 @@ class Snapshot:
     """The team of each environment: the constructor's, or that of its last reset."""
 
 
+_AWAY_M = 1e4  # Drones so far apart put no force on each other
+
+
 class _Kernels(NamedTuple):
     """The kernels of a decision, compiled for the types of one core's arrays."""
 
@@ -346,6 +349,8 @@ class SwarmCore:
         if self._force_model is not None:
             here, seen = slice(first, last), self._seen[first:last]
             motion = (seen["position"].copy(), seen["velocity"].copy())
+            ended = self.world.drones["active"][here] == 0.0  # these push nobody any more
+            motion[0][ended] = _AWAY_M * np.arange(1, ended.sum() + 1)[:, None]
             types, out = self._force_types[here], self._predicted[here]
             all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])
