@@ -235,7 +235,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
         self._check_open("pickling")
         options = (type(self), self.core.task, self.core.config, self.render_mode)
-        return _rebuilt, (*options, self.core.get_state())
+        return _rebuilt, (*options, self.core.get_state(), self.core.reward_weights)
 
     def check_running(self) -> None:
         """Refuse a step that needs an episode.
@@ -294,9 +294,11 @@ def _rebuilt(
     config: EnvConfig,
     render_mode: str | None,
     snapshot: Snapshot,
+    weights: Mapping[str, float],
 ) -> SwarmParallelEnv:
     """Make an environment again where another stood; what `pickle` and `copy` call."""
     env = kind(task, config, render_mode)
+    env.core.set_reward_weights(weights)
     env.set_state(snapshot)
     return env
 
