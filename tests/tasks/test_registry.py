@@ -225,4 +225,4 @@ def test_a_team_that_a_task_accepts_is_always_placed(task):
             for seed in range(60):
                 placed = flown.place(np.random.default_rng(seed))
                 assert np.isfinite(placed.goals).all()
-    assert accepted >= 3
+    assert accepted >= 2
