@@ -104,7 +104,7 @@ def test_same_flight_until_both_report_tumbling(rate: float) -> None:
 @pytest.mark.parametrize(("rate", "gain"), [(4.0, 0.0069), (16.0, 0.1216), (50.0, 3.416)])
 def test_free_spin_gains_the_energy_that_the_limits_name(rate: float, gain: float) -> None:
     """Without torque it would keep its energy; attitudes may differ in the quaternion's sign."""
-    state = hover_state(TEAM, np.array(STACK) + [0.0, 0.0, 50.0])
+    state = hover_state(TEAM, np.add(STACK, [0.0, 0.0, 50.0]))
     state.rotor_thrust[:] = 0.0
     state.angular_velocity[:] = rate / np.sqrt(3.0)
     attitudes = []
