@@ -377,22 +377,6 @@ def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
         compare(comparison_of(tmp_path, seed=1))
 
 
-def test_models_are_tested_on_two_neighbors_after_a_fit_to_one(tmp_path: Path) -> None:
-    one, second = flights(), np.zeros((1200, 1, 6))
-    second[:, 0, :3] = [0.05, 0.0, 0.3]
-    two = np.arange(1200) % 3 == 0
-    rows = replace(
-        one,
-        neighbor=np.concatenate([one.neighbor, second], axis=1),
-        neighbor_type=np.stack([np.zeros(1200, np.int64), np.where(two, 0, -1)], axis=1),
-        force_g=one.force_g - 4.0 * two[:, None] * [0.0, 0.0, 1.0],
-    )
-    save_rows(tmp_path / "rows.npz", rows)
-    found = compare(comparison_of(tmp_path, hold_out="two-neighbors", models=("wake",)))
-    assert found.rows == two.sum()
-    assert len(list((tmp_path / "out").glob("wake-*.npy"))) == 1
-
-
 def test_flights_of_every_scenario_are_spread_over_the_folds() -> None:
     count = 60
     rows = make_rows(
