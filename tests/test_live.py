@@ -185,8 +185,6 @@ def test_many_environments_are_shown_side_by_side(monkeypatch):
     np.testing.assert_allclose(
         found[1]["position"], envs.unwrapped.core.physics.state.position[:16], atol=1e-4
     )
-    with pytest.raises(ValueError, match="render_mode of many environments"):
-        gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, render_mode="rgb_array")
 
 
 def test_the_page_draws_the_swarm_in_a_browser(monkeypatch):

@@ -169,19 +169,15 @@ def run_fly(options: FlyOptions) -> None:
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if pyarrow, pybullet or ffmpeg is missing for a file."""
+    """Raise ImportError if pyarrow or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
         check_trajectory_path(files["trajectory"])
-    if "video" in files:
-        from swarm_envs.physics.bullet import import_bullet
+    if "video" in files and files["video"].suffix == ".mp4":
+        from swarm_envs.viewing.video import find_ffmpeg
 
-        import_bullet()
-        if files["video"].suffix == ".mp4":
-            from swarm_envs.viewing.video import find_ffmpeg
-
-            find_ffmpeg()
+        find_ffmpeg()
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:

@@ -39,10 +39,10 @@ __all__ = ["SwarmCore"]
 
 
 class StepResult(NamedTuple):
-    """What a step gives, for E environments of N drones."""
+    """The result of a step of E environments of N drones: buffers, valid until the next step."""
 
     observations: Float32Array
-    """(E, N, width) rows; see `observation_layout`. A buffer, valid until the next step."""
+    """(E, N, width) rows; see `observation_layout`."""
     rewards: FloatArray  # (E, N)
     reward_terms: FloatArray
     """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`.
@@ -74,6 +74,16 @@ class Snapshot:
 
 
 _AWAY_M = 1e4  # Drones so far apart put no force on each other
+
+
+class _Part(NamedTuple):
+    """The arguments of the kernels that follow a flight, for a part of the environments."""
+
+    actions: FloatArray
+    state: tuple[Any, ...]  # Records of drones and environments, goals, settings
+    flown: BoolArray
+    terms: FloatArray
+    scored: tuple[Any, ...]  # The arguments of `weigh`
 
 
 class _Kernels(NamedTuple):
@@ -111,12 +121,12 @@ class SwarmCore:
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
+        self._actions: FloatArray = np.zeros((num_envs, self.num_drones, self.mode.width))
         ranges = self.ranges = config.ranges
         self._noisy = ranges is not None and ranges.noisy
         sensed = self._noisy or config.hall is not None
         drones = self.world.drones
         self._seen = np.zeros(drones.shape, SENSED_TYPE) if sensed else drones
-        self._shape = (num_envs, self.num_drones, self.mode.width)
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._state = (*self.world, self.settings)
         self._force_model: InteractionModel | None = None
@@ -127,6 +137,31 @@ class SwarmCore:
             self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
         self._own_rules = has_own_rules(task)
+        self._result = StepResult(
+            observations=self.rows,
+            rewards=np.zeros(drones.shape),
+            reward_terms=np.zeros((len(weights), *drones.shape)),
+            terminated=np.zeros(num_envs, np.bool_),
+            truncated=np.zeros(num_envs, np.bool_),
+            active=np.zeros(drones.shape, np.bool_),
+            ended=np.zeros(drones.shape, np.bool_),
+        )
+        whole = (0, num_envs)
+        self._parts = {part: self._part(*part) for part in (*self.physics.workers.parts, whole)}
+
+    def _part(self, first: int, last: int) -> _Part:
+        """Return views of what the environments first to last - 1 have: all of it stays."""
+        here = slice(first, last)
+        drones, environments, goals = (table[here] for table in self.world)
+        flown, (_, rewards, all_terms, *flags) = self._flown[here], self._result
+        terms, written = all_terms[:, here], (rewards[here], *(flag[here] for flag in flags))
+        return _Part(
+            actions=self._actions[here],
+            state=(drones, environments, goals, self.settings),
+            flown=flown,
+            terms=terms,
+            scored=(terms, self._weights, flown, drones, environments, *written),
+        )
 
     def _what_is_observed(self) -> list[tuple[Any, ...]]:
         """What `write_observations` takes on each thread: all of it stays."""
@@ -166,22 +201,21 @@ class SwarmCore:
         Kernels look up the types of their arguments at each call; these do not, which saves a
         fifth of a single environment's step.
         """
-        task, settings, (drones, environments, _) = self.task, self.settings, self.world
-        actions = np.zeros(self._shape)
-        rewards = np.zeros(drones.shape)
-        terms = np.zeros((2, 2, drones.shape[1]))[:, :1]  # of any strides, as the parts of a batch
-        flown, state = self._flown, self._state
+        task, part = self.task, self._parts[0, self.num_envs]
+        drones, environments, _, settings = part.state
+        terms = np.zeros((2, 2, self.num_drones))[:, :1]  # of any strides, as parts of a batch
         advance = None if inspect.ismethod(task.advance) else task.advance
+        asked = self._actions, 1.0, drones, environments, settings, self._flown
         with compilation(len(_Kernels._fields) + 1 - (advance is None)):
             self.physics.compile()
             return _Kernels(
-                entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
-                entry_point(task.write_reference, *state),
-                entry_point(judge, actions, *state),
-                None if advance is None else entry_point(advance, flown, *state),
+                entry_point(apply_actions, 0, *asked),
+                entry_point(task.write_reference, *part.state),
+                entry_point(judge, self._actions, *part.state),
+                None if advance is None else entry_point(advance, self._flown, *part.state),
                 entry_point(task.write_reward_terms, drones, environments, settings, terms),
-                entry_point(weigh, terms, self._weights, drones, flown, rewards),
-                entry_point(write_observations, 0, 0, flown, *self._observed[0]),
+                entry_point(weigh, terms, *part.scored[1:]),
+                entry_point(write_observations, 0, 0, self._flown, *self._observed[0]),
             )
 
     @property
@@ -255,43 +289,35 @@ class SwarmCore:
             ValueError: actions of a wrong shape, not finite, or outside their bounds; nothing
                 has changed then.
         """
-        mode, kernels, flown = self.mode, self._kernels, self._flown
-        drones, environments, goals, settings = everything = self._state
-        asked = as_actions(mode, actions, self._shape, self.config.clip_actions)
-        if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
+        mode, flown = self.mode, self._flown
+        drones, environments, _, settings = self._state
+        asked = as_actions(mode, actions, self._actions.shape, self.config.clip_actions)
+        self._actions[...] = asked
+        to_fly = self._actions, mode.limit, drones, environments, settings, flown
+        if not self._kernels.apply(mode.code, *to_fly):
             check_actions(mode, asked)
-        rewards: FloatArray = np.empty(drones.shape)
-        terms: FloatArray = np.empty((len(self._weights), *drones.shape))
-
-        def finish(first: int, last: int, thread: int) -> None:
-            """Judge, weigh and observe what has been flown."""
-            state, decided, here = everything, asked, slice(first, last)
-            scored = (terms, self._weights, drones, flown, rewards)
-            if last - first < self.num_envs:
-                state = (drones[here], environments[here], goals[here], settings)
-                scored = (terms[:, here], self._weights, state[0], flown[here], rewards[here])
-                decided = asked[here]
-            kernels.refer(*state)
-            kernels.judge(decided, *state)
-            if kernels.advance is not None:
-                kernels.advance(flown[here], *state)
-            if self._own_rules:
-                apply_own_rules(self.task, self.world, flown, self.config.end_on_success)
-            kernels.write_terms(state[0], state[1], settings, scored[0])
-            if self._own_rules:
-                write_own_terms(self.task, self.world, terms)
-            kernels.weigh(*scored)
-            self._observe(first, last, flown, thread)
-
         if self._own_rules:  # their methods take all environments at once
             self.physics.fly(self._substeps, flown)
-            finish(0, self.num_envs, 0)
+            self._finish(0, self.num_envs, 0)
         else:
-            self.physics.fly(self._substeps, flown, finish)
-        terminated, truncated = environments["terminated"].copy(), environments["truncated"].copy()
-        active = flown[:, None] & (drones["active"] + drones["crashed"] > 0.0)
-        ended = active & (terminated[:, None] | (drones["active"] == 0.0))
-        return StepResult(self.rows, rewards, terms, terminated, truncated, active, ended)
+            self.physics.fly(self._substeps, flown, self._finish)
+        return self._result
+
+    def _finish(self, first: int, last: int, thread: int) -> None:
+        """Evaluate, reward and observe the decision that a part of the environments has flown."""
+        kernels, (actions, state, flown, terms, scored) = self._kernels, self._parts[first, last]
+        drones, environments, _, settings = state
+        kernels.refer(*state)
+        kernels.judge(actions, *state)
+        if kernels.advance is not None:
+            kernels.advance(flown, *state)
+        if self._own_rules:
+            apply_own_rules(self.task, self.world, flown, self.config.end_on_success)
+        kernels.write_terms(drones, environments, settings, terms)
+        if self._own_rules:
+            write_own_terms(self.task, self.world, terms)
+        kernels.weigh(*scored)
+        self._observe(first, last, self._flown, thread)
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
         """Weigh reward terms otherwise from the next step on: for curricula of trainers.

@@ -117,11 +117,12 @@ class SwarmJointEnv(_SwarmEnv):
         self.parallel.check_running()
         result = self.core.step(split_teams(action, self.action_space.shape, self.core))
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
-        info: dict[str, Any] = {"rewards": result.rewards[0].copy(), "active": result.active[0]}
+        rewards = result.rewards[0].copy()
+        info: dict[str, Any] = {"rewards": rewards, "active": result.active[0].copy()}
         if terminated or truncated:
             self.parallel.agents = []
             info["episode_metrics"] = self.core.metrics()
-        reward = float(result.rewards[0].mean())
+        reward = float(rewards.mean())
         return self._observation(), reward, terminated, truncated, info
 
     def _observation(self) -> Float32Array:

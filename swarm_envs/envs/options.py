@@ -360,7 +360,7 @@ def batch_of(task: str | type[Task], **options: Any) -> Blueprint:
     found = blueprint_of(task, **{"physics": "batch", **options})
     if found.render_mode is not None:
         raise ValueError(
-            f"render_mode is {found.render_mode!r}, but environments that fly at once are not "
+            f"render_mode is {found.render_mode!r}, but environments for training are not "
             "drawn; render a single one: parallel_env(render_mode='rgb_array')"
         )
     return found

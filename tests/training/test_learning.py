@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from itertools import permutations
 from pathlib import Path
 
@@ -201,7 +202,7 @@ def test_rewards_follow_new_weights():
     found = blueprint(num_drones=2, physics="batch", layout="circle")
     core, action = SwarmCore(found.task, found.config), np.full((1, 2, 3), 0.3)
     core.reset([0])
-    before = core.step(action)
+    before = deepcopy(core.step(action))
     core.set_reward_weights({"effort": -2.0})
     core.reset([0])
     after = core.step(action)
