@@ -7,6 +7,7 @@ import json
 import re
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -391,10 +392,14 @@ def test_a_recommended_agent_is_never_refused(task, layout):
     for drones, learned, privileged, obstacles in itertools.product(
         (None, 1, 2, 3, 4, 6, 8, 9, 17, 33), (None, True), (None, False, True), (False, True)
     ):
-        given = {"num_drones": drones, "layout": layout}
-        wanted = {"learned": learned, "privileged": privileged, "obstacles": obstacles}
+        given: dict[str, Any] = {"num_drones": drones, "layout": layout}
+        wanted: dict[str, Any] = {
+            "learned": learned,
+            "privileged": privileged,
+            "obstacles": obstacles,
+        }
         try:
-            agent = load(recommended(task, **given, **wanted))
+            agent = load(recommended(task, **given, **wanted, obstacles=obstacles))
         except ValueError:
             continue  # the task does not take so many, or nobody flies it
         options = {name: value for name, value in given.items() if value is not None}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -21,7 +23,7 @@ def make():
 def test_a_vector_of_environments_flies_as_each_alone():
     many = AsyncPettingZooVecEnv([make, make])
     alone = [make(), make()]
-    seen, _ = many.reset(seed=5)
+    seen: Any = many.reset(seed=5)[0]
     rows = [env.reset(seed=5 + e)[0] for e, env in enumerate(alone)]
     rng = np.random.default_rng(0)
     for _ in range(8):
@@ -30,11 +32,12 @@ def test_a_vector_of_environments_flies_as_each_alone():
         actions = {
             agent: rng.uniform(-0.2, 0.2, (2, 3)).astype(np.float32) for agent in many.agents
         }
-        seen, rewards, *_ = many.step(actions)
+        step: Any = many.step(actions)
+        seen, rewards = step[:2]
         for e, env in enumerate(alone):
             rows[e], own, *_ = env.step({agent: both[e] for agent, both in actions.items()})
             assert [rewards[agent][e] for agent in own] == pytest.approx(list(own.values()))
     for _ in range(30):  # beyond the end of the episodes
-        seen, *_ = many.step({agent: np.zeros((2, 3), np.float32) for agent in many.agents})
+        seen = many.step({agent: np.zeros((2, 3), np.float32) for agent in many.agents})[0]
     many.close()
     assert all(np.isfinite(both).all() for both in seen.values())

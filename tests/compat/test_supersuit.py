@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
@@ -11,7 +13,7 @@ from swarm_envs import crowd_v0, swap_v1
 supersuit = pytest.importorskip("supersuit", reason="run by `make test-compat`")
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
-QUICK = {"physics": "batch", "horizon_s": 1.0}
+QUICK: dict[str, Any] = {"physics": "batch", "horizon_s": 1.0}
 
 
 def sampled(env):

@@ -91,7 +91,7 @@ def test_vector_modes_are_those_of_gymnasium(mode, most):
     ours = make_vector(
         "swap_v1", num_envs=3, autoreset_mode=mode, max_episode_steps=most, **options
     )
-    theirs = gymnasium.make_vec(
+    theirs: Any = gymnasium.make_vec(
         "swarm_envs/Swap-v1", 3, vectorization_mode="sync", **limit, **options
     )
     assert ours.single_observation_space == theirs.single_observation_space
