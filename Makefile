@@ -22,7 +22,7 @@ PEERS_wrappers := agilerl 'minari[hdf5]' supersuit
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 TESTS_jax := test_jax.py
-TESTS_wrappers := test_agilerl.py test_minari.py test_supersuit.py
+TESTS_wrappers := test_agilerl.py test_docs.py test_minari.py test_supersuit.py
 
 .PHONY: help demo test test-all test-compat coverage matrix lint format bench \
 	bench-against docs films clean
