@@ -141,7 +141,7 @@ class FlyOptions(EpisodeOptions):
 
 def run_fly(options: FlyOptions) -> None:
     """Fly, print and write."""
-    from swarm_envs.agents.recommendation import AVOIDS
+    from swarm_envs.agents.recommendation import avoids_obstacles
 
     files = output_files(options, _FILES)
     for option in [name for name in files if getattr(options, name) is None]:  # of --out
@@ -163,7 +163,7 @@ def run_fly(options: FlyOptions) -> None:
     with closing(env):
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
-    if options.obstacles and options.agent is None and name not in AVOIDS:
+    if options.obstacles and options.agent is None and not avoids_obstacles(agent):
         print(f"note: {name} was measured without obstacles, and may fly into them")
     _write_files(files, recording)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -65,13 +65,15 @@ class Snapshot:
     """
 
     kind: dict[str, object]
-    """What it fits: task, team, engine, action, and numbers of environments, stages, neighbours and
-    obstacles."""
+    """What it fits: task, team, engine, options, and numbers of environments and stages."""
     world: World  # The tables of drones and environments, and the goals
     observations: Float32Array  # (E, N, width) the last rows
     generators: tuple[Any, ...]  # State of each environment's random generator
     teams: tuple[Team, ...]
     """The team of each environment: the constructor's, or that of its last reset."""
+
+
+_AWAY_M = 1e4  # Drones so far apart put no force on each other
 
 
 class _Part(NamedTuple):
@@ -372,6 +374,8 @@ class SwarmCore:
         if self._force_model is not None:
             here, seen = slice(first, last), self._seen[first:last]
             motion = (seen["position"].copy(), seen["velocity"].copy())
+            ended = self.world.drones["active"][here] == 0.0  # these push nobody any more
+            motion[0][ended] = _AWAY_M * np.arange(1, ended.sum() + 1)[:, None]
             types, out = self._force_types[here], self._predicted[here]
             all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])
@@ -425,7 +429,7 @@ class SwarmCore:
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
         made = type(self), self.task, self.config, self.num_envs
-        return _rebuilt, (*made, self.get_state(), self._weights.copy())
+        return _rebuilt, (*made, self.get_state(), self.reward_weights)
 
     def get_state(self) -> Snapshot:
         """Everything that changes, copied: see `Snapshot`."""
@@ -452,8 +456,8 @@ class SwarmCore:
             theirs = snapshot.kind.get(name)
             if theirs != value:
                 raise ValueError(
-                    f"the state was taken of an environment whose {name} is {theirs!r}, but here "
-                    f"it is {value!r}; make an environment with the same options"
+                    f"the state was taken of an environment whose {name} is {theirs!r:.99}, but "
+                    f"here it is {value!r:.99}; make an environment with the same options"
                 )
         tasks = {team: self._task_for(team) for team in set(snapshot.teams)}
         for e, team in enumerate(snapshot.teams):
@@ -467,22 +471,27 @@ class SwarmCore:
         self.physics.place_bodies(np.arange(self.num_envs))
 
     def _kind(self) -> dict[str, object]:
-        *_, load, force, setpoint = self.form
+        options = vars(self.config) | {
+            "physics": self.physics.name,
+            "interactions": self.physics.interactions,
+            "world": "ideal" if self.physics.hall is None else "hall",
+            "hall": self.physics.hall,
+            "num_obstacles": self.num_obstacles,
+            "observe_force": self._force_model,
+            "horizon_s": float(self.settings["horizon_s"][0]),
+        }
         return {
             "task": self.task.name,
             "team": tuple(vehicle.token for vehicle in self.task.team),
-            "physics": self.physics.name,
-            "action": self.config.action,
-            "on_contact": self.config.on_contact,
-            "world": "ideal" if self.physics.hall is None else "hall",
-            "num_neighbors": self.config.num_neighbors,
-            "num_obstacles": self.num_obstacles,
-            "observe_load": load,
-            "observe_force": force,
-            "observe_setpoint": setpoint,
             "number of environments": self.num_envs,
             "number of stages": self.world.goals.shape[1],
+            **{k: _comparable(v) for k, v in options.items() if k not in _FREE},
         }
+
+    @property
+    def reward_weights(self) -> dict[str, float]:
+        """The weight of each reward term."""
+        return dict(zip(self.task.reward_names, self._weights.tolist(), strict=True))
 
 
 def _rebuilt(
@@ -491,13 +500,25 @@ def _rebuilt(
     config: EnvConfig,
     num_envs: int,
     snapshot: Snapshot,
-    weights: FloatArray,
+    weights: Mapping[str, float],
 ) -> SwarmCore:
     """Make a core again where another stood; what `pickle` and `copy` call."""
     core = kind(task, config, num_envs)
     core.set_state(snapshot)
-    core._weights[:] = weights
+    core.set_reward_weights(weights)
     return core
+
+
+_FREE = ("threads", "clip_actions", "observation")  # Options that change no state
+
+
+def _comparable(value: Any) -> object:
+    """An option so that it equals that of a copy: models have no single truth to compare by."""
+    if isinstance(value, InteractionModel):
+        return value.name, value.fingerprint
+    if is_dataclass(value):
+        return type(value).__name__, {k: _comparable(v) for k, v in vars(value).items()}
+    return value
 
 
 def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:

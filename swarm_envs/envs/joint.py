@@ -25,16 +25,22 @@ from swarm_envs.tasks.base import Task
 __all__ = ["split_teams"]
 
 
-def limited(entry: EnvSpec | None, core: SwarmCore) -> EnvSpec | None:
+def limited(entry: EnvSpec | None, core: SwarmCore, most: int | None = None) -> EnvSpec | None:
     """Return an entry of Gymnasium's registry with the time limit of an environment, in decisions.
 
     It depends on the options: the entry that is registered has none, so that Gymnasium wraps no
     time limit of its own around the environment. Wrappers such as `TimeAwareObservation` ask it.
+
+    Args:
+        entry: of the registry.
+        core: of the environment.
+        most: a lower limit than that of the options, if there is one.
     """
     if entry is None:
         return None
     decisions = float(core.settings["horizon_s"][0]) * core.config.decision_rate
-    return replace(entry, max_episode_steps=math.ceil(decisions - 1e-6))
+    steps = math.ceil(decisions - 1e-6)
+    return replace(entry, max_episode_steps=steps if most is None else min(steps, most))
 
 
 class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):

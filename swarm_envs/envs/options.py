@@ -185,8 +185,21 @@ def _blueprint(options: Callable[..., TaskOptions], given: Mapping[str, Any]) ->
         if name not in names:
             owner = getattr(options, "__name__", "options")
             said = f"{owner}() got an unexpected keyword argument {name!r}"
-            raise TypeError(f"{said}; {nearest(name, names)}")
+            raise TypeError(f"{said}; {_OTHERS_NAMES.get(name) or nearest(name, names)}")
     return options(**given).blueprint()
+
+
+_TIME_LIMIT = "the time limit is horizon_s, in seconds: decisions / decision_rate"
+_OTHERS_NAMES = {
+    "max_cycles": _TIME_LIMIT,
+    "max_steps": _TIME_LIMIT,
+    "max_episode_steps": _TIME_LIMIT,
+    "frameskip": "decision_rate is the number of decisions a second",
+    "frame_skip": "decision_rate is the number of decisions a second",
+    "continuous": "every action is continuous; action is its mode, such as action='velocity'",
+    "num_agents": "num_drones is the number of agents",
+}
+"""Names of options in other packages, and what stands for them here."""
 
 
 _RAISES = """\

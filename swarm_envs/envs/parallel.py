@@ -84,6 +84,11 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return observation_layout(*self.core.form[1:])
 
     @property
+    def np_random(self) -> np.random.Generator:
+        """The generator of the episodes, seeded by `reset`; some wrappers draw from it too."""
+        return self.core.generators[0]
+
+    @property
     def view(self) -> View:
         """The truth, for privileged agents and for plots."""
         return View(self.core)
@@ -135,7 +140,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
             actions: one for each of `agents`; those of agents that have left are not used.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos by agent.
+            Observations, rewards, terminations, truncations and infos by agent: all empty if the
+            episode has ended and `actions` is empty, as black-death wrappers step once more.
 
         Raises:
             RuntimeError: there is no episode: `reset()` was not called, or the last one ended.
@@ -143,6 +149,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
                 its bounds. Nothing has changed then.
         """
         if not self.agents:
+            if isinstance(actions, Mapping) and not actions and self._has_ended():
+                return {}, {}, {}, {}, {}
             self.check_running()
         result, agents = self.core.step(self.join(actions)), self.agents
         over, cut = bool(result.terminated[0] | result.truncated[0]), bool(result.truncated[0])
@@ -228,7 +236,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
         self._check_open("pickling")
         options = (type(self), self.core.task, self.core.config, self.render_mode)
-        return _rebuilt, (*options, self.core.get_state())
+        return _rebuilt, (*options, self.core.get_state(), self.core.reward_weights)
 
     def check_running(self) -> None:
         """Refuse a step that needs an episode.
@@ -238,8 +246,11 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """
         self._check_open("step")
         if not self.agents:
-            why = "the episode has ended" if self.core.time[0] > 0 else "no episode has begun"
+            why = "the episode has ended" if self._has_ended() else "no episode has begun"
             raise RuntimeError(f"step() was called, but {why}; call reset() first")
+
+    def _has_ended(self) -> bool:
+        return not (self._closed or self.agents) and bool(self.core.time[0] > 0)
 
     def _check_open(self, what: str) -> None:
         if self._closed:
@@ -286,9 +297,11 @@ def _rebuilt(
     config: EnvConfig,
     render_mode: str | None,
     snapshot: Snapshot,
+    weights: Mapping[str, float],
 ) -> SwarmParallelEnv:
     """Make an environment again where another stood; what `pickle` and `copy` call."""
     env = kind(task, config, render_mode)
+    env.core.set_reward_weights(weights)
     env.set_state(snapshot)
     return env
 

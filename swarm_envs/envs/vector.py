@@ -54,6 +54,9 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             or of rows, equal within a team.
         render_mode: `rgb_array` (pictures), `human` (the first 16 environments in a browser, in
             real time) or None.
+        max_episode_steps: decisions after which an episode is truncated, if `horizon_s` does not do
+            it before; as of `gymnasium.wrappers.TimeLimit`, the time left that is observed does not
+            change.
     """
 
     def __init__(
@@ -64,6 +67,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         per_agent: bool = False,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         if render_mode is not None:
             check_name("render_mode", render_mode, RENDER_MODES)
@@ -76,6 +80,9 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self.core = SwarmCore(task, config, num_envs)
         self.num_teams, drones = num_envs, self.core.num_drones
         check_bool("per_agent", per_agent)
+        if max_episode_steps is not None:
+            check_integer("max_episode_steps", max_episode_steps, 1)
+        self._most_steps = max_episode_steps
         self.per_agent = per_agent
         self.num_envs = num_envs * drones if per_agent else num_envs
         self.metadata = {
@@ -104,7 +111,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
     @spec.setter
     def spec(self, entry: EnvSpec | None) -> None:
-        self._entry = limited(entry, self.core)
+        self._entry = limited(entry, self.core, self._most_steps)
 
     def reset(
         self,
@@ -152,17 +159,19 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self._check_running()
         again = self._ended.copy()
         result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
+        decisions = np.rint(self.core.time * self.core.config.decision_rate)
         if again.any():  # only where the next step resets
             self.core.reset(mask=again)
-        over = (result.terminated | result.truncated) & ~again
+        cut = result.truncated | (decisions >= (self._most_steps or np.inf))
+        over = (result.terminated | cut) & ~again
         self._ended[:] = over
         infos: Infos = {"active": result.active.copy()}
         if self.per_agent:
             ends = result.ended | (over[:, None] & ~result.active)  # who waited ends again
-            given = result.rewards, ends, result.truncated[:, None] & ~ends
+            given = result.rewards, ends, cut[:, None] & ~ends
             again, infos = again[:, None], {"active": infos["active"].reshape(-1)}
         else:
-            given = result.rewards.mean(axis=1), result.terminated, result.truncated
+            given = result.rewards.mean(axis=1), result.terminated, cut
             infos["rewards"] = result.rewards.copy()
         rewards = np.where(again, 0.0, given[0]).reshape(-1)
         terminated, truncated = ((part & ~again).reshape(-1) for part in given[1:])
@@ -291,9 +300,10 @@ def make_vector(
     autoreset_mode: Any = "NextStep",
     per_agent: bool = False,
     render_mode: str | None = None,
+    max_episode_steps: int | None = None,
     **options: Any,
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
     made = batch_of(task, **options)
-    views = autoreset_mode, per_agent, render_mode
+    views = autoreset_mode, per_agent, render_mode, max_episode_steps
     return SwarmVectorEnv(made.task, made.config, num_envs, *views)

@@ -76,6 +76,13 @@ class DeliveryTask(Task):
                 f"delivery has {len(self.team)} drones, but room for {DOCKS} couriers and two "
                 f"drones above each of {DOCKS} docks; use at most {3 * DOCKS}"
             )
+        lowest, widest = self.height_m[0], max(v.radius for v in self.team[:DOCKS])
+        if lowest < widest:
+            raise ValueError(
+                f"couriers dock at {lowest} m, but the largest of the first {DOCKS} drones, which "
+                f"are the couriers, touches the floor at {widest:.3f} m; let small ones be the "
+                "first, such as 'S*S*S*LL', or, in Python, give a larger height_m"
+            )
         if self.travel_s > self.stage_s:
             raise ValueError(
                 f"travel_s is {self.travel_s}, but must not exceed stage_s, {self.stage_s}"

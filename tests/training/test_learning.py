@@ -26,7 +26,7 @@ from swarm_envs.vehicles import parse_team
 
 TINY = [
     *("--drones", "2", "--environments", "8", "--set", "n_steps=8", "batch_size=64", "n_epochs=1"),
-    *("--hidden", "8", "--steps", "256", "--evaluation-episodes", "2", "--num-neighbors", "1"),
+    *("--hidden", "8", "--steps", "256", "--evaluation-episodes", "2", "--neighbors", "1"),
     *("--interactions", "none", "--no-progress"),
 ]
 
