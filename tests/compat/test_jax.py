@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,12 +82,12 @@ def test_vmap_and_gradients(jax: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_small_drone_sinks_in_crazyflow_as_it_does_here() -> None:
-    """In a process of its own: crazyflow has to be imported before SciPy."""
+def test_a_small_drone_sinks_in_crazyflow_as_it_does_here(tmp_path: Path) -> None:
+    """In a process of its own: crazyflow has to be imported before SciPy, and writes a log."""
     if importlib.util.find_spec("crazyflow") is None:
         pytest.skip("run by `make test-compat`")
-    example = [sys.executable, "-W", "ignore", "-m", "examples.crazyflow_downwash"]
-    done = subprocess.run(example, cwd=ROOT, capture_output=True, text=True, check=True)
+    example = [sys.executable, "-W", "ignore", str(ROOT / "examples" / "crazyflow_downwash.py")]
+    done = subprocess.run(example, cwd=tmp_path, capture_output=True, text=True, check=True)
     there, here = map(float, re.findall(r"([\d.]+) cm", done.stdout))
     assert here > 10.0
     assert there == pytest.approx(here, rel=0.05)
