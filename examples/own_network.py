@@ -9,6 +9,7 @@ Train it, fly it from Python, and evaluate it on the command line (pip install '
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +39,15 @@ class Pooled(BaseFeaturesExtractor):
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return features (B, row width + 32) of observation rows (B, row width)."""
-        neighbors = rows[:, self.where].unflatten(1, (NEIGHBORS, -1))
+        neighbors = rows[:, self.where].reshape(len(rows), NEIGHBORS, -1)
         return torch.cat([rows, self.encode(neighbors).amax(dim=1)], dim=1)
 
 
 class Trained:
     """An agent that flies what was trained, for the command line."""
 
-    requires, privileged = {"decision_rate": 10, "num_neighbors": NEIGHBORS}, False
+    requires: Mapping[str, Any] = {"decision_rate": 10, "num_neighbors": NEIGHBORS}
+    privileged = False
 
     def __init__(self) -> None:
         kwargs = {"policy_kwargs": {"features_extractor_class": Pooled}}

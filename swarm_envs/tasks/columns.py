@@ -165,7 +165,7 @@ class ColumnsTask(Task):
     def ranges(self) -> ColumnLayout:
         """What columns are drawn from: the layout, and what was given."""
         given = {"gap_m": self.gap_m, "payload_kg": self.payload_kg}
-        own = {name: value for name, value in given.items() if value is not None}
+        own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         return COLUMN_LAYOUTS[self.layout]._replace(**own)
 
     @property

@@ -191,7 +191,7 @@ class FormationTask(Task):
                 )
             shapes = shapes_of(self.letters)
         mission = {"shapes": shapes, "labels": self.labels, "shape_s": self.shape_s}
-        given = {name: value for name, value in mission.items() if value is not None}
+        given: dict[str, Any] = {k: value for k, value in mission.items() if value is not None}
         if self.layout is not None and given:
             raise ValueError(
                 f"layout={self.layout!r} already says what is flown, but {', '.join(given)} are "
