@@ -247,7 +247,8 @@ def options_type(task: str | type[Task]) -> type[TaskOptions]:
     """Return the options of a task, which `task_class` explains: a dataclass made from its class.
 
     Raises:
-        ValueError: there is no such task, or one of its `defaults` is no option of every task.
+        ValueError: there is no such task, one of its `defaults` is no option of every task, or one
+            of its fields has a name that `EnvConfig` has for something else.
         ImportError: the file of one's own cannot be imported.
     """
     return _options_of(task_class(task))
@@ -264,6 +265,12 @@ def _options_of(task: type[Task]) -> type[TaskOptions]:
         for f in fields(task)
         if f.init and f.name not in (*shared, "success")
     ]
+    for name, *_ in own:
+        if hasattr(TaskOptions, name):
+            raise ValueError(
+                f"{task.__name__} has a field {name!r}, which means something else for every "
+                "environment; give it another name"
+            )
     made = make_dataclass(
         f"{task.__name__.removesuffix('Task')}Options",
         [*given, *own],

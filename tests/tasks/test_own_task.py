@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -184,6 +184,9 @@ def test_a_task_has_defaults_and_a_team_of_its_own():
     wrong: Any = dataclass(frozen=True)(type("Wrong", (Endless,), {"defaults": {"wrld": "hall"}}))
     with pytest.raises(ValueError, match="defaults of Wrong 'wrld'; did you mean 'world'"):
         swarm_envs.make(wrong)
+    taken: Any = make_dataclass("Taken", [("hall", float, 1.0)], bases=(Endless,), frozen=True)
+    with pytest.raises(ValueError, match="Taken has a field 'hall', which means something else"):
+        swarm_envs.make(taken)
 
 
 def test_ids_are_registered():
