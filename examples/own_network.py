@@ -43,6 +43,9 @@ class Pooled(BaseFeaturesExtractor):
         return torch.cat([rows, self.encode(neighbors).amax(dim=1)], dim=1)
 
 
+NETWORK = {"features_extractor_class": Pooled, "log_std_init": -0.5}
+
+
 class Trained:
     """An agent that flies what was trained, for the command line."""
 
@@ -50,8 +53,7 @@ class Trained:
     privileged = False
 
     def __init__(self) -> None:
-        kwargs = {"policy_kwargs": {"features_extractor_class": Pooled}}
-        self.model = PPO.load(FILE, device="cpu", custom_objects=kwargs)
+        self.model = PPO.load(FILE, device="cpu", custom_objects={"policy_kwargs": NETWORK})
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Begin an episode."""
@@ -69,9 +71,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--envs", type=int, default=64, help="teams that fly at once")
     given = parser.parse_args(arguments)
     env = SharedPolicyVecEnv("swap_v1", given.envs, seed=0, horizon_s=3.5, **Trained.requires)
-    network = {"features_extractor_class": Pooled}
     fast = {"n_steps": 32, "batch_size": 1024, "n_epochs": 5, "gamma": 0.98, "learning_rate": 1e-3}
-    model = PPO("MlpPolicy", env, policy_kwargs=network, seed=0, device="cpu", **fast)
+    model = PPO("MlpPolicy", env, policy_kwargs=NETWORK, seed=0, device="cpu", **fast)
     model.learn(given.steps)
     model.save(FILE)
     flown = swarm_envs.make("swap_v1", physics="batch", **Trained.requires)
