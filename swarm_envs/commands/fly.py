@@ -225,18 +225,16 @@ def _newest() -> dict[str, str]:
 
 def check_layout(task: str, layout: str) -> None:
     """Refuse a layout that a task does not have, and name the tasks that have it."""
-    from swarm_envs.envs.options import options_type
+    from swarm_envs.envs.options import task_class
 
-    def layouts(name: str) -> tuple[str, ...]:
-        return options_type(name).task_type.layouts
-
-    valid, family = layouts(task), task_family(task)
+    valid, family = task_class(task).layouts, task_family(task)
     if layout in valid:
         return
     said = f"--layout is {layout!r}, but task {family!r} has no layouts; leave it out"
     if valid:
         said = unknown_name("layout", layout, valid, f"of task {family!r}")
-    others = [other for other, newest in _newest().items() if layout in layouts(newest)]
+    newest = _newest().items()
+    others = [other for other, name in newest if layout in task_class(name).layouts]
     raise ValueError("; ".join([said, *(f"--task {other} has {layout!r}" for other in others)]))
 
 

@@ -298,7 +298,7 @@ def test_bad_options(face, options, error, message):
 
 def test_options_have_names():
     with pytest.raises(TypeError, match="options have names, such as num_drones=4, but got 8"):
-        swap_v1.parallel_env(8)  # type: ignore[call-arg, arg-type]
+        swap_v1.parallel_env(8)
 
 
 @pytest.mark.parametrize(
