@@ -57,8 +57,7 @@ def recommended(
 
     Args:
         task: such as `swap`, or with its version.
-        num_drones: how many fly, if no team is given; None for as many as in the benchmark's
-            smallest team of at least four.
+        num_drones: how many fly, if no team is given; None for the task's default.
         team: the vehicles, such as `L2S`; None for those of the task. Some policies fly few types.
         learned: True for a trained policy, False for a script; None for either.
         privileged: False for one that sees what is observed alone; None for either.
@@ -80,8 +79,7 @@ def recommended(
         check_name("world", world, ("ideal", "hall"))
     rows = _rows_of(task, layout)
     plain = [row for row in rows if "world" not in row]
-    count = num_drones or _row_for(plain, 4)["drones"]
-    flown = _task_of(task, count, team, layout or rows[0]["layout"], obstacles)
+    flown = _task_of(task, num_drones, team, layout or rows[0]["layout"], obstacles)
     size = len(flown.team)
     there = [row for row in rows if row.get("world") == world and row["drones"] >= size]
     row = _row_for(there or plain, size)
@@ -103,11 +101,12 @@ def recommended(
 
 
 def _task_of(
-    task: str, num_drones: int, team: str | None, layout: str | None, obstacles: bool
+    task: str, num_drones: int | None, team: str | None, layout: str | None, obstacles: bool
 ) -> Task:
     """The task that is flown, with one obstacle for any."""
     versions = [name for name in TASKS if task_family(name) == task_family(task)]
-    options: dict[str, Any] = {"num_drones": num_drones} if team is None else {"team": team}
+    options: dict[str, Any] = {} if num_drones is None else {"num_drones": num_drones}
+    options = options if team is None else {"team": team}
     options |= {"layout": layout} if layout is not None else {}
     options |= {"obstacles": "column=1:1:0.15"} if obstacles else {}
     return blueprint_of(versions[-1], **options).task

@@ -233,14 +233,14 @@ class SwarmSoloEnv(_SwarmEnv):
             RuntimeError: there is no episode.
             ValueError: the action has a wrong shape, or a number that cannot be.
         """
+        self.parallel.check_running()
         still = np.zeros(self.parallel.core.mode.width, dtype=np.float32)
         actions: dict[str, npt.ArrayLike] = {
             agent: still if self.others is None else self.others(self._seen[agent])
             for agent in self.parallel.agents
         }
         me = self.agent
-        if self.parallel.agents:
-            actions[me] = action
+        actions[me] = action
         self._seen, rewards, ends, cuts, infos = self.parallel.step(actions)
         if ends[me]:
             infos[me]["episode_metrics"] = self.parallel.core.metrics()
