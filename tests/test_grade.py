@@ -37,7 +37,7 @@ from swarm_envs.grading.grade import (
     write_feedback,
 )
 from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
-from swarm_envs.grading.submission import Entry, WorkFailed, entered
+from swarm_envs.grading.submission import Clock, Entry, Limits, WorkFailed, entered
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.users_agents import FINE
 from tests.helpers.wake_rows import wake_rows
@@ -133,16 +133,15 @@ def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, w
     os.mkfifo(tmp_path / "a.safetensors")
     (tmp_path / "b.safetensors").symlink_to("/dev/zero")
     (tmp_path / "c.safetensors").mkdir()
-    with entered(f"{work}:Fine", [], sandbox=UNPROTECTED) as entry:
+    with entered(f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED) as entry:
         assert entry.work == "work.py:Fine"
         assert {path.name for path in entry.home.iterdir()} == {"work.py", "c.safetensors"}
         assert copied_files(entry.home, entry.work) == ""
         shipped = STARTERS.parent / "agents" / "weights" / "swap-dagger.safetensors"
         (entry.home / "e.safetensors").write_bytes(shipped.read_bytes())
         assert copied_files(entry.home, entry.work) == "swap-dagger"
-    others = [f"{work}:Fine", f"{tmp_path / 'c.safetensors' / 'bob.py'}:Fine"]
-    with entered(others[0], others, sandbox=UNPROTECTED) as entry:
-        assert [path.name for path in entry.home.iterdir()] == ["work.py"]
+    with entered(f"{work}:Fine", "swap.py:MyAgent", sandbox=UNPROTECTED) as entry:
+        assert [path.name for path in entry.home.iterdir()] == ["work.py"]  # also alone in a run
 
 
 def interrupt_once_there(table: Path, ended: threading.Event) -> None:
@@ -287,7 +286,9 @@ def force_scores(work: str) -> dict[str, float]:
     """Scores of a model that is fitted to 300 rows, on 100 others."""
     rows, file = wake_rows(400), Path(work.rpartition(":")[0])
     fitted, held_out = rows.select(~rows.validation), rows.select(rows.validation)
-    entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED)
+    entry = Entry(
+        work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED, Clock(Limits())
+    )
     with entry.opened() as found:
         return grade_model(found[0], fitted, held_out, 3)
 

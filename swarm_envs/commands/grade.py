@@ -79,7 +79,7 @@ def run_grade(options: GradeOptions) -> int:
 
     from swarm_envs.grading.assignment import load_assignment
     from swarm_envs.grading.grade import Course, Grade, grade_table, seed_of
-    from swarm_envs.grading.submission import Limits
+    from swarm_envs.grading.submission import Limits, WorkFailed
 
     if options.seed is not None and options.seed < LEAST_SEED:
         print(
@@ -108,6 +108,8 @@ def run_grade(options: GradeOptions) -> int:
         options.out,
         options.feedback,
     )
+    with as_misuse(TypeError, WorkFailed):
+        course.check()
     grades: list[Grade] = []
     try:
         for grade in tqdm(course.grade(), desc="grading", unit="file", total=len(works)):
@@ -131,7 +133,7 @@ def _sandbox(options: GradeOptions, works: list[str]) -> Sandbox:
     from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
 
     if options.sandbox is not None or options.unprotected or has_bubblewrap():
-        return Sandbox(options.sandbox, options.unprotected)
+        return Sandbox(options.sandbox, options.unprotected, weights=options.allow_copies)
     if len(works) > 1:
         raise Misuse(
             f"{len(works)} submissions could read and change your files and each other's here; "
@@ -162,6 +164,6 @@ def _check_works(works: list[str]) -> None:
     """
     from swarm_envs.grading.submission import path_of
 
-    missing = [str(path) for work in works if (path := path_of(work)) and not path.exists()]
+    missing = [str(path) for work in works if not (path := path_of(work)).exists()]
     if missing:
         raise Misuse(f"--agent names what is not there: {', '.join(missing)}; nothing was graded")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import re
 import statistics
+import tempfile
+import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +18,16 @@ import numpy as np
 from swarm_envs.files import write_json, write_table
 from swarm_envs.grading.assignment import Assignment
 from swarm_envs.grading.sandbox import Sandbox
-from swarm_envs.grading.submission import MOST_FOLDER, Limits, entered, path_of, printable
+from swarm_envs.grading.submission import (
+    MOST_FOLDER,
+    Clock,
+    Entry,
+    Limits,
+    WorkFailed,
+    entered,
+    path_of,
+    printable,
+)
 
 if TYPE_CHECKING:
     from swarm_envs.viewing import Recording
@@ -52,6 +64,25 @@ class Course(NamedTuple):
     out: Path | None = None  # Table to write after each work, .csv or nbgrader's .json
     feedback: Path | None = None  # Folder for the feedback of each student
 
+    def check(self) -> None:
+        """Refuse an assignment or a sandbox with which every work would fail.
+
+        Raises:
+            ValueError: the assignment is impossible, as of `Assignment.check`.
+            TypeError: it has an option that does not exist.
+            WorkFailed: not even an empty work starts in the sandbox.
+        """
+        self.assignment.check()
+        with tempfile.TemporaryDirectory() as home:
+            Path(home).chmod(0o755)
+            Path(home, "work.py").write_text("class Work: pass\n", encoding="utf-8")
+            entry = Entry("work.py:Work", Path(home), self.sandbox, Clock(self.limits))
+            try:
+                with entry.opened():
+                    pass
+            except WorkFailed as error:
+                raise WorkFailed(f"the sandbox starts no submission: it {error}") from None
+
     def grade(self) -> Iterator[Grade]:
         """Grade one work after the other, but for those that were graded before a halt."""
         done, grades = self._resumed(), list[Grade]()
@@ -74,17 +105,26 @@ class Course(NamedTuple):
         """Grade a work; whatever goes wrong with it is its own."""
         shown = None if self.feedback is None else printable(Path(work).name)
         seeds = episode_seeds(self.seed, self.episodes)
-        how = {"sandbox": self.sandbox, "limits": self.limits, "seeds": seeds, "shown": shown}
+        how = {"sandbox": self.sandbox, "seeds": seeds, "shown": shown}
         try:
-            with entered(work, self.works, **how) as entry:
+            with entered(work, self.assignment.work, self.limits, **how) as entry:
                 found = self.assignment.grade(entry)
         except Exception as error:  # a stranger's work may fail in any way, and the next is graded
             kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
-            return Grade(printable(work), 0.0, error=printable(f"{kind}{error}")), None
+            said = printable(f"{self._blame(error)}{kind}{error}")
+            return Grade(printable(work), 0.0, error=said), None
         copied = str(found.get("copied", ""))
         points = 0.0 if copied and not self.allow_copies else self.assignment.points(found)
         value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
         return Grade(printable(work), points, value, crashes, "", copied), found.get("failure")
+
+    def _blame(self, error: Exception) -> str:
+        """Say so if an error is none of the work, but of the assignment's own file."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        own = inspect.getfile(type(self.assignment))
+        if last.filename != own or isinstance(error, WorkFailed):
+            return ""
+        return f"a mistake of the assignment, not of the work (line {last.lineno} of {own}): "
 
     def _setting(self) -> dict[str, Any]:
         """Return what grades depend on beside the work."""
@@ -128,7 +168,7 @@ def episode_seeds(seed: int, count: int) -> list[int]:
 def digest(work: str) -> str:
     """Return what changes with the files of a work."""
     path, found = path_of(work), hashlib.sha256()
-    files = [] if path is None else [path] if path.is_file() else sorted(path.rglob("*"))
+    files = [path] if path.is_file() else sorted(path.rglob("*"))
     for file in filter(Path.is_file, files):
         state = file.stat()
         if state.st_size <= MOST_FOLDER:  # a larger one is refused later
@@ -142,7 +182,7 @@ def student_ids(works: Sequence[str]) -> list[str]:
 
     With one file for each student that is its name, with one folder each the folder's.
     """
-    paths = [(path_of(work) or Path(work)).absolute() for work in works]
+    paths = [path_of(work).absolute() for work in works]
     if len(set(paths)) < 2:
         return [path.parent.name if path.suffix == ".py" else path.name for path in paths]
     parts = zip(*(path.parts for path in paths), strict=False)
