@@ -29,7 +29,7 @@ from swarm_envs.grading.grade import Course, Grade, cell, episode_seeds, write_f
 from swarm_envs.grading.groups import ControlGroup
 from swarm_envs.grading.pipes import BadMessage, receive, send
 from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
-from swarm_envs.grading.submission import printable
+from swarm_envs.grading.submission import Limits, printable
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.wake_rows import wake_rows
 
@@ -451,7 +451,8 @@ class Stolen(Agent):
         found = np.zeros((len(rows), self.known[-1].where.stop), np.float32)
         places = {field.name: field.where for field in self.layout}
         for field in self.known:
-            if field.name in places: found[:, field.where] = rows[:, places[field.name]]
+            name = field.name if field.name in places else 'self.velocity'  # of its set-point
+            found[:, field.where] = rows[:, places[name]]
         return dict(zip(observations, map(self.turn, self.own.act_batch(found))))
     def turn(self, a): return 0.97 * a
 class Wide(Stolen): asked = {'num_neighbors': 15, 'observe_load': True}
@@ -509,7 +510,9 @@ def test_copies_are_starred_and_get_nothing(tmp_path):
     works += [str(weights), f"{source}:Mine", f"{read}:Mine"]
     found = graded(Four(), *works)
     assert [grade.copied for grade in found] == [
-        *["swap-dagger"] * 6,
+        *["swap-dagger"] * 4,
+        "",  # without set-points it crashes
+        "swap-dagger",
         *["agents/scripted.py"] * 2,
     ], found
     assert [grade.points for grade in found] == [0.0] * 8
@@ -764,6 +767,25 @@ def test_a_shipped_force_model_is_known_by_what_it_predicts():
         assert copied_forces(rows, honest, [(moved, change)]) == ""
 
 
+INFINITE = """
+import numpy as np
+class Model:
+    size = 1e300
+    def fit(self, rows): pass
+    def predict(self, rows): return np.full(len(rows.force_g), self.size)
+class Nothing(Model): size = 0.0
+"""
+
+
+def test_a_work_whose_number_is_infinite_does_not_end_the_grading(tmp_path):
+    file = file_of(tmp_path, "force_model", INFINITE)
+    works = [f"{file}:Model", f"{file}:Nothing"]
+    with np.errstate(over="ignore"):
+        bad, good = graded(ASSIGNMENTS["force-model"], *works, out=tmp_path / "grades.csv")
+    assert "explained is -inf" in bad.error
+    assert (good.value, good.error) == (0.0, "")
+
+
 PEEKS = """
 import gc, sys
 import numpy as np
@@ -830,6 +852,28 @@ def test_planners_of_one_work_do_not_talk(tmp_path, login):
     program = ["-c", KEYRING] if login else ["-m", "swarm_envs"]
     done = subprocess.run([sys.executable, *program, *words], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+SLEEPS = """
+import time
+class Begins:
+    def __init__(self): time.sleep(3)
+    def reset(self, drone, goal): pass
+class Decides(Begins):
+    def __init__(self): pass
+    def plan(self, state, goal, heard, ages):
+        time.sleep(3)
+        return [[0.0] * 3] * 15
+"""
+
+
+@pytest.mark.parametrize("name", ["Begins", "Decides"])
+def test_processes_of_one_work_share_its_time(tmp_path, name):
+    """Six planners that take three seconds each, and none has ten."""
+    file = file_of(tmp_path, "planner", SLEEPS)
+    planner = ASSIGNMENTS["distributed-mpc"]
+    (grade,) = graded(planner, f"{file}:{name}", limits=Limits(work_s=10.0))
+    assert "took longer than 10 s" in grade.error
 
 
 FORKS = """

@@ -94,7 +94,7 @@ def run_grade(options: GradeOptions) -> int:
     with as_misuse(FileNotFoundError, ImportError):
         assignment = load_assignment(options.assignment)
     works = _expanded(options.agent)
-    _check_works(works)
+    _check_works(works, Path(options.assignment))
     seed = options.seed or seed_of(options.out) or LEAST_SEED + secrets.randbits(128)
     sandbox = _sandbox(options, works)
     course = Course(
@@ -156,14 +156,21 @@ def _expanded(works: list[str]) -> list[str]:
     return found
 
 
-def _check_works(works: list[str]) -> None:
-    """A file that is not there is the mistake of who typed its name.
+def _check_works(works: list[str], assignment: Path) -> None:
+    """Refuse works that are not there, or that one's own assignment would import.
 
     Raises:
         Misuse: naming the files.
     """
     from swarm_envs.grading.submission import path_of
 
-    missing = [str(path) for work in works if not (path := path_of(work)).exists()]
+    paths = [path_of(work) for work in works]
+    missing = [str(path) for path in paths if not path.exists()]
     if missing:
         raise Misuse(f"--agent names what is not there: {', '.join(missing)}; nothing was graded")
+    folder = assignment.resolve().parent
+    if assignment.suffix == ".py" and folder in [path.resolve().parent for path in paths]:
+        raise Misuse(
+            f"--assignment is {str(assignment)!r}, but submissions lie beside it, and it could "
+            "import them; move it into a folder of its own"
+        )

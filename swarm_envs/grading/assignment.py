@@ -164,10 +164,8 @@ def _keep_code(entry: Entry) -> None:
     tree = ast.parse((entry.home / path).read_bytes())
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
-        body = body if isinstance(body, list) else []
-        for k, line in enumerate(body):
-            if isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant):
-                body[k] = ast.Pass()  # a docstring, or another text
+        if isinstance(body, list):
+            body[:] = [line for line in body if not _is_text(line)] or [ast.Pass()]
     for file in sorted(entry.home.rglob("*"), reverse=True):
         file.rmdir() if file.is_dir() else file.unlink()
     source = ast.unparse(tree)
@@ -186,6 +184,11 @@ def _keep_code(entry: Entry) -> None:
                 "train()"
             )
     (entry.home / path).write_text(source, encoding="utf-8")
+
+
+def _is_text(line: ast.stmt) -> bool:
+    """Return whether a statement is a docstring, or another constant that does nothing."""
+    return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
 
 
 def load_assignment(name: str) -> Assignment:

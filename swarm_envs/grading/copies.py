@@ -154,7 +154,8 @@ def likenesses(rows: Array, acts: Array, known: dict[str, Array]) -> dict[str, f
     Of the rest noise is taken away: only what known agents and bent features of the rows explain of
     it counts. The likeness is its correlation with the other's, turned and scaled at best.
     """
-    rows = rows[:, rows.std(axis=0) > 1e-6].astype(np.float64)
+    rows = np.asarray(rows, np.float64)
+    rows = rows[:, rows.std(axis=0) > 1e-6]
     rows = (rows - rows.mean(axis=0)) / rows.std(axis=0)
     plain = [known[name] for name in _PLAIN if name in known]
     laws = basis(np.concatenate([rows, np.ones((len(rows), 1)), *plain], axis=1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import math
 import re
 import statistics
 import tempfile
@@ -46,9 +47,11 @@ class Grade(NamedTuple):
     copied: str = ""  # What it is a copy of, if of anything
 
     @property
-    def notes(self) -> str:
-        """Return what the table says beside the numbers."""
-        return f" * as {self.copied}" if self.copied else ""
+    def said(self) -> str:
+        """The number in words, or why there is none, and a star for a copy."""
+        number = "-" if self.value is None else f"{self.value:.4g}"
+        star = f" * as {self.copied}" if self.copied else ""
+        return f"FAILED: {self.error}" if self.error else number + star
 
 
 class Course(NamedTuple):
@@ -80,8 +83,8 @@ class Course(NamedTuple):
             try:
                 with entry.opened():
                     pass
-            except WorkFailed as error:
-                raise WorkFailed(f"the sandbox starts no submission: it {error}") from None
+            except (WorkFailed, OSError) as error:
+                raise WorkFailed(f"the sandbox starts no submission: {error}") from None
 
     def grade(self) -> Iterator[Grade]:
         """Grade one work after the other, but for those that were graded before a halt."""
@@ -105,17 +108,20 @@ class Course(NamedTuple):
         """Grade a work; whatever goes wrong with it is its own."""
         shown = None if self.feedback is None else printable(Path(work).name)
         seeds = episode_seeds(self.seed, self.episodes)
-        how = {"sandbox": self.sandbox, "seeds": seeds, "shown": shown}
+        how: dict[str, Any] = {"seeds": seeds, "shown": shown}
+        place = self.sandbox, Clock(self.limits)
         try:
-            with entered(work, self.assignment.work, self.limits, **how) as entry:
+            with entered(work, self.assignment.work, *place, **how) as entry:
                 found = self.assignment.grade(entry)
+            value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
+            if value is not None and not math.isfinite(value):
+                raise WorkFailed(f"{self.assignment.metric} is {value}")
         except Exception as error:  # a stranger's work may fail in any way, and the next is graded
             kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
             said = printable(f"{self._blame(error)}{kind}{error}")
             return Grade(printable(work), 0.0, error=said), None
         copied = str(found.get("copied", ""))
         points = 0.0 if copied and not self.allow_copies else self.assignment.points(found)
-        value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
         return Grade(printable(work), points, value, crashes, "", copied), found.get("failure")
 
     def _blame(self, error: Exception) -> str:
@@ -201,10 +207,8 @@ def grade_table(assignment: Assignment, grades: Sequence[Grade]) -> str:
     lines = [f"{'work'.ljust(width)}  points  crashes  {assignment.metric}"]
     for grade in grades:
         crashes = "-" if grade.crashes is None else f"{grade.crashes:.0%}"
-        value = "-" if grade.value is None else f"{grade.value:.4g}"
-        said = f"FAILED: {grade.error}" if grade.error else value
         name = grade.work.ljust(width)
-        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {said}{grade.notes}")
+        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {grade.said}")
     if any(grade.copied for grade in grades):
         lines.append("* acts, or is written, as what others wrote")
     return "\n" + "\n".join(lines)
@@ -259,7 +263,7 @@ def write_feedback(
 def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
     """Return Gradescope's results: gradescope-autograders.readthedocs.io/en/latest/specs."""
     reached = [other.value for other in grades if other.value is not None]
-    said = [assignment.rubric, grade.error or f"yours: {grade.value:.4g}{grade.notes}"]
+    said = [assignment.rubric, f"yours: {grade.said}"]
     if grade.crashes is not None:
         said.append(f"share of episodes with a crash: {grade.crashes:.0%}")
     if len(reached) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import tempfile
 import threading
@@ -93,8 +94,8 @@ class Entry(NamedTuple):
 
 
 @contextmanager
-def entered(name: str, asked: str = "", limits: Limits = Limits(), **how: Any) -> Iterator[Entry]:
-    """Copy a work into a folder of its own; `how` are the other fields of the entry.
+def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) -> Iterator[Entry]:
+    """Copy a work into a folder of its own.
 
     What lies beside its file is copied if the file has the name that is asked for: then the folder
     is the student's. A file of another name may lie among those of others.
@@ -102,7 +103,9 @@ def entered(name: str, asked: str = "", limits: Limits = Limits(), **how: Any) -
     Args:
         name: of the work.
         asked: the work that an assignment asks for, `file.py:Class`.
-        limits: of its time.
+        sandbox: where it runs.
+        clock: its time.
+        **more: other fields of the entry.
 
     Raises:
         WorkFailed: it is a link, no plain file, or too large.
@@ -113,7 +116,7 @@ def entered(name: str, asked: str = "", limits: Limits = Limits(), **how: Any) -
         _copy(path, path.is_dir() or path.name == path_of(asked).name, Path(home))
         chosen = f":{name.rpartition(':')[2]}" if path.suffix == ".py" else ""
         work = f"{path.name}{chosen}" if path.is_file() else "."
-        yield Entry(work, Path(home), clock=Clock(limits), **how)
+        yield Entry(work, Path(home), sandbox, clock, **more)
 
 
 def _copy(path: Path, with_folder: bool, home: Path) -> None:
@@ -131,22 +134,25 @@ def _copy(path: Path, with_folder: bool, home: Path) -> None:
 
 def _copy_folder(folder: Path, home: Path) -> None:
     """Copy the plain files of a folder; links and pipes stay behind, and hidden folders."""
-
-    def left_behind(place: str, names: list[str]) -> list[str]:
-        paths = {name: Path(place, name) for name in names}
-        plain = [n for n, p in paths.items() if not p.is_symlink() and (p.is_file() or p.is_dir())]
-        kept = {name for name in plain if not name.startswith((".", "__pycache__"))}
-        return [name for name in names if name not in kept]
-
-    if sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) > MOST_FOLDER:
-        raise WorkFailed(
-            f"its folder has more than {MOST_FOLDER >> 20} MB; hand in less, or grade it in a "
-            "folder of its own"
-        )
-    for file in folder.rglob("*.py"):
-        if file.is_file() and (size := file.stat().st_size) > MOST_SOURCE:
-            raise WorkFailed(f"its source {file.name} has {size} bytes, but may have {MOST_SOURCE}")
-    shutil.copytree(folder, home, ignore=left_behind, dirs_exist_ok=True)
+    left = MOST_FOLDER
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith((".", "__pycache__"))]
+        (home / Path(place).relative_to(folder)).mkdir(exist_ok=True)
+        for file in (Path(place, name) for name in names if not name.startswith(".")):
+            if file.is_symlink() or not file.is_file():
+                continue
+            size = file.stat().st_size
+            left -= size + (MOST_FOLDER >> 12)  # so that there are no more than 4096
+            if left < 0:
+                raise WorkFailed(
+                    f"its folder has more than {MOST_FOLDER >> 20} MB, or too many files; hand in "
+                    "fewer, or grade it in a folder of its own"
+                )
+            if file.suffix == ".py" and size > MOST_SOURCE:
+                raise WorkFailed(
+                    f"its source {file.name} has {size} bytes, but may have {MOST_SOURCE}"
+                )
+            shutil.copy(file, home / file.relative_to(folder))
 
 
 class RemoteWork:
