@@ -25,6 +25,7 @@ from swarm_envs.assignments.planner import (
     positions_of,
 )
 from swarm_envs.cli import main
+from swarm_envs.grading import copies
 from swarm_envs.grading.assignment import Assignment
 from swarm_envs.grading.copies import copied_files
 from swarm_envs.grading.grade import (
@@ -146,6 +147,16 @@ def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, w
         f"{work}:Fine", "swap.py:MyAgent", sandbox=UNPROTECTED, clock=Clock(Limits())
     ) as entry:
         assert [path.name for path in entry.home.iterdir()] == ["work.py"]  # also alone in a run
+
+
+def test_functions_in_others_are_compared_once(tmp_path):
+    """Else a source of nested functions would take the grader's time."""
+    depth, inner = 60, "x = [" + "1, " * 500 + "]"
+    lines = [" " * k + f"def f{k}():" for k in range(depth)]
+    file = tmp_path / "deep.py"
+    file.write_text("\n".join([*lines, " " * depth + inner]), encoding="utf-8")
+    (said,) = copies._functions(file)
+    assert said.count("Constant") == 500
 
 
 def interrupt_once_there(table: Path, ended: threading.Event) -> None:

@@ -103,8 +103,11 @@ def _known_functions() -> dict[str, str]:
 
 
 def _functions(file: Path) -> Iterator[str]:
-    """Say what each function of a source does: without names of variables, and docstrings."""
-    for node in ast.walk(ast.parse(file.read_bytes())):
+    """Say what each function of a source does: without names of variables, and docstrings.
+
+    Functions in others are said once, alone: else the time would grow with the square of a source.
+    """
+    for node in [*ast.walk(ast.parse(file.read_bytes()))]:
         if isinstance(node, ast.FunctionDef):
             with suppress(RecursionError):
                 body = map(_Nameless().visit, node.body)
@@ -130,6 +133,9 @@ class _Nameless(ast.NodeTransformer):
 
     def visit_Pass(self, node: ast.Pass) -> None:
         """Forget a statement that does nothing."""
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
+        """Forget a function in another."""
 
 
 def basis(columns: Array) -> Array:
