@@ -79,7 +79,7 @@ class Course(NamedTuple):
         with tempfile.TemporaryDirectory() as home:
             Path(home).chmod(0o755)
             Path(home, "work.py").write_text("class Work: pass\n", encoding="utf-8")
-            entry = Entry("work.py:Work", Path(home), self.sandbox, Clock(self.limits))
+            entry = Entry("work.py:Work", Path(home), self.sandbox, Clock(Limits()))
             try:
                 with entry.opened():
                     pass
