@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from swarm_envs import __version__
 from swarm_envs.commands.checks import Misuse, forget_output
 from swarm_envs.errors import unknown_name
+from swarm_envs.user_files import users_line
 
 PROGRAM = "swarm-envs"  # The command's name
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
@@ -89,7 +90,7 @@ def _run(given: Sequence[str]) -> int:
     """Run a command line and return its exit code.
 
     Raises:
-        BrokenPipeError: a help text was not read to its end, as by `| head`, which is no failure.
+        BrokenPipeError: the output was not read to its end, as by `| head`, which is no failure.
     """
     if not given or given[0] in HELP:
         print(_overview(), flush=True)
@@ -111,13 +112,18 @@ def _run(given: Sequence[str]) -> int:
     except Misuse as error:
         return _complain(where, str(error), MISUSED)
     except (OSError, ImportError, ValueError, MemoryError) as error:
-        if isinstance(error, BrokenPipeError) and not HELP.isdisjoint(rest):
+        if isinstance(error, BrokenPipeError):
             raise
         forget_output()  # and no traceback, which would not say more
         said = " ".join(str(error).splitlines()) or "there is not enough memory"
         return _complain(where, said, FAILED)
     except KeyboardInterrupt as interrupt:
         return _complain(where, str(interrupt) or "interrupted", INTERRUPTED)
+    except Exception as error:
+        place = users_line(error)
+        if place is None:
+            raise
+        return _complain(where, f"{place} raises {type(error).__name__}: {error}", FAILED)
 
 
 @contextmanager
@@ -172,6 +178,9 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     import tyro
 
     options, program = load_options(name), f"{PROGRAM} {name}"
+    for word in words:
+        if not word or re.fullmatch("--[^=]+=", word):
+            raise Misuse("an option has the value '', which names nothing; leave the option out")
     given: dict[str, Any] = {"args": [*words], "prog": program}
     given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
     helps = not HELP.isdisjoint(words)

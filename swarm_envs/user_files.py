@@ -6,6 +6,7 @@ import hashlib
 import importlib.util
 import inspect
 import sys
+import traceback
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +14,7 @@ from typing import Any
 
 from swarm_envs.errors import unknown_name
 
-__all__ = ["file_digest", "find_in", "import_file", "load_from_file"]
+__all__ = ["file_digest", "find_in", "import_file", "load_from_file", "users_line"]
 
 _USERS_MODULE = "swarm_envs_users_file_"
 _imported: dict[str, set[str]] = {}
@@ -85,6 +86,15 @@ def _enter(folder: Path) -> None:
 def _lies_in(folder: Path, module: ModuleType) -> bool:
     place = getattr(module, "__file__", None)
     return place is not None and Path(place).parent == folder
+
+
+def users_line(error: BaseException) -> str | None:
+    """Return the line of a user's file in which an error was raised; None if it was in none."""
+    found = None
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        if str(frame.f_globals.get("__name__", "")).startswith(_USERS_MODULE):
+            found = f"line {number} of {frame.f_code.co_filename}"
+    return found
 
 
 def file_digest(name: str) -> str:

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,7 +29,7 @@ from swarm_envs.grading.grade import Course, Grade, cell, episode_seeds, write_f
 from swarm_envs.grading.groups import ControlGroup
 from swarm_envs.grading.pipes import BadMessage, receive, send
 from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
-from swarm_envs.grading.submission import printable
+from swarm_envs.grading.submission import Limits, printable
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.wake_rows import wake_rows
 
@@ -416,6 +417,7 @@ def file_of(folder: Path, name: str, *code: str) -> Path:
 
 
 FLYER = """
+import pathlib, tempfile, zlib
 import numpy as np
 from swarm_envs import agents
 from swarm_envs.agents import load
@@ -430,14 +432,33 @@ class Agent:
         return np.clip(1.5 * goal - 1.2 * velocity, -1, 1).astype(np.float32)
 class Alone(Agent):
     requires = {**Agent.requires, 'num_neighbors': 0}
+class Loads(Agent):
+    def __init__(self): load('swap-dagger')
 class Stolen(Agent):
+    'Brings the weights along, in a file that no digest knows.'
+    asked = {}
     def __init__(self):
-        self.own = load('swap-dagger')
-        self.requires = dict(self.own.requires)
-    def reset(self, env, seed): self.own.reset(env, seed)
+        file = pathlib.Path(tempfile.mkdtemp(), 'policy.safetensors')
+        file.write_bytes(zlib.decompress(pathlib.Path(__file__).with_name('net').read_bytes()))
+        self.own = load(str(file))
+        self.requires = {**self.own.requires, **self.asked}
+    def reset(self, env, seed):
+        from swarm_envs.envs.observation import observation_layout
+        self.layout, self.rng = env.observation_layout, np.random.default_rng(0)
+        self.known = observation_layout(*self.own.policy.note.form)
     def act(self, observations, view):
-        return {n: self.turn(a) for n, a in self.own.act(observations, view).items()}
+        rows = np.stack([*observations.values()])
+        found = np.zeros((len(rows), self.known[-1].where.stop), np.float32)
+        places = {field.name: field.where for field in self.layout}
+        for field in self.known:
+            name = field.name if field.name in places else 'self.velocity'  # of its set-point
+            found[:, field.where] = rows[:, places[name]]
+        return dict(zip(observations, map(self.turn, self.own.act_batch(found))))
     def turn(self, a): return 0.97 * a
+class Wide(Stolen): asked = {'num_neighbors': 15, 'observe_load': True}
+class Blind(Stolen): asked = {'observe_setpoint': False}
+class Noisy(Stolen):
+    def turn(self, a): return np.clip(a + self.rng.normal(0.0, 0.25, 3), -1, 1)
 class Turned(Stolen):
     def turn(self, a):
         c, s = np.cos(np.radians(8)), np.sin(np.radians(8))
@@ -466,8 +487,16 @@ def evaluated(assignment: Assignment, work: str, episodes: int = 2) -> dict[str,
     return score_episodes([*evaluate_agent(env, agent, episode_seeds(SEED, episodes), timed=1)])
 
 
+def with_weights(folder: Path) -> Path:
+    """A work with the weights of `swap-dagger`, as no digest knows them."""
+    file = file_of(folder, "swap", FLYER)
+    shipped = PACKAGE / "agents" / "weights" / "swap-dagger.safetensors"
+    (file.parent / "net").write_bytes(zlib.compress(shipped.read_bytes()))
+    return file
+
+
 def test_copies_are_starred_and_get_nothing(tmp_path):
-    file = file_of(tmp_path, "swap", FLYER)
+    file = with_weights(tmp_path)
     weights = tmp_path / "weights"
     weights.mkdir()
     shipped = PACKAGE / "agents" / "weights" / "swap-dagger.safetensors"
@@ -475,17 +504,36 @@ def test_copies_are_starred_and_get_nothing(tmp_path):
     scripted = (PACKAGE / "agents" / "scripted.py").read_text(encoding="utf-8")
     mine = scripted.replace("class StraightLineAgent", "class Mine")
     source = file_of(tmp_path, "mine", mine, f"LONG = {'1' + ' + 1' * 500!r}")
-    works = [f"{file}:{name}" for name in ("Stolen", "Turned", "Waves")]
-    works += [str(weights), f"{source}:Mine", "straight-line"]
+    read = file_of(tmp_path / "text", "swap", "exec(open('a.txt').read())")
+    (read.parent / "a.txt").write_text(mine, encoding="utf-8")
+    works = [f"{file}:{name}" for name in ("Stolen", "Turned", "Waves", "Wide", "Blind")]
+    works += [str(weights), f"{source}:Mine", f"{read}:Mine"]
     found = graded(Four(), *works)
     assert [grade.copied for grade in found] == [
         *["swap-dagger"] * 4,
-        "agents/scripted.py",
-        "straight-line",
+        "",  # without set-points it crashes
+        "swap-dagger",
+        *["agents/scripted.py"] * 2,
     ], found
-    assert [grade.points for grade in found] == [0.0] * 6
+    assert [grade.points for grade in found] == [0.0] * 8
     (kept,) = graded(Four(), works[1], allow_copies=True)
     assert kept.points > 50.0 and kept.copied
+
+
+@needs_bubblewrap
+def test_weights_that_ship_cannot_be_loaded(tmp_path):
+    """Unless copies are allowed: then the sandbox shows them."""
+    work = f"{with_weights(tmp_path)}:Loads"
+    (hidden,) = graded(Four(), work)
+    assert "FileNotFoundError: there is no" in hidden.error
+    (shown,) = graded(Four(), work, sandbox=Sandbox(weights=True))
+    assert shown.error == ""
+
+
+@pytest.mark.slow
+def test_a_copy_with_strong_noise_is_known_by_many_actions(tmp_path):
+    (grade,) = graded(Swap(), f"{with_weights(tmp_path)}:Noisy", episodes=8)
+    assert grade.copied == "swap-dagger", grade
 
 
 def test_honest_works_are_not_starred_and_have_the_numbers_of_evaluate(tmp_path):
@@ -719,6 +767,25 @@ def test_a_shipped_force_model_is_known_by_what_it_predicts():
         assert copied_forces(rows, honest, [(moved, change)]) == ""
 
 
+INFINITE = """
+import numpy as np
+class Model:
+    size = 1e300
+    def fit(self, rows): pass
+    def predict(self, rows): return np.full(len(rows.force_g), self.size)
+class Nothing(Model): size = 0.0
+"""
+
+
+def test_a_work_whose_number_is_infinite_does_not_end_the_grading(tmp_path):
+    file = file_of(tmp_path, "force_model", INFINITE)
+    works = [f"{file}:Model", f"{file}:Nothing"]
+    with np.errstate(over="ignore"):
+        bad, good = graded(ASSIGNMENTS["force-model"], *works, out=tmp_path / "grades.csv")
+    assert "explained is -inf" in bad.error
+    assert (good.value, good.error) == (0.0, "")
+
+
 PEEKS = """
 import gc, sys
 import numpy as np
@@ -785,6 +852,28 @@ def test_planners_of_one_work_do_not_talk(tmp_path, login):
     program = ["-c", KEYRING] if login else ["-m", "swarm_envs"]
     done = subprocess.run([sys.executable, *program, *words], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+SLEEPS = """
+import time
+class Begins:
+    def __init__(self): time.sleep(3)
+    def reset(self, drone, goal): pass
+class Decides(Begins):
+    def __init__(self): pass
+    def plan(self, state, goal, heard, ages):
+        time.sleep(3)
+        return [[0.0] * 3] * 15
+"""
+
+
+@pytest.mark.parametrize("name", ["Begins", "Decides"])
+def test_processes_of_one_work_share_its_time(tmp_path, name):
+    """Six planners that take three seconds each, and none has ten."""
+    file = file_of(tmp_path, "planner", SLEEPS)
+    planner = ASSIGNMENTS["distributed-mpc"]
+    (grade,) = graded(planner, f"{file}:{name}", limits=Limits(work_s=10.0))
+    assert "took longer than 10 s" in grade.error
 
 
 FORKS = """

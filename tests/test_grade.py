@@ -25,6 +25,7 @@ from swarm_envs.assignments.planner import (
     positions_of,
 )
 from swarm_envs.cli import main
+from swarm_envs.grading import copies
 from swarm_envs.grading.assignment import Assignment
 from swarm_envs.grading.copies import copied_files
 from swarm_envs.grading.grade import (
@@ -37,7 +38,7 @@ from swarm_envs.grading.grade import (
     write_feedback,
 )
 from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
-from swarm_envs.grading.submission import Entry, WorkFailed, entered
+from swarm_envs.grading.submission import Clock, Entry, Limits, WorkFailed, entered
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.users_agents import FINE
 from tests.helpers.wake_rows import wake_rows
@@ -133,16 +134,29 @@ def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, w
     os.mkfifo(tmp_path / "a.safetensors")
     (tmp_path / "b.safetensors").symlink_to("/dev/zero")
     (tmp_path / "c.safetensors").mkdir()
-    with entered(f"{work}:Fine", [], sandbox=UNPROTECTED) as entry:
+    with entered(
+        f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock(Limits())
+    ) as entry:
         assert entry.work == "work.py:Fine"
         assert {path.name for path in entry.home.iterdir()} == {"work.py", "c.safetensors"}
         assert copied_files(entry.home, entry.work) == ""
         shipped = STARTERS.parent / "agents" / "weights" / "swap-dagger.safetensors"
         (entry.home / "e.safetensors").write_bytes(shipped.read_bytes())
         assert copied_files(entry.home, entry.work) == "swap-dagger"
-    others = [f"{work}:Fine", f"{tmp_path / 'c.safetensors' / 'bob.py'}:Fine"]
-    with entered(others[0], others, sandbox=UNPROTECTED) as entry:
-        assert [path.name for path in entry.home.iterdir()] == ["work.py"]
+    with entered(
+        f"{work}:Fine", "swap.py:MyAgent", sandbox=UNPROTECTED, clock=Clock(Limits())
+    ) as entry:
+        assert [path.name for path in entry.home.iterdir()] == ["work.py"]  # also alone in a run
+
+
+def test_functions_in_others_are_compared_once(tmp_path):
+    """Else a source of nested functions would take the grader's time."""
+    depth, inner = 60, "x = [" + "1, " * 500 + "]"
+    lines = [" " * k + f"def f{k}():" for k in range(depth)]
+    file = tmp_path / "deep.py"
+    file.write_text("\n".join([*lines, " " * depth + inner]), encoding="utf-8")
+    (said,) = copies._functions(file)
+    assert said.count("Constant") == 500
 
 
 def interrupt_once_there(table: Path, ended: threading.Event) -> None:
@@ -225,21 +239,96 @@ class MyAgent:
 """
 
 
-def test_an_assignment_of_one_s_own_is_a_class(tmp_path, capsys):
-    """That of the documentation."""
+def own_assignment() -> str:
+    """Return the assignment of the documentation."""
     page = Path(__file__).parent.parent / "docs" / "assignments" / "own.md"
-    code = page.read_text("utf-8").partition("```python\n")[2].partition("```")[0]
-    rings, work, table = (tmp_path / name for name in ("my.py", "rings.py", "grades.csv"))
-    rings.write_text(code, encoding="utf-8")
+    return page.read_text("utf-8").partition("```python\n")[2].partition("```")[0]
+
+
+def test_an_assignment_of_one_s_own_is_a_class(tmp_path, capsys):
+    rings, table, work = tmp_path / "my.py", tmp_path / "grades.csv", tmp_path / "ann" / "rings.py"
+    work.parent.mkdir()
+    rings.write_text(own_assignment(), encoding="utf-8")
     work.write_text(OWN, encoding="utf-8")
     words = ["--assignment", str(rings), "--episodes", "2", "--out", str(table)]
     assert main([*GRADE, *words, "--agent", f"{work}:MyAgent"]) == 0, capsys.readouterr()
     with table.open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert float(row["rms_tracking_error_m"]) > 0.2 and row["points"] == "0.0"
-    rings.write_text("from swarm_envs.grading.assignment import Assignment", encoding="utf-8")
-    assert main([*GRADE, *words, "--agent", f"{work}:MyAgent"]) == 2
-    assert "defines 0 subclasses of Assignment" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("class Rings(Assignment)", "class Rings", "defines 0 subclasses of Assignment"),
+        ("zero, full = 0.20, 0.05", "", "Rings lacks zero, full; add them to the class"),
+        ("0.20, 0.05", "0.05, 0.05", "zero and full are both 0.05"),
+        ("num_drones", "num_dornes", "num_dornes"),
+        ("ring_v1", "rong_v1", "rong_v1"),
+    ],
+)
+def test_a_mistake_of_one_s_own_assignment_is_told_before_anything_is_graded(
+    tmp_path, capsys, before, after, says
+):
+    rings, work = tmp_path / "my.py", tmp_path / "ann" / "rings.py"
+    work.parent.mkdir()
+    rings.write_text(own_assignment().replace(before, after), encoding="utf-8")
+    work.write_text(OWN, encoding="utf-8")
+    words = ["--assignment", str(rings), "--episodes", "1", "--agent", f"{work}:MyAgent"]
+    assert main([*GRADE, *words]) == 2
+    shown = capsys.readouterr()
+    assert says in shown.err and "FAILED" not in shown.out
+
+
+def test_a_mistake_in_a_method_of_one_s_own_assignment_is_not_the_work_s(tmp_path, capsys):
+    rings, work = tmp_path / "my.py", tmp_path / "ann" / "rings.py"
+    work.parent.mkdir()
+    code = "    def counts(self, metrics):\n        return metrics['sucess']\n"
+    rings.write_text(f"{own_assignment()}\n{code}", encoding="utf-8")
+    work.write_text(OWN, encoding="utf-8")
+    words = ["--assignment", str(rings), "--episodes", "1", "--agent", f"{work}:MyAgent"]
+    assert main([*GRADE, *words]) == 1
+    assert "a mistake of the assignment, not of the work (line " in capsys.readouterr().out
+
+
+def test_one_s_own_assignment_does_not_import_submissions(tmp_path, work, capsys):
+    """A student's `scipy.py` beside it would run in the grader."""
+    rings = tmp_path / "my.py"
+    rings.write_text(own_assignment(), encoding="utf-8")
+    assert main([*GRADE, "--assignment", str(rings), "--agent", f"{work}:Fine"]) == 2
+    assert "submissions lie beside it" in capsys.readouterr().err
+
+
+def test_a_number_that_a_work_has_not_is_said(tmp_path):
+    """Such as the median time to the goal of who never arrives."""
+    write_feedback(tmp_path, ASSIGNMENTS["swap"], [Grade("a.py:A", 0.0)])
+    (place,) = tmp_path.iterdir()
+    assert "yours: -" in json.loads((place / "results.json").read_text())["output"]
+
+
+def test_hidden_folders_of_a_work_count_nothing(tmp_path, work):
+    (tmp_path / ".venv").mkdir()
+    with (tmp_path / ".venv" / "large").open("wb") as file:
+        file.truncate(1 << 30)
+    with entered(
+        f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock(Limits())
+    ) as entry:
+        assert [path.name for path in entry.home.iterdir()] == ["work.py"]
+    for number in range(5000):
+        (tmp_path / f"{number}.txt").touch()
+    with (
+        pytest.raises(WorkFailed, match="too many files"),
+        entered(f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock(Limits())),
+    ):
+        pass
+
+
+def test_a_sandbox_that_starts_nothing_is_the_teacher_s_mistake(tmp_path, work, capsys):
+    words = ["grade", "--assignment", "swap", "--agent", f"{work}:Fine"]
+    for command in ("false", "no-such-program {work}"):
+        assert main([*words, "--sandbox", command]) == 2
+        shown = capsys.readouterr()
+        assert "the sandbox starts no submission" in shown.err and "FAILED" not in shown.out
 
 
 BESIDE = """
@@ -287,7 +376,7 @@ def force_scores(work: str) -> dict[str, float]:
     """Scores of a model that is fitted to 300 rows, on 100 others."""
     rows, file = wake_rows(400), Path(work.rpartition(":")[0])
     fitted, held_out = rows.select(~rows.validation), rows.select(rows.validation)
-    entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED)
+    entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED, Clock(Limits()))
     with entry.opened() as found:
         return grade_model(found[0], fitted, held_out, 3)
 
@@ -336,6 +425,8 @@ def test_points_are_spread_over_drafts(tmp_path, assignment):
 
 
 LEARNER = """
+'A learner.'
+from __future__ import annotations
 import pathlib
 import numpy as np
 class Learner:

@@ -39,7 +39,8 @@ class Swap(Assignment):
     name = "swap"
     work = "swap.py:MyAgent"
     options: ClassVar[Mapping[str, Any]] = {"layout": "random", "team": "SSSSSSSSLLLLLLLL"}
-    full = 0.95
+    metric = "success_rate"
+    zero, full = 0.0, 0.95
 
 
 class Learning(Assignment):
@@ -48,6 +49,7 @@ class Learning(Assignment):
     name = "learning"
     work = "learner.py:MyLearner"
     options: ClassVar[Mapping[str, Any]] = {"layout": "random", "num_drones": 8}
+    metric = "success_rate"
     zero, full = 0.3, 0.98
     train_s = 60.0
 

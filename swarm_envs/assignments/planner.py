@@ -143,7 +143,8 @@ class DistributedMpc(Assignment):
 
     name = "distributed-mpc"
     work = "planner.py:MyPlanner"
-    full = 0.95
+    metric = "success_rate"
+    zero, full = 0.0, 0.95
 
     def grade(self, entry: Entry) -> dict[str, Any]:
         """Return the share of episodes in which all arrive, and of those that count.

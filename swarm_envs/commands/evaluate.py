@@ -50,7 +50,7 @@ class EvaluateOptions(EpisodeOptions):
     cannot fly the task are refused before the first episode.
     """
 
-    agent: list[str] = field(default_factory=list)
+    agent: list[str] | None = None
     """agents, as of `fly`: names, folders of trained policies, path/to/file.py:Class or :function;
     the suffix +filter adds a safety filter (default: the best for the task in the benchmark)"""
     episodes: int = 256
@@ -74,7 +74,9 @@ class EvaluateOptions(EpisodeOptions):
         check_integer("--episodes", self.episodes, at_least=1)
         check_integer("--seed", self.seed, at_least=0)
         check_divisor("--force-rate", self.force_rate, PHYSICS_RATE)
-        if len(set(self.agent)) < len(self.agent):
+        if self.agent == []:
+            raise ValueError("--agent names no agent; name one, or leave it out")
+        if self.agent is not None and len(set(self.agent)) < len(self.agent):
             raise ValueError(f"--agent is {self.agent}; name each once")
 
 
@@ -102,7 +104,7 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
     from swarm_envs.agents.evaluation import frozen_seeds
 
     found: dict[str, Made] = {}
-    for name in options.agent:
+    for name in options.agent or ():
         try:
             agent, env = prepare(name, options, task)
         except (ValueError, TypeError, FileNotFoundError) as error:

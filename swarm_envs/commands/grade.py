@@ -79,7 +79,7 @@ def run_grade(options: GradeOptions) -> int:
 
     from swarm_envs.grading.assignment import load_assignment
     from swarm_envs.grading.grade import Course, Grade, grade_table, seed_of
-    from swarm_envs.grading.submission import Limits
+    from swarm_envs.grading.submission import Limits, WorkFailed
 
     if options.seed is not None and options.seed < LEAST_SEED:
         print(
@@ -94,7 +94,7 @@ def run_grade(options: GradeOptions) -> int:
     with as_misuse(FileNotFoundError, ImportError):
         assignment = load_assignment(options.assignment)
     works = _expanded(options.agent)
-    _check_works(works)
+    _check_works(works, Path(options.assignment))
     seed = options.seed or seed_of(options.out) or LEAST_SEED + secrets.randbits(128)
     sandbox = _sandbox(options, works)
     course = Course(
@@ -108,6 +108,8 @@ def run_grade(options: GradeOptions) -> int:
         options.out,
         options.feedback,
     )
+    with as_misuse(TypeError, WorkFailed):
+        course.check()
     grades: list[Grade] = []
     try:
         for grade in tqdm(course.grade(), desc="grading", unit="file", total=len(works)):
@@ -131,7 +133,7 @@ def _sandbox(options: GradeOptions, works: list[str]) -> Sandbox:
     from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
 
     if options.sandbox is not None or options.unprotected or has_bubblewrap():
-        return Sandbox(options.sandbox, options.unprotected)
+        return Sandbox(options.sandbox, options.unprotected, weights=options.allow_copies)
     if len(works) > 1:
         raise Misuse(
             f"{len(works)} submissions could read and change your files and each other's here; "
@@ -154,14 +156,21 @@ def _expanded(works: list[str]) -> list[str]:
     return found
 
 
-def _check_works(works: list[str]) -> None:
-    """A file that is not there is the mistake of who typed its name.
+def _check_works(works: list[str], assignment: Path) -> None:
+    """Refuse works that are not there, or that one's own assignment would import.
 
     Raises:
         Misuse: naming the files.
     """
     from swarm_envs.grading.submission import path_of
 
-    missing = [str(path) for work in works if (path := path_of(work)) and not path.exists()]
+    paths = [path_of(work) for work in works]
+    missing = [str(path) for path in paths if not path.exists()]
     if missing:
         raise Misuse(f"--agent names what is not there: {', '.join(missing)}; nothing was graded")
+    folder = assignment.resolve().parent
+    if assignment.suffix == ".py" and folder in [path.resolve().parent for path in paths]:
+        raise Misuse(
+            f"--assignment is {str(assignment)!r}, but submissions lie beside it, and it could "
+            "import them; move it into a folder of its own"
+        )

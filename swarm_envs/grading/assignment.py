@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from swarm_envs.errors import check_name, unknown_name
+from swarm_envs.errors import check_name, check_number, unknown_name
 from swarm_envs.grading.copies import copied_acts, copied_files, harmless
 from swarm_envs.grading.remote import remote_agent
 from swarm_envs.grading.submission import Entry, RemoteWork, WorkFailed, path_of
@@ -22,6 +22,7 @@ __all__ = ["Assignment", "load_assignment"]
 
 MOST_CODE, MOST_CONSTANTS, MOST_NAMES = 20_000, 2_000, 4_000
 """Characters of a learner's code without comments, of all constants, and of different names."""
+_NEEDED = ("name", "work", "metric", "zero", "full")  # attributes without a default
 _SETUP_S = 60.0  # CPU time for imports and compilation, before a work trains
 _EPISODE_S = 0.25  # CPU time for the decisions of an episode
 
@@ -35,17 +36,17 @@ class Assignment:
 
     name: ClassVar[str]
     """Its name."""
-    work: ClassVar[str] = "work.py:MyWork"
+    work: ClassVar[str]
     """The submission that is asked for, as `file.py:Class`."""
     task: ClassVar[str] = "swap_v1"
     """Name of the environment."""
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Options of the environment."""
-    metric: ClassVar[str] = "success_rate"
+    metric: ClassVar[str]
     """The number that counts, as `swarm_envs.agents.evaluation.score_episodes` names it."""
-    zero: ClassVar[float] = 0.0
+    zero: ClassVar[float]
     """Its value that is worth nothing."""
-    full: ClassVar[float] = 1.0
+    full: ClassVar[float]
     """Its value, or better, that is worth 100 points."""
     counted: ClassVar[str] = "without a crash"
     """Which episodes `counts` takes, in words."""
@@ -53,6 +54,26 @@ class Assignment:
     """Decisions a second at which errors are taken at least; 0 for the work's own rate."""
     train_s: ClassVar[float] = 0.0
     """Time that the work's `train` is given before the flights, s; 0 if it has none."""
+
+    def check(self) -> None:
+        """Refuse what no work can mend.
+
+        Raises:
+            ValueError: an attribute is missing or impossible; or the environment's options.
+            TypeError: there is no such option.
+        """
+        from swarm_envs import make
+
+        missing = [name for name in _NEEDED if getattr(self, name, None) is None]
+        if missing:
+            raise ValueError(
+                f"{type(self).__name__} lacks {', '.join(missing)}; add them to the class"
+            )
+        check_number("zero", self.zero)
+        check_number("full", self.full)
+        if self.zero == self.full:
+            raise ValueError(f"zero and full are both {self.zero:g}; they must differ")
+        make(self.task, **{**self.options, "physics": "batch"}).close()
 
     def counts(self, metrics: Mapping[str, Any]) -> bool:
         """Return whether an episode counts; points are multiplied by the share of these."""
@@ -97,7 +118,6 @@ class Assignment:
         from swarm_envs import make
         from swarm_envs.agents import record_episode
         from swarm_envs.agents.evaluation import evaluate_agent, score_episodes
-        from swarm_envs.agents.protocol import check_options_agree
 
         copied = harmless(copied_files, entry.home, entry.work)
         if self.train_s:
@@ -108,7 +128,6 @@ class Assignment:
             agent = remote_agent(
                 work, made, {"task": self.task, "options": dict(self.options)}, self.rate
             )
-            check_options_agree(agent, self.options)
             env = make(self.task, **{**self.options, "physics": "batch", **agent.requires})
             try:
                 episodes = [*evaluate_agent(env, agent, entry.seeds, timed=1)]
@@ -140,15 +159,13 @@ def _keep_code(entry: Entry) -> None:
         SyntaxError: it is no Python.
     """
     path = path_of(entry.work)
-    if path is None or path.suffix != ".py":
+    if path.suffix != ".py":
         raise WorkFailed("it is no class in a Python file, so that it cannot learn")
     tree = ast.parse((entry.home / path).read_bytes())
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
-        body = body if isinstance(body, list) else []
-        for k, line in enumerate(body):
-            if isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant):
-                body[k] = ast.Pass()  # a docstring, or another text
+        if isinstance(body, list):
+            body[:] = [line for line in body if not _is_text(line)] or [ast.Pass()]
     for file in sorted(entry.home.rglob("*"), reverse=True):
         file.rmdir() if file.is_dir() else file.unlink()
     source = ast.unparse(tree)
@@ -167,6 +184,11 @@ def _keep_code(entry: Entry) -> None:
                 "train()"
             )
     (entry.home / path).write_text(source, encoding="utf-8")
+
+
+def _is_text(line: ast.stmt) -> bool:
+    """Return whether a statement is a docstring, or another constant that does nothing."""
+    return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
 
 
 def load_assignment(name: str) -> Assignment:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
+import math
 import re
 import statistics
+import tempfile
+import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +19,16 @@ import numpy as np
 from swarm_envs.files import write_json, write_table
 from swarm_envs.grading.assignment import Assignment
 from swarm_envs.grading.sandbox import Sandbox
-from swarm_envs.grading.submission import MOST_FOLDER, Limits, entered, path_of, printable
+from swarm_envs.grading.submission import (
+    MOST_FOLDER,
+    Clock,
+    Entry,
+    Limits,
+    WorkFailed,
+    entered,
+    path_of,
+    printable,
+)
 
 if TYPE_CHECKING:
     from swarm_envs.viewing import Recording
@@ -34,9 +47,11 @@ class Grade(NamedTuple):
     copied: str = ""  # What it is a copy of, if of anything
 
     @property
-    def notes(self) -> str:
-        """Return what the table says beside the numbers."""
-        return f" * as {self.copied}" if self.copied else ""
+    def said(self) -> str:
+        """The number in words, or why there is none, and a star for a copy."""
+        number = "-" if self.value is None else f"{self.value:.4g}"
+        star = f" * as {self.copied}" if self.copied else ""
+        return f"FAILED: {self.error}" if self.error else number + star
 
 
 class Course(NamedTuple):
@@ -51,6 +66,25 @@ class Course(NamedTuple):
     allow_copies: bool = False  # Whether copies of what others wrote have their points
     out: Path | None = None  # Table to write after each work, .csv or nbgrader's .json
     feedback: Path | None = None  # Folder for the feedback of each student
+
+    def check(self) -> None:
+        """Refuse an assignment or a sandbox with which every work would fail.
+
+        Raises:
+            ValueError: the assignment is impossible, as of `Assignment.check`.
+            TypeError: it has an option that does not exist.
+            WorkFailed: not even an empty work starts in the sandbox.
+        """
+        self.assignment.check()
+        with tempfile.TemporaryDirectory() as home:
+            Path(home).chmod(0o755)
+            Path(home, "work.py").write_text("class Work: pass\n", encoding="utf-8")
+            entry = Entry("work.py:Work", Path(home), self.sandbox, Clock(Limits()))
+            try:
+                with entry.opened():
+                    pass
+            except (WorkFailed, OSError) as error:
+                raise WorkFailed(f"the sandbox starts no submission: {error}") from None
 
     def grade(self) -> Iterator[Grade]:
         """Grade one work after the other, but for those that were graded before a halt."""
@@ -74,17 +108,29 @@ class Course(NamedTuple):
         """Grade a work; whatever goes wrong with it is its own."""
         shown = None if self.feedback is None else printable(Path(work).name)
         seeds = episode_seeds(self.seed, self.episodes)
-        how = {"sandbox": self.sandbox, "limits": self.limits, "seeds": seeds, "shown": shown}
+        how: dict[str, Any] = {"seeds": seeds, "shown": shown}
+        place = self.sandbox, Clock(self.limits)
         try:
-            with entered(work, self.works, **how) as entry:
+            with entered(work, self.assignment.work, *place, **how) as entry:
                 found = self.assignment.grade(entry)
+            value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
+            if value is not None and not math.isfinite(value):
+                raise WorkFailed(f"{self.assignment.metric} is {value}")
         except Exception as error:  # a stranger's work may fail in any way, and the next is graded
             kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
-            return Grade(printable(work), 0.0, error=printable(f"{kind}{error}")), None
+            said = printable(f"{self._blame(error)}{kind}{error}")
+            return Grade(printable(work), 0.0, error=said), None
         copied = str(found.get("copied", ""))
         points = 0.0 if copied and not self.allow_copies else self.assignment.points(found)
-        value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
         return Grade(printable(work), points, value, crashes, "", copied), found.get("failure")
+
+    def _blame(self, error: Exception) -> str:
+        """Say so if an error is none of the work, but of the assignment's own file."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        own = inspect.getfile(type(self.assignment))
+        if last.filename != own or isinstance(error, WorkFailed):
+            return ""
+        return f"a mistake of the assignment, not of the work (line {last.lineno} of {own}): "
 
     def _setting(self) -> dict[str, Any]:
         """Return what grades depend on beside the work."""
@@ -128,7 +174,7 @@ def episode_seeds(seed: int, count: int) -> list[int]:
 def digest(work: str) -> str:
     """Return what changes with the files of a work."""
     path, found = path_of(work), hashlib.sha256()
-    files = [] if path is None else [path] if path.is_file() else sorted(path.rglob("*"))
+    files = [path] if path.is_file() else sorted(path.rglob("*"))
     for file in filter(Path.is_file, files):
         state = file.stat()
         if state.st_size <= MOST_FOLDER:  # a larger one is refused later
@@ -142,7 +188,7 @@ def student_ids(works: Sequence[str]) -> list[str]:
 
     With one file for each student that is its name, with one folder each the folder's.
     """
-    paths = [(path_of(work) or Path(work)).absolute() for work in works]
+    paths = [path_of(work).absolute() for work in works]
     if len(set(paths)) < 2:
         return [path.parent.name if path.suffix == ".py" else path.name for path in paths]
     parts = zip(*(path.parts for path in paths), strict=False)
@@ -161,10 +207,8 @@ def grade_table(assignment: Assignment, grades: Sequence[Grade]) -> str:
     lines = [f"{'work'.ljust(width)}  points  crashes  {assignment.metric}"]
     for grade in grades:
         crashes = "-" if grade.crashes is None else f"{grade.crashes:.0%}"
-        value = "-" if grade.value is None else f"{grade.value:.4g}"
-        said = f"FAILED: {grade.error}" if grade.error else value
         name = grade.work.ljust(width)
-        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {said}{grade.notes}")
+        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {grade.said}")
     if any(grade.copied for grade in grades):
         lines.append("* acts, or is written, as what others wrote")
     return "\n" + "\n".join(lines)
@@ -219,7 +263,7 @@ def write_feedback(
 def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
     """Return Gradescope's results: gradescope-autograders.readthedocs.io/en/latest/specs."""
     reached = [other.value for other in grades if other.value is not None]
-    said = [assignment.rubric, grade.error or f"yours: {grade.value:.4g}{grade.notes}"]
+    said = [assignment.rubric, f"yours: {grade.said}"]
     if grade.crashes is not None:
         said.append(f"share of episodes with a crash: {grade.crashes:.0%}")
     if len(reached) > 1:

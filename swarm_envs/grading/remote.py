@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from swarm_envs import make
 from swarm_envs.agents import Actions, Observations
+from swarm_envs.agents.protocol import check_options_agree
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
@@ -16,15 +19,18 @@ from swarm_envs.errors import check_integer, check_name
 from swarm_envs.grading.pipes import Array
 from swarm_envs.grading.submission import RemoteWork, WorkFailed, printable
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.physics.step import SETPOINTS
 
 OPTIONS = (
     *("action", "decision_rate", "observation"),
     *("num_neighbors", "num_obstacles", "observe_load", "observe_setpoint"),
 )
 """Options that a work may require. All others say what is flown and when it is a success."""
+SEEN = 8
+"""Neighbours that the grader observes, with loads and set-points, whatever a work asks for."""
 MOST_SEEN = 64
 """Neighbours, or obstacles, that it may ask to observe."""
-KEPT = 256
+KEPT = 512
 """Decisions of a work that are kept, to be compared with those of others."""
 
 
@@ -65,14 +71,24 @@ class RemoteAgent:
     def __init__(
         self, work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any], rate: int = 0
     ) -> None:
-        asked = _checked(made.get("requires"))
-        own: Any = asked.get("decision_rate")
-        self.every = _repeats(own, rate)
+        asked, options = _checked(made.get("requires")), flown["options"]
+        self.requires: Mapping[str, Any] = asked
+        check_options_agree(self, options)
+        own = make(flown["task"], **{**options, "physics": "batch", **asked})
+        self._layout, config = own.observation_layout, own.core.config
+        self.every = _repeats(asked.get("decision_rate"), rate)
         """The number of decisions for which each action is repeated."""
-        faster = {"decision_rate": own * self.every} if self.every > 1 else {}
-        self.requires: Mapping[str, Any] = {**asked, **faster}
+        self.requires = {
+            **asked,
+            "decision_rate": config.decision_rate * self.every,
+            "num_neighbors": max(config.num_neighbors, SEEN),
+            "observe_load": True,
+            "observe_setpoint": own.core.mode.level == SETPOINTS,
+        }
+        own.close()
+        self._where: npt.NDArray[np.intp] = np.zeros(0, np.intp)  # Of its fields in rows
         self.kept: list[tuple[Float32Array, Array]] = []
-        """Some of its decisions: rows (N, row width), and actions (N, width)."""
+        """Some of its decisions: rows (N, row width) of the environment, and actions (N, width)."""
         self._work, self._flown, self._held = work, flown, Actions()
         self._resets = self._decisions = self._steps = 0
         self._rng = np.random.default_rng(0)
@@ -83,6 +99,8 @@ class RemoteAgent:
         if not self._resets:  # the seed is of the episode, which the work does not know
             self._rng = np.random.default_rng(seed)
         self._env, self._steps = env, 0
+        places = {field.name: field.where for field in env.observation_layout}
+        self._where = np.concatenate([np.r_[places[field.name]] for field in self._layout])
         self._work.ask("reset", {"seed": self._resets, **self._flown})
         self._resets += 1
 
@@ -90,7 +108,7 @@ class RemoteAgent:
         """Return the work's actions for what its drones observe."""
         if self._steps % self.every == 0:
             assert self._env is not None
-            rows = self._env.core.rows.copy()
+            rows = self._env.core.rows
             actions = self._asked("act", rows[0], rows.shape[:2])
             self._keep(rows, actions)
             self._held = dict(zip(self._env.possible_agents, actions[0], strict=True))
@@ -100,7 +118,8 @@ class RemoteAgent:
     def _asked(self, kind: str, rows: Float32Array, teams: tuple[int, ...]) -> Array:
         assert self._env is not None
         shape = (*teams, self._env.core.mode.width)
-        _, given = self._work.ask(kind, {}, [rows], 8 * math.prod(shape))
+        seen = [rows[..., self._where]]
+        _, given = self._work.ask(kind, {}, seen, 8 * math.prod(shape))
         if len(given) != 1 or given[0].dtype != np.float64:
             raise WorkFailed("answered nonsense: no array of actions")
         if kind == "act" and given[0].shape != shape:

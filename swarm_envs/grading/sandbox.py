@@ -34,21 +34,23 @@ class Sandbox(NamedTuple):
     """A command that runs what follows it, where `{work}` is the work's folder; None for bwrap."""
     unprotected: bool = False  # Whether works run as any other program of the grader's
     memory: int = 8 << 30  # Most memory of a work, bytes
+    weights: bool = False  # Whether works may read the weights that ship
 
 
 class Confined:
-    """A module that runs in a sandbox, with pipes for its input and output.
+    """The process of a work in a sandbox, with pipes for its input and output.
 
     Args:
         sandbox: what keeps it apart.
         home: its working directory, a copy of the work's folder.
-        module: what runs.
         errors: file for what it says on stderr.
+        flies: whether it needs the forces of environments.
     """
 
-    def __init__(self, sandbox: Sandbox, home: Path, module: str, errors: IO[bytes]) -> None:
+    def __init__(self, sandbox: Sandbox, home: Path, errors: IO[bytes], flies: bool) -> None:
         self._group: ControlGroup | None = None
-        variables, words = dict(os.environ), [sys.executable, "-P", "-m", module]
+        variables = dict(os.environ)
+        words = [sys.executable, "-P", "-m", "swarm_envs.grading.work"]
         if sandbox.command is not None:
             given = [word.replace("{work}", str(home)) for word in shlex.split(sandbox.command)]
             words = [*given, "python3", *words[1:]]
@@ -56,7 +58,8 @@ class Confined:
             variables |= _variables()
         else:
             self._group = ControlGroup(sandbox.memory)
-            words = [*self._group.words, *_bubble(home), *_clean(), *words]
+            hidden = [] if sandbox.weights else _weights(flies)
+            words = [*self._group.words, *_bubble(home, hidden), *_clean(), *words]
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
             words, **pipes, env=variables, cwd=home, start_new_session=True
@@ -90,14 +93,28 @@ def has_bubblewrap() -> bool:
     return runs("bwrap", "--unshare-all", "--ro-bind", "/", "/", "true")
 
 
-def _bubble(home: Path) -> list[str]:
-    """Words of bubblewrap, and of the program that gives a session keyring of its own."""
+def _weights(flies: bool) -> list[str]:
+    """Folders of weights that ship; those of the forces, too, of a work that needs none."""
+    hidden = {"agents": "weights", "baselines": "neural_swarm/weights"}
+    hidden |= {} if flies else {"interactions": "weights"}
+    package = Path(swarm_envs.__file__).parent
+    return [str((package / part).resolve() / place) for part, place in hidden.items()]
+
+
+def _bubble(home: Path, hidden: list[str]) -> list[str]:
+    """Words of bubblewrap, and of the program that gives a session keyring of its own.
+
+    Args:
+        home: folder of the work.
+        hidden: folders that are empty for it.
+    """
     package = Path(swarm_envs.__file__).parent
     parts = [package, *(part.resolve() for part in package.iterdir() if part.is_symlink())]
     seen = [*_SYSTEM, *_COMPUTER, str(kernel_folder()), sys.base_prefix, sys.prefix, *_installed()]
     binds = [word for path in [*seen, *parts] for word in ("--ro-bind-try", str(path), str(path))]
     keyring = ["keyctl", "session", "-"] if shutil.which("keyctl") else []
     empty = ["--dev", "/dev", "--tmpfs", "/tmp"]  # first: the package may be installed below it
+    binds += [word for path in hidden for word in ("--tmpfs", path)]
     return [*keyring, *_ALONE, *empty, *binds, "--ro-bind", str(home), HOME, "--chdir", HOME]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import tempfile
 import threading
@@ -12,7 +13,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.grading.pipes import Array, BadMessage, receive, send
 from swarm_envs.grading.sandbox import Confined, Sandbox
 
@@ -41,11 +41,21 @@ def printable(words: str) -> str:
     return shown if len(shown) <= LONGEST else shown[: LONGEST - 1] + "…"
 
 
-def path_of(name: str) -> Path | None:
-    """Return the file or folder of a work; None of an agent that ships."""
-    if name.removesuffix(FILTER) in SHIPPED:
-        return None
+def path_of(name: str) -> Path:
+    """Return the file or folder of a work."""
     return Path(name.rpartition(":")[0] if ".py:" in name else name)
+
+
+class Clock:
+    """The time that a work has left, in all its processes together."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits, self.left_s, self._decides = limits, limits.work_s, False
+
+    def begin_decisions(self) -> None:
+        """Give the time for decisions, once: nothing is compiled any more."""
+        if not self._decides:
+            self.left_s, self._decides = self.limits.work_s, True
 
 
 class Entry(NamedTuple):
@@ -54,7 +64,7 @@ class Entry(NamedTuple):
     work: str  # Its name in its own copy of the folder
     home: Path  # The copy
     sandbox: Sandbox
-    limits: Limits = Limits()
+    clock: Clock
     seeds: Sequence[int] = ()  # Of the episodes
     shown: str | None = None  # Its name in the recording of the first failure; None for none
 
@@ -74,75 +84,83 @@ class Entry(NamedTuple):
         with tempfile.TemporaryDirectory(prefix="swarm-envs-") as folder:
             errors = Path(folder, "errors")
             with errors.open("ab") as file:
-                process = Confined(self.sandbox, self.home, "swarm_envs.grading.work", file)
-            work = RemoteWork(process, self.limits, errors)
+                process = Confined(self.sandbox, self.home, file, flies)
+            work = RemoteWork(process, self.clock, errors)
             begin = {"flies": flies, "work": self.work, "memory": self.sandbox.memory}
             try:
-                yield work, work.ask("begin", {**begin, "file": path_of(self.work) is not None})[0]
+                yield work, work.ask("begin", begin)[0]
             finally:
                 work.close()
 
 
 @contextmanager
-def entered(name: str, others: Sequence[str], **how: Any) -> Iterator[Entry]:
-    """Copy a work into a folder of its own; `how` are the other fields of the entry.
+def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) -> Iterator[Entry]:
+    """Copy a work into a folder of its own.
 
-    What lies beside its file is copied if no other work of the run lies there.
+    What lies beside its file is copied if the file has the name that is asked for: then the folder
+    is the student's. A file of another name may lie among those of others.
+
+    Args:
+        name: of the work.
+        asked: the work that an assignment asks for, `file.py:Class`.
+        sandbox: where it runs.
+        clock: its time.
+        **more: other fields of the entry.
 
     Raises:
         WorkFailed: it is a link, no plain file, or too large.
     """
-    path, work = path_of(name), name
+    path = path_of(name)
     with tempfile.TemporaryDirectory(prefix="swarm-envs-work-") as home:
-        if path is not None:
-            Path(home).chmod(0o755)  # a container's user may be another
-            rest = [other.resolve() for other in map(path_of, others) if other is not None]
-            _copy(path, [other for other in rest if other != path.resolve()], Path(home))
-            chosen = f":{name.rpartition(':')[2]}" if path.suffix == ".py" else ""
-            work = f"{path.name}{chosen}" if path.is_file() else "."
-        yield Entry(work, Path(home), **how)
+        Path(home).chmod(0o755)  # a container's user may be another
+        _copy(path, path.is_dir() or path.name == path_of(asked).name, Path(home))
+        chosen = f":{name.rpartition(':')[2]}" if path.suffix == ".py" else ""
+        work = f"{path.name}{chosen}" if path.is_file() else "."
+        yield Entry(work, Path(home), sandbox, clock, **more)
 
 
-def _copy(path: Path, others: Sequence[Path], home: Path) -> None:
+def _copy(path: Path, with_folder: bool, home: Path) -> None:
     if path.is_symlink() or path.parent.is_symlink():
         raise WorkFailed("it or its folder is a link to another; hand in the file itself")
     if not (path.is_file() or path.is_dir()):
         raise WorkFailed("it is no plain file")
     if path.suffix == ".py" and (size := path.stat().st_size) > MOST_SOURCE:
         raise WorkFailed(f"its source has {size} bytes, but may have {MOST_SOURCE}")
-    folder = (path if path.is_dir() else path.parent).resolve()
-    if any(folder in other.parents for other in others):
-        shutil.copy(path, home)
+    if with_folder:
+        _copy_folder(path if path.is_dir() else path.parent, home)
     else:
-        _copy_folder(folder, home)
+        shutil.copy(path, home)
 
 
 def _copy_folder(folder: Path, home: Path) -> None:
     """Copy the plain files of a folder; links and pipes stay behind, and hidden folders."""
-
-    def left_behind(place: str, names: list[str]) -> list[str]:
-        paths = {name: Path(place, name) for name in names}
-        plain = [n for n, p in paths.items() if not p.is_symlink() and (p.is_file() or p.is_dir())]
-        kept = {name for name in plain if not name.startswith((".", "__pycache__"))}
-        return [name for name in names if name not in kept]
-
-    if sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) > MOST_FOLDER:
-        raise WorkFailed(
-            f"its folder has more than {MOST_FOLDER >> 20} MB; hand in less, or grade it in a "
-            "folder of its own"
-        )
-    for file in folder.rglob("*.py"):
-        if file.is_file() and (size := file.stat().st_size) > MOST_SOURCE:
-            raise WorkFailed(f"its source {file.name} has {size} bytes, but may have {MOST_SOURCE}")
-    shutil.copytree(folder, home, ignore=left_behind, dirs_exist_ok=True)
+    left = MOST_FOLDER
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith((".", "__pycache__"))]
+        (home / Path(place).relative_to(folder)).mkdir(exist_ok=True)
+        for file in (Path(place, name) for name in names if not name.startswith(".")):
+            if file.is_symlink() or not file.is_file():
+                continue
+            size = file.stat().st_size
+            left -= size + (MOST_FOLDER >> 12)  # so that there are no more than 4096
+            if left < 0:
+                raise WorkFailed(
+                    f"its folder has more than {MOST_FOLDER >> 20} MB, or too many files; hand in "
+                    "fewer, or grade it in a folder of its own"
+                )
+            if file.suffix == ".py" and size > MOST_SOURCE:
+                raise WorkFailed(
+                    f"its source {file.name} has {size} bytes, but may have {MOST_SOURCE}"
+                )
+            shutil.copy(file, home / file.relative_to(folder))
 
 
 class RemoteWork:
     """A work in its process, which is asked and answers. Make one with `Entry.opened`."""
 
-    def __init__(self, process: Confined, limits: Limits, errors: Path) -> None:
-        self.process, self._limits, self._errors = process, limits, errors
-        self._left_s, self._known, self._why = limits.work_s, set[str](), ""
+    def __init__(self, process: Confined, clock: Clock, errors: Path) -> None:
+        self.process, self._clock, self._errors = process, clock, errors
+        self._known, self._why = set[str](), ""
         self._until, self._over = math.inf, threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
 
@@ -173,8 +191,9 @@ class RemoteWork:
         Raises:
             WorkFailed: it failed.
         """
-        begun, limit = time.monotonic(), self._limits.decision_s if kind in self._known else limit_s
-        self._until = begun + min(limit, self._left_s)
+        clock, begun = self._clock, time.monotonic()
+        limit = clock.limits.decision_s if kind in self._known else limit_s
+        self._until = begun + min(limit, clock.left_s)
         try:
             if self._why:
                 raise EOFError
@@ -186,12 +205,11 @@ class RemoteWork:
             raise WorkFailed(self._why) from None
         finally:
             self._until = math.inf
-            self._left_s -= time.monotonic() - begun
+            clock.left_s -= time.monotonic() - begun
         if answer["kind"] == "error":
             raise WorkFailed(printable(str(answer.get("words"))))
         if kind in _DECISIONS:
-            if not self._known:  # from here on nothing is compiled
-                self._left_s = self._limits.work_s
+            clock.begin_decisions()
             self._known.add(kind)
         return answer, given
 
@@ -201,7 +219,8 @@ class RemoteWork:
             return printable(f"answered nonsense: {error}")
         if time.monotonic() > self._until:
             slow = f"an answer took longer than {limit:g} s"
-            return slow if limit < self._left_s else f"took longer than {self._limits.work_s:g} s"
+            most = f"took longer than {self._clock.limits.work_s:g} s"
+            return slow if limit < self._clock.left_s else most
         code = self.process.end(1.0)  # whose pipe is closed is about to end
         said = self._errors.read_bytes()[-2000:].decode(errors="replace")
         lines = said.strip().splitlines() or ["no message"]

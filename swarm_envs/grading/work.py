@@ -138,7 +138,7 @@ def run_work() -> None:
         _prepare(header["memory"])
         try:
             kind: Any = _Flyer if header["flies"] else _Made
-            work = kind(str(Path(name).absolute()) if header["file"] else name)
+            work = kind(str(Path(name).absolute()))
         except (Exception, SystemExit) as error:
             return _complain(sink, error, name)
         send(sink, "made", work.made)

@@ -80,6 +80,7 @@ class CollectionConfig:
         check_name("world", self.world, ("ideal", "hall"))
         check_name("pilot", self.pilot, ("soft", "mid", "stiff", "firm"))
         check_name("label", self.label, get_args(Label))
+        check_type("interactions", self.interactions, str)
         check_type("motion", self.motion, MotionRanges)
         check_type("noise", self.noise, SensorNoise)
         for team in self.teams:

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
 from swarm_envs.baselines.neural_swarm.planner.force_jacobian import force_jacobian
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.errors import check_integer, check_number
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -156,6 +157,12 @@ class SolverSettings:
     max_iterations: int = 1000  # After which an inexact solution is taken, and reported as one
     rho: float = 30.0
     """OSQP's step, kept constant: OSQP adapts it by elapsed time, and results would vary."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing is solved."""
+        check_number("tolerance", self.tolerance, above=0.0)
+        check_integer("max_iterations", self.max_iterations, at_least=1)
+        check_number("rho", self.rho, above=0.0)
 
 
 @dataclass(frozen=True)
