@@ -81,17 +81,20 @@ def test_weighted_sum():
     drones["active"][2, 2], drones["crashed"][2, 2] = 0.0, 1.0
     expected = np.tensordot(weights, terms, 1)
     expected[0, 1] = 0.0
-    (active, ended), ends = np.ones((2, 3, 4), np.bool_), np.zeros((2, 3), np.bool_)
+    active, ended = np.ones((2, 3, 4), np.bool_)
+    terminated, truncated = np.zeros((2, 3), np.bool_)
+    written = rewards, terminated, truncated, active, ended
     flown = np.array([True, False, True])
-    weigh(terms, weights, flown, drones, environments, rewards, *ends, active, ended)
+    weigh(terms, weights, flown, drones, environments, *written)
     np.testing.assert_allclose(rewards[[0, 2]], expected[[0, 2]], rtol=1e-13)
     np.testing.assert_array_equal(rewards[1], 0.0)
     assert active.tolist() == [[True, False, True, True], [False] * 4, [True] * 4]
     assert np.argwhere(ended).tolist() == [[2, 2]]
     environments["terminated"][0] = True  # ends the episodes of all that still fly
-    weigh(terms, weights, flown, drones, environments, rewards, *ends, active, ended)
+    weigh(terms, weights, flown, drones, environments, *written)
     assert np.argwhere(ended).tolist() == [[0, 0], [0, 2], [0, 3], [2, 2]]
-    assert ends.tolist() == [[True, False, False], [False] * 3]
+    assert terminated.tolist() == [True, False, False]
+    assert not truncated.any()
 
 
 def hovering(success: Success, start: list[list[float]], steps: int) -> list[bool]:
