@@ -12,9 +12,13 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import tyro
 
 from swarm_envs.errors import check_integer, check_name
+
+Array = npt.NDArray[np.float64]
 
 LEAST = {"seed": 0, "seeds": 1, "episodes": 1, "flights": 1, "trials": 1, "runs": 1, "steps": 1}
 """Least values of numbers, by the option that every command calls them."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
+from examples.papers.common import Array
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig, MlrDmpcSwarm
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, circle_swap, formation
-
-Array = npt.NDArray[np.float64]
 
 CRASH_M = 0.12
 """Scaled distance at which the paper counts a crash, m."""

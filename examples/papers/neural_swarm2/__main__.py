@@ -13,6 +13,7 @@ from examples.papers.neural_swarm2.curriculum import curriculum
 from examples.papers.neural_swarm2.flight_figures import figure_1, figure_8, figure_9
 from examples.papers.neural_swarm2.force_figure import figure_5
 from examples.papers.neural_swarm2.hall import hall
+from examples.papers.neural_swarm2.import_logs import import_logs
 from examples.papers.neural_swarm2.lag import lag
 from examples.papers.neural_swarm2.limits import limits
 from examples.papers.neural_swarm2.plan_pictures import plan_picture
@@ -20,6 +21,7 @@ from examples.papers.neural_swarm2.planning_figures import figure_6, figure_7
 from examples.papers.neural_swarm2.vehicles import table_1
 
 COMMANDS: dict[str, Callable[..., None]] = {
+    "import": import_logs,
     "figure-1": figure_1,
     "figure-5": figure_5,
     "figure-6": figure_6,
