@@ -10,8 +10,9 @@ is observed as `task.goal`, is the present position of the reference.
 drones on a horizontal circle of the same radius, 0.55 m, at 0.65 m/s; a small drone is at its
 lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two large and
 four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical circles of 0.5 m
-at its tips, at 0.5 m/s. Other teams follow the same rule: see `swarm_envs.tasks.ring`. The paper
-(Neural-Swarm2, Fig. 1 and 9) gives no sizes; `rings=RingLayout(...)` changes them.
+at its tips, at 0.5 m/s. Other teams follow the same rule: see `swarm_envs.tasks.ring`.
+`rings=RingLayout(...)` changes sizes and speeds: `swarm_envs.tasks.ring.CLOSE_SIXTEEN` has those of
+Neural-Swarm2, Fig. 1, whose references come within 0.24 m, and `CLOSE_FIVE` is alike for Fig. 9.
 
 **Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
 ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from examples.papers.common import run_command
 from examples.papers.neural_swarm2.ablation import table_3
 from examples.papers.neural_swarm2.adaptation import adaptation
+from examples.papers.neural_swarm2.as_flown import as_flown
 from examples.papers.neural_swarm2.ball import ball
 from examples.papers.neural_swarm2.collection import table_2
 from examples.papers.neural_swarm2.curriculum import curriculum
@@ -33,6 +34,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "table-3": table_3,
     "curriculum": curriculum,
     "plan": plan_picture,
+    "as-flown": as_flown,
     "lag": lag,
     "ball": ball,
     "limits": limits,

@@ -331,7 +331,7 @@ def report(out: Path, rows: Mapping[str, Any], flown: Mapping[str, float], logge
         for name, count in zip(NAMES, counts, strict=True)
     ]
     compared = [
-        Row("scenarios", "12", sum(row["rows"] > 0 for row in table), (12.0, 12.0)),
+        Row("scenarios", "12", sum(row["rows"] > 0 for row in table), given=True),
         Row("drones' time in a scenario, median, s", "around 1000",
             float(np.median(list(flown.values()))), within(1000.0, 0.25), LONGER, (1000.0, 1500.0)),
         Row("pairs at 100 Hz, all flights", "1.4 million", logged, within(1.4e6, 0.07)),
