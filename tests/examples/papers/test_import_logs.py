@@ -18,7 +18,6 @@ from swarm_envs.training.flight_logs.read import data_sha256
 STATE = [f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")]
 FORMAT = {"tick": "I"} | dict.fromkeys(STATE, "h") | {"stateEstimateZ.quat": "I"}
 FORMAT |= {f"pwm.m{k}_pwm": "I" for k in (1, 2, 3, 4)} | {"pm.vbatMV": "H"}
-REAL = Path(__file__).parents[4] / "shared/data" / logs.FILE
 LEVEL = 3 << 30  # the quaternion (0, 0, 0, 1): its largest component is the last, others are zero
 
 
@@ -118,10 +117,9 @@ def test_other_commits_and_logs_are_refused(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 @pytest.mark.skipif("NEURAL_SWARM_CLONE" not in os.environ, reason="needs a clone of the logs")
-@pytest.mark.skipif(not REAL.is_file(), reason="needs the rows that the models were fitted to")
-def test_the_rows_are_those_that_the_models_were_fitted_to(tmp_path):
+def test_the_rows_are_those_that_the_models_were_fitted_to(shared_data, tmp_path):
     main(["import", os.environ["NEURAL_SWARM_CLONE"], "--out", str(tmp_path)])
-    with np.load(tmp_path / logs.FILE) as found, np.load(REAL) as expected:
+    with np.load(tmp_path / logs.FILE) as found, np.load(shared_data / logs.FILE) as expected:
         assert sorted(found) == sorted(expected)
         for name in expected:
             assert np.array_equal(found[name], expected[name]), name
