@@ -12,7 +12,7 @@ lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*
 four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical circles of 0.5 m
 at its tips, at 0.5 m/s. Other teams follow the same rule: see `swarm_envs.tasks.ring`.
 `rings=RingLayout(...)` changes sizes and speeds: `swarm_envs.tasks.ring.CLOSE_SIXTEEN` has those of
-Neural-Swarm2, Fig. 1, whose references come within 0.24 m, and `CLOSE_FIVE` is alike for Fig. 9.
+Neural-Swarm2, Fig. 1, whose references come within 0.26 m, and `CLOSE_FIVE` is alike for Fig. 9.
 
 **Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
 ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`

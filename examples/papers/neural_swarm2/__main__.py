@@ -19,6 +19,7 @@ from examples.papers.neural_swarm2.lag import lag
 from examples.papers.neural_swarm2.limits import limits
 from examples.papers.neural_swarm2.plan_pictures import plan_picture
 from examples.papers.neural_swarm2.planning_figures import figure_6, figure_7
+from examples.papers.neural_swarm2.real_flights import real_flights
 from examples.papers.neural_swarm2.vehicles import table_1
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -35,6 +36,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "curriculum": curriculum,
     "plan": plan_picture,
     "as-flown": as_flown,
+    "real-flights": real_flights,
     "lag": lag,
     "ball": ball,
     "limits": limits,

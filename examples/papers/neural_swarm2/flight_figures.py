@@ -291,7 +291,9 @@ def compare_rings(air: Mapping[str, Any]) -> Iterator[Row]:
     where, (case, *others) = _place_of(air), air["cases"]
     predicted = f"{where}: share of the force's variance predicted"
     if others:  # 16 drones, and the 5 with which the paper compares them
-        yield from _compensation(air, case, where, before=(SIXTEEN, (20.0, 24.0)))
+        yield from _compensation(
+            air, case, where, ratio=(SIXTEEN, (2.0, 2.5)), before=(SIXTEEN, (20.0, 24.0))
+        )
         (five,) = others
         less = case["explained"] - five["explained"]
         yield Row(

@@ -186,7 +186,7 @@ def compare_6(
     return [
         Row(f"aware plan: {small}", "within the bound of 5", worst("aware", "S"), (0.0, 5.0)),
         Row(
-            f"aware plan: {small}, a fifth of its bound or less",
+            f"aware plan: very small {small}",
             "very small",
             worst("aware", "S"),
             (0.0, 1.0),

@@ -56,7 +56,8 @@ def read_network(path: Path) -> Callable[[Array], Array]:
     # The authors publish nothing but pickled weights; `weights_only` unpickles no code.
     state = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
     layers = [
-        [state[f"fc{k}.{p}"].double().numpy() for p in ("weight", "bias")] for k in range(1, 5)
+        [state[f"fc{k}.{p}"].detach().double().numpy() for p in ("weight", "bias")]
+        for k in range(1, 5)
     ]
 
     def network(rows: Array) -> Array:
