@@ -13,12 +13,16 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-# Libraries that train on the environments; what stands in one line can be installed together.
+# Libraries that work with ours; what stands in one line can be installed together.
 COMPAT := $(VENV)-compat
 PEERS_torchrl := torchrl benchmarl skrl
 PEERS_rllib := 'ray[rllib]' torch
+PEERS_jax := jax 'crazyflow>=0.4'
+PEERS_wrappers := agilerl 'minari[hdf5]' supersuit
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
+TESTS_jax := test_jax.py
+TESTS_wrappers := test_agilerl.py test_docs.py test_minari.py test_supersuit.py
 
 .PHONY: help demo test test-all test-compat coverage matrix lint format bench \
 	bench-against docs films papers clean
@@ -27,9 +31,9 @@ help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make test-all  every test, test-compat among them'
-	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
+	@echo 'make test-compat  tests with other libraries (TorchRL, RLlib, JAX, SuperSuit ...), in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
-	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
+	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.14'
 	@echo 'make lint      ruff, mypy and import-linter'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
@@ -63,7 +67,7 @@ test: $(VENV)/.dev
 test-all: $(VENV)/.dev test-compat
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'slow or not slow'
 
-test-compat: test-compat-torchrl test-compat-rllib
+test-compat: test-compat-torchrl test-compat-rllib test-compat-jax test-compat-wrappers
 
 test-compat-%: $(COMPAT)/%/.installed
 	$(COMPAT)/$*/bin/python -m pytest -m slow $(addprefix tests/compat/,$(TESTS_$*))

@@ -97,6 +97,8 @@ class CruiseAgent(RowAgent):
     """As of `StraightLineAgent`, but faster: up to seven drones on a circle all succeed; of nine to
     twelve as `fast-line` 72 to 100 % and as `orca` 44 to 100, of 13 none and 3 (256 episodes)."""
 
+    avoids_obstacles = True
+
     def __init__(self, cruise: Cruise | None = None) -> None:
         self.cruise = cruise or Cruise()
         self._at: ObservationColumns

@@ -38,7 +38,8 @@ from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import parse_note, written_whole
-from swarm_envs.vehicles import VEHICLES, Team
+from swarm_envs.tasks.base import Task
+from swarm_envs.vehicles import VEHICLES
 
 __all__ = [
     "CHECKPOINT",
@@ -128,11 +129,6 @@ class PolicyNote:
     def teams(self) -> str:
         """Team sizes in which it flies, for people."""
         return f"{self.fewest} to {self.drones}" if self.fewest < self.drones else f"{self.drones}"
-
-    def takes(self, team: Team) -> bool:
-        """Return whether it flies a team of such vehicles."""
-        known = not self.types or {vehicle.token for vehicle in team} <= set(self.types)
-        return known and self.fewest <= len(team) <= self.drones
 
     def network(self, tensors: Mapping[str, Float32Array]) -> Network:
         """Return the network that a file holds for such a policy, every layer's widths checked.
@@ -345,6 +341,7 @@ class PolicyAgent(RowAgent):
         # The note too: it says which tasks are refused, and episodes are kept by this digest.
         self.digest = hashlib.sha256(f"{policy.digest} {note}".encode()).hexdigest()
         self.requires: Mapping[str, Any] = note.requires
+        self.avoids_obstacles = bool(note.num_obstacles)
 
     @classmethod
     def load(cls, path: Path) -> PolicyAgent:
@@ -365,20 +362,28 @@ class PolicyAgent(RowAgent):
         """Check that this is what the policy was trained for; it draws nothing at random.
 
         Raises:
-            ValueError: another task, action or observation, more or fewer drones, types that it
-                was not trained with, or obstacles.
+            ValueError: another action or observation, or as `check`.
         """
         check_requirements(env, self)
-        note, task = self.policy.note, env.core.task
+        self.check(env.core.task)
+
+    def check(self, task: Task) -> None:
+        """Refuse a task for which the policy was not trained.
+
+        Raises:
+            ValueError: another task, more or fewer drones, types that it was not trained with, or
+                obstacles.
+        """
+        note, num_drones = self.policy.note, len(task.team)
         if task_family(task.name) not in note.families:
             raise ValueError(
                 f"this policy flies {', '.join(sorted(note.families))}, but the environment's "
                 f"task is {task_family(task.name)}; set the task (--task), or train another policy"
             )
-        if not note.fewest <= env.core.num_drones <= note.drones:
+        if not note.fewest <= num_drones <= note.drones:
             raise ValueError(
                 f"this policy was trained for teams of {note.teams} drones, but the environment "
-                f"has {env.core.num_drones}; set {note.teams} (--drones), or fly another agent"
+                f"has {num_drones}; set {note.teams} (--drones), or fly another agent"
             )
         others = {vehicle.token for vehicle in task.team} - set(note.types)
         if note.types and others:

@@ -15,6 +15,7 @@ from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer, unknown_name
+from swarm_envs.tasks.base import Task
 from swarm_envs.viewing.record import Recorder, Recording
 
 __all__ = ["AT_ONCE", "BatchAgent", "check_options_agree", "flies_batches", "fly_batch"]
@@ -64,6 +65,20 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
                 f"{type(agent).__name__} requires {name}={wanted!r:.80}, but the environment has "
                 f"{have!r:.80}; make it with parallel_env(..., **agent.requires)"
             )
+
+
+def check_task(agent: Agent, task: Task) -> None:
+    """Refuse a task that an agent cannot fly, before there is an environment of it.
+
+    An agent says so by a method `check(task)`, which its `reset` calls too; one without it flies
+    every task.
+
+    Raises:
+        ValueError: with the agent's reason.
+    """
+    check = getattr(agent, "check", None)
+    if check is not None:
+        check(task)
 
 
 def check_options_agree(agent: Agent, given: Mapping[str, Any]) -> None:

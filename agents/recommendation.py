@@ -13,27 +13,26 @@ from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
-from swarm_envs import task_family
-from swarm_envs.agents.avoiding import TUNED
-from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs import TASKS, task_family
+from swarm_envs.agents.protocol import Agent, check_task
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.agents.safety import SafetyFilter
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.setting import MOST_DRONES
 from swarm_envs.errors import check_integer, check_name
-from swarm_envs.vehicles import SMALL, Team, parse_team
+from swarm_envs.tasks.base import Task
 
-__all__ = ["AVOIDS", "FILE", "recommended"]
+__all__ = ["FILE", "avoids_obstacles", "benchmark_rows", "recommended"]
 
 FILE = "recommended.json"
 """Its name, in the folder of the agents."""
-AVOIDS = frozenset({*TUNED, "crowd-dagger+filter"})
-"""Agents that steer around obstacles wherever they stand."""
 _SLOW_AROUND = {("crowd-dagger+filter", "circle")}
 """Agents and layouts in which drones wait for each other around obstacles, longer than scripts."""
 
 
 @cache
-def _rows() -> list[Mapping[str, Any]]:
+def benchmark_rows() -> list[Mapping[str, Any]]:
+    """Return what the benchmark has flown: task, layout, drones, world and agents of each row."""
     text = resources.files("swarm_envs.agents").joinpath(FILE).read_text(encoding="utf-8")
     rows: list[Mapping[str, Any]] = json.loads(text)["tasks"]
     return rows
@@ -60,20 +59,20 @@ def recommended(
         task: such as `swap`, or with its version.
         num_drones: how many fly, if no team is given; None for as many as in the benchmark's
             smallest team of at least four.
-        team: the vehicles, such as `L2S`; None for small drones. Some policies fly few types.
+        team: the vehicles, such as `L2S`; None for those of the task. Some policies fly few types.
         learned: True for a trained policy, False for a script; None for either.
         privileged: False for one that sees what is observed alone; None for either.
-        layout: of the task; None, or one that the benchmark does not fly, stands for the first one
-            that it does.
+        layout: of the task; None for the first one that the benchmark flies, whose results also
+            count for a layout that it does not fly.
         obstacles: whether the environment has the option `obstacles`. The benchmark flies without
-            it: then the best agent of `AVOIDS`; where none succeeds, the best script, which may
-            fly into them.
+            it: then the best agent that flies around obstacles; where none succeeds, the best
+            script, which may fly into them.
         world: of the environment. `hall` counts where the benchmark has flown the task there too,
             with as many drones or more.
 
     Raises:
-        ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
-            message names an agent for a task that is near.
+        ValueError: the benchmark does not have this task, the task does not take such a team or
+            layout, or no shipped agent flies it so; the message names those that fly it otherwise.
     """
     if num_drones is not None:
         check_integer("num_drones", num_drones, at_least=1, at_most=MOST_DRONES)
@@ -82,34 +81,44 @@ def recommended(
     rows = _rows_of(task, layout)
     plain = [row for row in rows if "world" not in row]
     count = num_drones or _row_for(plain, 4)["drones"]
-    crew = count * (SMALL,) if team is None else parse_team(team)
-    there = [row for row in rows if row.get("world") == world and row["drones"] >= len(crew)]
-    row = _row_for(there or plain, len(crew))
-    agents = _best_first(row, len(crew))
+    flown = _task_of(task, count, team, layout or rows[0]["layout"], obstacles)
+    size = len(flown.team)
+    there = [row for row in rows if row.get("world") == world and row["drones"] >= size]
+    row = _row_for(there or plain, size)
+    agents = {name: about for name, about in _best_first(row, size).items() if _flies(name, flown)}
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     names = [name for name, about in agents.items() if named.items() <= about.items()]
     if obstacles:
         scripts = [name for name in names if not agents[name]["learned"]]
-        avoid = [n for n in names if n in AVOIDS and (n, row["layout"]) not in _SLOW_AROUND]
-        names = avoid or scripts
-    for name in names:
-        if _takes(name, crew):
-            return name
+        names = [name for name in names if _flies_around(name, row["layout"])] or scripts
+    if names:
+        return names[0]
     said = " and ".join(f"{name}={value}" for name, value in named.items())
     raise ValueError(
-        f"no shipped agent with {said or 'any property'} flies {task!r} with {len(crew)} drones"
+        f"no shipped agent with {said or 'any property'} flies {task!r} with {size} drones"
         f"{' among obstacles' if obstacles else ''}; "
         f"others that do: {', '.join(agents) or 'none'}"
     )
 
 
+def _task_of(
+    task: str, num_drones: int, team: str | None, layout: str | None, obstacles: bool
+) -> Task:
+    """The task that is flown, with one obstacle for any."""
+    versions = [name for name in TASKS if task_family(name) == task_family(task)]
+    options: dict[str, Any] = {"num_drones": num_drones} if team is None else {"team": team}
+    options |= {"layout": layout} if layout is not None else {}
+    options |= {"obstacles": "column=1:1:0.15"} if obstacles else {}
+    return blueprint_of(versions[-1], **options).task
+
+
 def _rows_of(task: str, layout: str | None) -> list[Mapping[str, Any]]:
     """The rows of a task and layout, by the number of drones."""
     family = task_family(task)
-    rows = [row for row in _rows() if row["task"] == family]
+    rows = [row for row in benchmark_rows() if row["task"] == family]
     if not rows:
-        known = ", ".join(dict.fromkeys(row["task"] for row in _rows()))
+        known = ", ".join(dict.fromkeys(row["task"] for row in benchmark_rows()))
         raise ValueError(f"the benchmark has no task {task!r}; it has {known}")
     like = layout if layout in {row["layout"] for row in rows} else rows[0]["layout"]
     return sorted((row for row in rows if row["layout"] == like), key=lambda row: row["drones"])
@@ -132,8 +141,19 @@ def _best_first(row: Mapping[str, Any], num_drones: int) -> dict[str, Mapping[st
     return {name: agents[name] for name in ranked}
 
 
-def _takes(name: str, team: Team) -> bool:
-    """Whether an agent flies such a team: trained policies do not fly all."""
-    agent = load_agent(name)
-    inner = agent.agent if isinstance(agent, SafetyFilter) else agent
-    return not isinstance(inner, PolicyAgent) or inner.policy.note.takes(team)
+def _flies(name: str, task: Task) -> bool:
+    """Whether an agent flies such a task and team, by its own check."""
+    try:
+        check_task(load_agent(name), task)
+    except ValueError:
+        return False
+    return True
+
+
+def _flies_around(name: str, layout: str | None) -> bool:
+    return avoids_obstacles(load_agent(name)) and (name, layout) not in _SLOW_AROUND
+
+
+def avoids_obstacles(agent: Agent) -> bool:
+    """Return whether an agent steers around obstacles wherever they stand."""
+    return isinstance(agent, SafetyFilter) and agent.avoids_obstacles

@@ -27,14 +27,21 @@ from swarm_envs.agents.barrier import (
 )
 from swarm_envs.agents.evaluation import source_digest
 from swarm_envs.agents.features import observation_columns
-from swarm_envs.agents.protocol import Actions, Agent, BatchAgent, Observations, check_requirements
+from swarm_envs.agents.protocol import (
+    Actions,
+    Agent,
+    BatchAgent,
+    Observations,
+    check_requirements,
+    check_task,
+)
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_bool, check_integer, check_number
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import ACCELERATION_LIMIT
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, Task
 from swarm_envs.vehicles import VEHICLES
 
 __all__ = ["ACTED"]
@@ -138,6 +145,15 @@ class SafetyFilter:
             self.act_batch = self._act_batch
         self._statistics = _Statistics()
         self._twin: SwarmParallelEnv | None = None
+
+    def check(self, task: Task) -> None:
+        """Refuse a task that the agent refuses."""
+        check_task(self.agent, task)
+
+    @property
+    def avoids_obstacles(self) -> bool:
+        """Whether it flies around obstacles that it observes, and is not only kept from them."""
+        return getattr(self.agent, "avoids_obstacles", False)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Prepare for an episode.

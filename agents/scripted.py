@@ -121,8 +121,16 @@ class SetpointAgent(ABC):
         self.requires = requires
         self._agents: list[str] = []
 
+    def check(self, task: Task) -> None:
+        """Refuse a task that the agent cannot fly; this class flies any."""
+
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note the drones' names."""
+        """Note the drones' names.
+
+        Raises:
+            ValueError: as `check`.
+        """
+        self.check(env.core.task)
         self._agents = list(env.agents)
 
     def act(self, observations: Observations, view: View | None) -> Actions:
@@ -148,11 +156,11 @@ class SetpointAgent(ABC):
         """Whether goals are where drones end, not where they should be at every moment."""
         return task.motion.rests or task.motion.kind == LINES
 
-    def check(self, task: Task) -> None:
-        """Refuse a task to which there is no plan.
+    def check_rest(self, task: Task) -> None:
+        """Refuse a task whose goals move.
 
         Raises:
-            ValueError: goals that move.
+            ValueError: they do.
         """
         if not self.goals_rest(task):
             raise ValueError(
@@ -185,16 +193,22 @@ class PlannedAgent(SetpointAgent, Generic[P]):
     def plan(self, task: Task, view: View, seed: int) -> P:
         """The way from the set-points of this moment to the goals."""
 
+    def check(self, task: Task) -> None:
+        """Refuse a task to which there is no plan.
+
+        Raises:
+            ValueError: goals that move.
+        """
+        self.check_rest(task)
+
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Plan the way to the first goals; the seed is that of the planner.
 
         Raises:
             ValueError: there is no plan for such a task, or for these starts and goals.
         """
-        task = env.core.task
-        self.check(task)
         super().reset(env, seed)
-        self._task, self._seed, self.plans = task, seed, []
+        self._task, self._seed, self.plans = env.core.task, seed, []
         self._plan(env.view)
 
     def reference(self, view: View) -> Reference:
@@ -342,20 +356,26 @@ class DetourAgent(SetpointAgent):
         self._plan: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self._since = self._duration = 0.0
 
-    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Forget the last episode; the seed draws the order in which drones choose.
+    def check(self, task: Task) -> None:
+        """Refuse a task in which one goal changes while other drones are under way.
 
         Raises:
-            ValueError: goals at rest that change one at a time, while others are under way.
+            ValueError: goals at rest that change one at a time.
         """
-        task = env.core.task
         if isinstance(task.success, ByScore) and task.motion.rests:
             raise ValueError(
                 f"DetourAgent plans the way of all drones at once, but in {task.name} each drone "
                 "is given another goal when it reaches one; use 'roundabout'"
             )
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Forget the last episode; the seed draws the order in which drones choose.
+
+        Raises:
+            ValueError: as `check`.
+        """
         super().reset(env, seed)
-        self._arena = task.arena
+        self._arena = env.core.task.arena
         self._rng, self._plan = np.random.default_rng(seed), None
 
     def reference(self, view: View) -> Reference:

@@ -28,6 +28,7 @@ extensions = [
     "extensions.notebooks",
     "extensions.links",
     "extensions.option_tables",
+    "extensions.recommendations",
     "extensions.state_tables",
     "extensions.task_pages",
 ]

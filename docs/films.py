@@ -1,7 +1,7 @@
 """The films of the docs: `make films`, or `make films FILMS='swap gates'` for some of them.
 
-Each is an animated WebP of one episode, flown on the compiled engine and drawn by pybullet. A film
-named after a task is on that task's page, and all of them are in `gallery.md`.
+Each is an animated WebP of one episode, flown on the compiled engine. A film named after a task is
+on that task's page, and all of them are in `gallery.md`.
 """
 
 from __future__ import annotations

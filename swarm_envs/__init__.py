@@ -95,9 +95,9 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
     Raises:
         ValueError: it is no task, or its name is that of a task of the package.
     """
-    from swarm_envs.envs.options import own_task
+    from swarm_envs.envs.options import task_class
 
-    own_task(task)
+    task_class(task)
     if task.name in TASKS:
         raise ValueError(
             f"name of {task.__name__} is {task.name!r}, which is a task of the package; give it "

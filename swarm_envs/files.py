@@ -9,13 +9,25 @@ import json
 import os
 import platform
 import re
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 from zlib import crc32
 
-__all__ = ["claimed", "parse_note", "pyarrow", "write_json", "write_table", "written_whole"]
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "claimed",
+    "parse_note",
+    "pyarrow",
+    "read_npz",
+    "write_json",
+    "write_table",
+    "written_whole",
+]
 
 try:
     import fcntl
@@ -86,6 +98,33 @@ def parse_note(text: str) -> dict[str, Any]:
     if not isinstance(note, dict):
         raise ValueError(f"its note is {note!r:.80}, not a JSON object")
     return note
+
+
+_SMALL = 2**28  # An npz file may unpack to so many bytes, whatever its size
+_RATIO = 100  # and otherwise to so many times its size, which no flight does
+
+
+def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of an npz file by name; nothing is unpickled.
+
+    Raises:
+        OSError: the file cannot be opened.
+        ValueError: it is no npz file, is damaged, or unpacks to more than 256 MiB and 100 times
+            its size.
+    """
+    with path.open("rb") as file:
+        if not zipfile.is_zipfile(file):  # numpy would advise to unpickle it
+            raise ValueError(f"{path} is not an npz file")
+        try:
+            with zipfile.ZipFile(file) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+            if size <= max(_SMALL, _RATIO * path.stat().st_size):
+                file.seek(0)
+                with np.load(file, allow_pickle=False) as stored:
+                    return {name: stored[name] for name in stored.files}
+        except Exception as error:  # whatever zip, zlib and numpy raise of a damaged file
+            raise ValueError(f"{path} is not an npz file, or damaged: {error}") from error
+    raise ValueError(f"{path} unpacks to {size / 1e9:.1f} GB, which no file of this package does")
 
 
 @contextmanager

@@ -301,3 +301,31 @@ def test_an_equation_becomes_part_of_the_loop_that_calls_it(monkeypatch, tmp_pat
     code = "".join(inspected.inspect_asm().values())
     if "vsqrtsd" in code:  # this processor works on lanes, and so does the loop
         assert "vsqrtpd" in code
+
+
+FLIGHTS = """
+import swarm_envs
+from swarm_envs.agents import fly_episode, load
+
+for task, name in (
+    ("swap_v1", "tracking+compensated+adaptive"), ("ring_v1", "ring-dagger"),
+    ("crowd_v0", "crowd-dagger+filter"), ("columns_v0", "air-on-top"),
+):
+    agent = load(name)
+    env = swarm_envs.make(task, physics="batch", horizon_s=0.1, **agent.requires)
+    fly_episode(env, agent, 0)
+"""
+
+
+@pytest.mark.slow
+@compiled_only
+def test_after_the_command_compile_nothing_is_compiled(tmp_path):
+    given = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    said = []
+    for words in (["-m", "swarm_envs", "compile", "--no-progress"], ["-c", FLIGHTS]):
+        run = subprocess.run(
+            [sys.executable, *words], env=given, capture_output=True, text=True, check=True
+        )
+        said.append(run.stderr)
+    assert "compil" in said[0]
+    assert "compil" not in said[1]

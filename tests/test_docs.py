@@ -23,6 +23,7 @@ from docs.extensions.api_pages import packages_of, page_of
 from docs.extensions.links import inward, without_empty_folders
 from docs.extensions.names import exports, modules, public_names, resolve
 from docs.extensions.option_tables import options_of
+from docs.extensions.recommendations import recommendation_table
 from docs.extensions.state_tables import TABLES, state_table
 from docs.extensions.task_pages import MARK, task_page
 from swarm_envs import TASKS, make, task_family
@@ -258,6 +259,13 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
     assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
     with pytest.raises(KeyError, match="DRONES"):
         state_tables.expand("<!-- state table: DRONES -->")
+
+
+def test_the_table_of_recommended_agents_has_each_task_of_the_benchmark():
+    table = recommendation_table()
+    best, seeing = "`air-blind+adaptive`", "`delivery-dagger`"
+    assert f"| delivery |  | 7 | ideal | {best} | {seeing} | {seeing} | {best} |" in table
+    assert "| ring |  | 5 | hall | `ring-dagger`" in table
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import swarm_envs
 from docs.recommend import recommendations, replaced
-from swarm_envs import swap_v1
+from swarm_envs import TASKS, make, swap_v1
 from swarm_envs.agents import fly_episode, load, recommended
 from swarm_envs.agents.evaluation import (
     TIMED,
@@ -27,6 +29,7 @@ from swarm_envs.agents.evaluation import (
 from swarm_envs.agents.models import ModelAgent
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
+from swarm_envs.envs.options import options_type
 from swarm_envs.files import LOCK
 from swarm_envs.training.scoreboard.results import Cell, Results
 from tests.helpers.users_agents import FAILING, FINE
@@ -329,6 +332,15 @@ def test_it_is_as_it_was_asked_for():
         recommended("swop", num_drones=2)
 
 
+def test_it_flies_the_team_that_the_task_has():
+    assert recommended("delivery", privileged=False) == "delivery-dagger"  # of large and small ones
+    assert recommended("columns", num_drones=8, privileged=False) == "stack-dagger"
+    with pytest.raises(ValueError, match=r"privileged=False flies 'columns' with 4.*: air-on-top$"):
+        recommended("columns", num_drones=4, privileged=False)
+    with pytest.raises(ValueError, match="unknown layout 'spiral'"):
+        recommended("swap", layout="spiral")
+
+
 def test_fly_with_defaults_succeeds(capsys, tmp_path):
     numbers = tmp_path / "a.json"
     assert main(["fly", "--physics", "batch", "--json", str(numbers)]) == 0
@@ -366,3 +378,38 @@ def test_recommendations_follow_from_the_results():
     assert replaced(rows, results) == rows
     old = [{**rows[0], "agents": {"other": {"success": 1.1, "score": 1.0}, "hover": {}}}]
     assert list(replaced(old, results)[0]["agents"]) == ["other", *rows[0]["agents"]]
+
+
+TASKS_AND_LAYOUTS = [
+    (task, layout) for task in TASKS for layout in options_type(task).task_type.layouts or (None,)
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "layout"), TASKS_AND_LAYOUTS)
+def test_a_recommended_agent_is_never_refused(task, layout):
+    tried = 0
+    for drones, learned, privileged, obstacles in itertools.product(
+        (None, 1, 2, 3, 4, 6, 8, 9, 17, 33), (None, True), (None, False, True), (False, True)
+    ):
+        given: dict[str, Any] = {"num_drones": drones, "layout": layout}
+        wanted: dict[str, Any] = {
+            "learned": learned,
+            "privileged": privileged,
+            "obstacles": obstacles,
+        }
+        try:
+            agent = load(recommended(task, **given, **wanted, obstacles=obstacles))
+        except ValueError:
+            continue  # the task does not take so many, or nobody flies it
+        options = {name: value for name, value in given.items() if value is not None}
+        if obstacles:
+            options["obstacles"] = "column=1:1:0.15"
+        with closing(make(task, **{**options, "physics": "batch", **agent.requires})) as env:
+            try:
+                env.reset(seed=0)
+            except RuntimeError:
+                continue  # no place is free of the obstacle
+            agent.reset(env, 0)
+            tried += 1
+    assert tried > 10

@@ -6,11 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import zipfile
 
+import numpy as np
 import pytest
 
 from swarm_envs.cli import main
-from swarm_envs.files import LOCK, claimed, write_json
+from swarm_envs.files import LOCK, claimed, read_npz, write_json
+from swarm_envs.training.interaction_rows import read_rows
 
 HOLD = """
 import sys, time
@@ -165,6 +168,21 @@ def test_a_folder_into_which_another_process_writes_is_refused(words, tmp_path, 
     said = capsys.readouterr().err.splitlines()[-1]
     assert f"process {os.getpid()} writes into {str(tmp_path)!r}; wait for its end" in said
     assert [file.name for file in tmp_path.iterdir()] == [LOCK]
+
+
+def test_a_file_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_path):
+    path = tmp_path / "a.npz"
+    archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
+    with archive, archive.open("a.npy", "w") as member:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (40_000_000,)}
+        np.lib.format.write_array_header_1_0(member, header)
+        for _ in range(320):
+            member.write(bytes(1_000_000))
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(ValueError, match=r"a\.npz unpacks to 0\.3 GB"):
+        read_npz(path)
+    with pytest.raises(ValueError, match=r"it cannot be read \(.* unpacks to 0\.3 GB"):
+        read_rows(path)
 
 
 def test_the_longest_name_can_be_written(tmp_path):

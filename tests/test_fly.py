@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from swarm_envs.cli import main
-from swarm_envs.physics import bullet_available
 from swarm_envs.viewing import video as films
 from swarm_envs.viewing.trajectory import read_trajectory
 
@@ -107,7 +106,7 @@ def test_what_is_not_installed_is_asked_for_before_the_flight(capsys, tmp_path, 
 
 
 def test_out_leaves_out_what_needs_an_extra_and_says_which(capsys, tmp_path, monkeypatch):
-    for name in ("pyarrow", "pybullet"):
+    for name in ("pyarrow", "imageio_ffmpeg"):
         monkeypatch.setitem(sys.modules, name, None)
     out = tmp_path / "out"
     arguments = ["--physics", "batch", "--horizon-s", "0.2", "--out", str(out)]
@@ -128,7 +127,6 @@ def test_the_best_agent_among_obstacles_sees_them(capsys):
     assert "air-aware was measured without obstacles" in capsys.readouterr().out
 
 
-@pytest.mark.skipif(not bullet_available(), reason="pybullet draws")
 def test_out_takes_everything(tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     monkeypatch.setattr(films, "FPS", 2)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
+import socket
 import sys
 import threading
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +20,7 @@ import pytest
 
 from swarm_envs import swap_v1
 from swarm_envs.tasks.obstacles import Column
+from swarm_envs.viewing import live
 from swarm_envs.viewing.live import ROW, LiveViewer
 from tests.helpers.browsers import PATIENCE_MS, chromium, complaints
 
@@ -102,6 +105,31 @@ def test_a_notebook_shows_the_page_in_its_output(env, monkeypatch, capsys):
     assert shown == [(viewer.url, "100%", 480)] and not capsys.readouterr().err
 
 
+def test_idle_connections_leave_room_and_are_closed(env, monkeypatch):
+    monkeypatch.setattr(live._Handler, "timeout", 1.0)
+    viewer = LiveViewer(env.core, wait_s=0.0)
+    before = threading.active_count()
+    address = urllib.parse.urlsplit(viewer.url)
+    idle = [socket.create_connection((address.hostname, address.port)) for _ in range(200)]
+    assert threading.active_count() - before <= live.MOST_CONNECTIONS
+    assert all(connection.recv(1) == b"" for connection in idle)  # closed by the server
+    assert "swap_v1" in ask(viewer.url).decode()
+    viewer.close()
+    for connection in idle:
+        connection.close()
+
+
+@pytest.mark.parametrize("length", ["-1", "many"])
+def test_a_length_that_is_none_is_refused_at_once(env, length):
+    viewer = LiveViewer(env.core, wait_s=0.0)
+    address = urllib.parse.urlsplit(viewer.url)
+    with socket.create_connection((address.hostname, address.port), timeout=4) as connection:
+        head = f"POST /control?{address.query} HTTP/1.1\r\nHost: {address.netloc}\r\n"
+        connection.sendall(f"{head}Content-Length: {length}\r\n\r\n".encode())
+        assert b" 400 " in connection.recv(100)
+    viewer.close()
+
+
 def test_only_who_knows_the_token_sees_anything(env):
     viewer = LiveViewer(env.core, wait_s=0.0)
     page = ask(viewer.url).decode()
@@ -157,8 +185,6 @@ def test_many_environments_are_shown_side_by_side(monkeypatch):
     np.testing.assert_allclose(
         found[1]["position"], envs.unwrapped.core.physics.state.position[:16], atol=1e-4
     )
-    with pytest.raises(ValueError, match="render_mode of many environments"):
-        gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, render_mode="rgb_array")
 
 
 def test_the_page_draws_the_swarm_in_a_browser(monkeypatch):

@@ -17,8 +17,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import swarm_envs
 from docs.extensions.option_tables import expand
-from swarm_envs import crowd_v0, formation_v1, gates_v0, make, pursuit_v0, ring_v1, swap_v1
+from docs.extensions.task_pages import task_page
+from swarm_envs import TASKS as NAMES
+from swarm_envs import make
 from swarm_envs.agents.safety import Safety
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import GilbertElliott, Jam, LossModel
@@ -40,7 +43,7 @@ from swarm_envs.control.config import (
     PositionGains,
 )
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.options import TaskOptions, field_docstrings
+from swarm_envs.envs.options import TaskOptions, field_docstrings, options_type, task_class
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.errors import check_integer, check_interval, check_number
 from swarm_envs.hall import Hall
@@ -65,6 +68,7 @@ from swarm_envs.training.rl.runs import training_blueprint
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}
+OPTIONS = {task: options_type(task) for task in NAMES}
 SETTINGS: dict[type, dict[str, Any]] = {
     **dict.fromkeys((SwapTask, RingTask, FormationTask, CrowdTask), TEAM),
     PursuitTask: TEAM,
@@ -81,12 +85,7 @@ SETTINGS: dict[type, dict[str, Any]] = {
     UnitOutage: {"unit": 0, "first_round": 1},
     Column: {"center": (0.0, 0.0), "radius": 0.2},
     EnvConfig: {},
-    swap_v1.SwapOptions: {},
-    ring_v1.RingOptions: {},
-    formation_v1.FormationOptions: {},
-    crowd_v0.CrowdOptions: {},
-    pursuit_v0.PursuitOptions: {},
-    gates_v0.GatesOptions: {},
+    **{kind: {} for kind in OPTIONS.values()},
 }
 """Classes of settings whose every field is explained, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
@@ -210,7 +209,7 @@ def test_integers_beyond_every_float_are_refused_or_taken_without_overflow():
 
 
 BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
-    (swap_v1.SwapOptions, "num_drones", [1, np.int64(2)], [0, 2.0, 100_001]),
+    (OPTIONS["swap_v1"], "num_drones", [1, np.int64(2)], [0, 2.0, 100_001]),
     (EnvConfig, "decision_rate", [1, 48, 240], [0, -48, 50, 48.0, 480]),
     (EnvConfig, "num_neighbors", [0, 10_000], [-1, 10_001, 1.5]),
     (EnvConfig, "horizon_s", [1, 0.1, None], [0.0, -1.0, "8"]),
@@ -240,7 +239,7 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (BatteryModel, "capacity_ah", [0.1], [0.0, math.nan]),
     (BatteryModel, "idle_current_a", [0.0, 1.0], [-1.0, math.inf]),
     (Vehicle, "inertia", [(1e-6, 1e-6, 2e-6)], [(1e-6, 1e-6), (1e-6, 0.0, 1e-6)]),
-    (formation_v1.FormationOptions, "turn_rad", [(-1.0, 1.0), (0, 0)], [(1.0, 0.0), (0.0,)]),
+    (OPTIONS["formation_v1"], "turn_rad", [(-1.0, 1.0), (0, 0)], [(1.0, 0.0), (0.0,)]),
 ]
 
 
@@ -269,19 +268,27 @@ def test_commands_refuse_numbers_in_the_words_of_the_command_line(options, name)
         options(**{**COMMANDS[options], name: -1})
 
 
-@pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1, crowd_v0, pursuit_v0, gates_v0])
-def test_a_view_shows_every_option(module):
+@pytest.mark.parametrize("task", NAMES)
+def test_a_view_shows_every_option(task):
+    module, kind = getattr(swarm_envs, task), task_class(task)
+    assert inspect.getdoc(module) == inspect.getdoc(kind)
+    given = {f.name for f in fields(kind)} - {"success"}
     for view in (module.parallel_env, module.env, module.blueprint):
         parameters = inspect.signature(view).parameters
+        assert parameters.keys() == given | {f.name for f in fields(TaskOptions)}
         assert all(p.kind is p.KEYWORD_ONLY for p in parameters.values())
+        for name, value in kind.defaults.items():
+            assert parameters[name].default == value
         for name in parameters:
             assert re.search(rf"^    {name} \(.*\): ", view.__doc__, re.MULTILINE)
 
 
 def test_the_page_of_the_tasks_shows_every_option():
-    text = expand("<!-- option table: EnvConfig -->\n\n<!-- option table: SwapOptions -->")
+    text = expand("<!-- option table: EnvConfig -->")
     assert "| `horizon_s` | `float \\| None` | `None` | Time limit: " in text
-    assert "| `num_drones` | `int` | `4` |" in text
+    page = task_page("pursuit_v0", Path())
+    assert "| `num_drones` | `int \\| None` | `8` |" in page
+    assert "| `change_s` | `float` | `5.0` | Time between two swaps of goals, s. |" in page
 
 
 WORDS = [

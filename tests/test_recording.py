@@ -122,6 +122,48 @@ def test_files_that_hold_no_episode_are_refused(flight, tmp_path):
         write_trajectory(tmp_path / "a.csv", flight)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
+def test_a_damaged_file_is_refused_or_gives_a_flight(flight, tmp_path, suffix):
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    path, rng, refused = tmp_path / f"a{suffix}", np.random.default_rng(0), 0
+    write_trajectory(path, flight)
+    sound = path.read_bytes()
+    for _ in range(60):
+        damaged = bytearray(
+            sound[: rng.integers(1, len(sound) + 1)] if rng.random() < 0.3 else sound
+        )
+        for place in rng.integers(len(damaged), size=rng.integers(1, 20)):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            assert read_trajectory(path).position.shape == flight.position.shape
+        except ValueError:
+            refused += 1
+    assert refused > 30
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a: a | {"time": a["time"][::-1]}, "time in .* must rise"),
+        (lambda a: a | {"goal": a["goal"][:-1]}, r"goal in .* but must be numbers of shape"),
+        (lambda a: a | {"quaternion": 0 * a["quaternion"]}, "quaternion in .* has length 0"),
+        (lambda a: a | {"position": a["position"] * np.nan}, "position in .* not finite"),
+        (lambda a: a | {"about": np.array("[]")}, "not a JSON object"),
+        (lambda a: a | {"about": np.array('{"team": 3, "reward_terms": []}')}, "holds no episode"),
+    ],
+)
+def test_an_episode_that_cannot_be_is_refused(flight, tmp_path, change, said):
+    path = tmp_path / "a.npz"
+    write_trajectory(path, flight)
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    np.savez(path, **change(arrays))
+    with pytest.raises(ValueError, match=said):
+        read_trajectory(path)
+
+
 def test_tables_of_other_things_are_refused(flight, tmp_path):
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "a.parquet"
@@ -144,7 +186,7 @@ def test_rows_of_a_table_may_be_in_any_order(flight, tmp_path):
     """Sorted by name, drone_10 comes before drone_2; and capitals in the suffix are no other."""
     parquet = pytest.importorskip("pyarrow.parquet")
     fields = {name: np.repeat(getattr(flight, name), 4, axis=1) for name in GROUPS}
-    fields = {name: np.concatenate([v[:, :1] * 0, v[:, :11]], axis=1) for name, v in fields.items()}
+    fields = {name: np.concatenate([v[:, 1:2], v[:, :11]], axis=1) for name, v in fields.items()}
     terms = {name: np.zeros((len(flight.time), 12)) for name in flight.reward_terms}
     many = replace(flight, team=flight.team * 4, reward_terms=terms, **fields)
     write_trajectory(tmp_path / "a.parquet", many)

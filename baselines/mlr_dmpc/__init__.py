@@ -1,4 +1,8 @@
-"""MLR-DMPC (Gräfe et al., DMPC-Swarm): distributed MPC that never collides, whatever is lost."""
+"""MLR-DMPC (Gräfe et al., DMPC-Swarm): distributed MPC that never collides, whatever is lost.
+
+Lemmas L1 to L11 and theorems T1 to T3 are those of docs/mlr-dmpc/proof.md; without a letter they
+are the paper's.
+"""
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_agent import MlrDmpcAgent
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig

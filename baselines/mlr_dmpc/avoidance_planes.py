@@ -75,10 +75,10 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
 
     Planes are turned about the vertical by up to `turn_rad`, so that each drone has more room on
     its right: the weights of Appendix B alone leave two drones that meet head on where they are.
-    Any unit normal proves Lemma L3. For Corollary 1 both drones need one plane: the turn depends on
-    the gap alone, which is the same for both, and so is its sense. For Theorem T1 the present plan
-    must satisfy its rows: along the turned normal the gap stays above the distance kept, since the
-    turn is at most `turn_share` of where it would not.
+    Any unit normal proves Lemma L3. For Corollary 1 of the paper both drones need one plane: the
+    turn depends on the gap alone, which is the same for both, and so is its sense. For Theorem T1
+    the present plan must satisfy its rows: along the turned normal the gap stays above the distance
+    kept, since the turn is at most `turn_share` of where it would not.
     """
     return HalfSpaces(
         *_voronoi_planes(

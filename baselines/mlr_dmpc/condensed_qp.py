@@ -1,8 +1,9 @@
 """Plans as linear functions of few variables, and the solver of the quadratic programs in them.
 
-Each axis is a triple integrator with 15 jerks, of which three are spent on the rest at the end. The
-other twelve are scaled so that the quadratic part of the cost is half their squared length. So
-DAQP solves min |y|^2 / 2 + slope . y, matrix @ y >= bound.
+Each axis is a triple integrator with 15 jerks, of which two are spent on the rest at the end (13e),
+and one on a last jerk of zero, as in the public simulation. The other twelve are scaled so that the
+quadratic part of the cost is half their squared length. So DAQP solves min |y|^2 / 2 + slope . y,
+matrix @ y >= bound.
 """
 
 from __future__ import annotations

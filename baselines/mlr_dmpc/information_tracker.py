@@ -33,9 +33,9 @@ class SeparationGuarantee(NamedTuple):
 class InformationTrackers:
     """Candidates of N drones at one compute unit (D_iw), in rows of C slots.
 
-    `covering`: the candidates contain the true one (Lemma L1). `sole`: and there is no other.
-    All units of the view that have also heard a drone in the last round hold the same of it (Lemma
-    2).
+    `covering`: the candidates contain the true one (Lemma L1): the tracker is not deprecated, in
+    the paper's word. `sole`: and there is no other. All units of the view that have also heard a
+    drone in the last round hold the same of it (Lemma L2).
     """
 
     def __init__(self, num_drones: int) -> None:

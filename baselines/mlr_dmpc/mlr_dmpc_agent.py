@@ -84,6 +84,10 @@ class MlrDmpcAgent(SetpointAgent):
         """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""
         return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
+    def check(self, task: Task) -> None:
+        """Refuse a task whose goals move."""
+        self.check_rest(task)
+
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Begin with all drones hovering; the seed draws which messages are lost.
 
@@ -91,7 +95,6 @@ class MlrDmpcAgent(SetpointAgent):
             ValueError: goals that move, or starts or goals too close to each other for any scaling.
         """
         task, start = env.core.task, env.view.state.position
-        self.check(task)
         super().reset(env, seed)
         goals = env.core.world.goals[0]
         if task.motion.kind == REST and not task.motion.stage_s:

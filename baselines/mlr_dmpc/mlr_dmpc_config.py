@@ -47,8 +47,8 @@ class MlrDmpcConfig:
     state_sampling_s: float = 0.2
     """Between the instants at which bounds of the state hold (T_b), s."""
     collision_sampling_s: float = 0.025
-    """Between the instants at which plans are checked for distance (T_c), s. Published: 0.1, which
-    would ask for 0.14 m more at samples; see `between_samples`."""
+    """Between the instants at which plans are checked for distance (T_c), s. Public simulation:
+    0.1, which would ask for 0.14 m more at samples; see `between_samples`."""
     position_weight: float = 1.0
     """Of the squared distance to the target at the end of the plan, 1/m^2."""
     path_weight: float = 0.3
@@ -76,15 +76,15 @@ class MlrDmpcConfig:
     scaling: tuple[float, float, float] = (1.0, 1.0, 6.0)
     """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
     soft_m: float = 0.7
-    """Largest soft margin (epsilon) at the end of a plan, m. Published: 0.3; with that, sixteen
-    drones take half as long again to change places on a circle."""
+    """Largest soft margin (epsilon) at the end of a plan, m. Public simulation: 0.3; with it,
+    sixteen drones take half as long again to change places on a circle."""
     soft_weight: float = 0.5
     """Weight of a neighbour straight ahead or behind."""
     soft_turn: float = 2.0
     """A neighbour at angle phi to the left weighs exp(soft_turn sin phi) as much."""
     soft_near_m: float = 1.2
-    """Closer to the target than this, m, soft margins weigh next to nothing. Published: 0.8, too
-    near for the larger margins: they would hold a drone off its target."""
+    """Closer to the target than this, m, soft margins weigh next to nothing. Public simulation:
+    0.8, too near for the larger margins: they would hold a drone off its target."""
     soft_near_factor: float = 1e-7
     """What they weigh there, as a share."""
     deadlock_speed: float = 0.15
@@ -123,7 +123,8 @@ class MlrDmpcConfig:
     product in which ages count four rounds more."""
     measure: Literal["end", "next"] = "end"
     """That distance is the one from the `end` of the newest trajectory, as in the public code, or
-    from the position in the `next` round, as published in (A2) and (A3)."""
+    from the position when the `next` round begins, t(k+1); (A2) and (A3), read literally, have
+    t(k)."""
     arrival_m: float = 0.05
     """A drone has arrived when it is this close to its target, m."""
 
@@ -181,7 +182,11 @@ class MlrDmpcConfig:
 
     @classmethod
     def published(cls, **others: Any) -> MlrDmpcConfig:
-        """Return the parameters of the paper (Sec. 4.2.3, Appendices A and B).
+        """Return the method of the paper with the parameters of its public simulation.
+
+        That is fixed planes, the trigger HT, and (A2) and (A3) by positions. The text gives only
+        0.25 m and rounds of 0.2 s; (13a) sums the distance to the target, the simulation has its
+        last term alone.
 
         Args:
             **others: parameters that differ, such as `trigger="RR"`.

@@ -1,4 +1,4 @@
-"""The paper's own protocol: Algorithms 1 and 2 to the letter; and the one that ignores loss.
+"""The paper's own protocol: Algorithms 1 and 2 line by line; and the one that ignores loss.
 
 Drones and compute units that use one protocol: this package's, or the paper's.
 """
@@ -109,8 +109,11 @@ class _UnitState(IntEnum):
 class PaperUnit:
     """Compute unit w as published: Algorithm 1, with Algorithm 2 for its information trackers.
 
-    Ambiguities as in the public code: no match of metadata deprecates; an answer in a unit's slot
-    counts as that unit's message; all units ask for the lowest number first.
+    Where text and pseudocode disagree, it follows the pseudocode: the text of 4.2.1 deprecates only
+    the tracker of line 13, the pseudocode all. Ambiguities as in the public code: no match of
+    metadata deprecates; an answer in a unit's slot counts as that unit's message; all units ask for
+    the lowest number first. Priorities follow from the newest of several candidates, where
+    Appendix A.1 takes the first, and a plan that fails its check is sent as EMPTY.
     """
 
     unit: int
@@ -216,7 +219,7 @@ class PaperUnit:
 
 
 class TrustingUnit(PaperUnit):
-    """DMPC that ignores loss: whatever was sent is taken to be flown. It collides."""
+    """DMPC that ignores loss (Sec. 5.4): whatever was sent is taken to be flown. It collides."""
 
     def update_information_trackers(self, inbox: Inbox[PaperMessage]) -> None:
         """Every plan heard has arrived at its drone."""

@@ -96,7 +96,7 @@ class MlrDmpcSwarm:
         config: parameters.
         compute_units: M, at most as many as drones.
         loss: share of messages lost, a preset's name or a model.
-        recovery: True: by trackers; "paper": Algorithms 1 and 2 to the letter; False: loss is
+        recovery: True: by trackers; "paper": Algorithms 1 and 2 line by line; False: loss is
             ignored, and drones collide.
         seed: of losses and detours: the same seed gives the same flight.
         informed: whether the units know the starts, as in the public simulation.

@@ -2,7 +2,8 @@
 
 A drone at rest is in a deadlock if its pull to the target is balanced by those that it touches
 (Chen et al. 2024, Theorem 1 and eq. (13), as the paper's Appendix A.4 uses them): at rest, the
-optimality conditions of (13) say that the pull is a sum of contact forces, none of which pulls.
+optimality conditions of program (13) of DMPC-Swarm say that the pull is a sum of contact forces,
+none of which pulls.
 
 Others then make room (Appendix B.1). The paper starts when the whole swarm is still. Here a drone
 that is still, with its plan at an end away from its target, is enough, so that one knot does not
@@ -90,8 +91,8 @@ class _Detours(NamedTuple):
 class SwarmSnapshot(NamedTuple):
     """What the planner knows of a swarm."""
 
-    positions: FloatArray  # (N, 3) now, m
-    velocities: FloatArray  # (N, 3) now, m/s
+    positions: FloatArray  # (N, 3) when round k + 1 begins, m
+    velocities: FloatArray  # (N, 3) likewise, m/s
     ends: FloatArray  # (N, 3) where the plans end, m
     targets: FloatArray  # (N, 3) own targets, m
 
@@ -112,9 +113,11 @@ def next_detours(
 
     Drone i makes room for the nearest drone j that is stuck, no nearer to its target than i, within
     range, and that i is in the way of or moves towards. It flies sideways of j's way until j's plan
-    ends at its target, but no longer than `detour_rounds`; with fixed planes, as published, for all
-    of these. A stuck drone that finds nobody steps aside itself. Who rests at its target stays
-    there. The generator draws alike for every drone, whoever needs it.
+    ends at its target, but no longer than `detour_rounds`; with fixed planes for all
+    of these. App. B.1 has it until the deadlock resolves or these conditions end, and away from j,
+    with noise, where this is beside j's way. A stuck drone that finds nobody steps aside itself.
+    Who rests at its target stays there. The generator draws alike for every drone, whoever needs
+    it.
     """
     noise = rng.normal(size=(len(swarm.positions), 3))
     speeds = np.linalg.norm(swarm.velocities, axis=1)
@@ -195,7 +198,7 @@ Levels = npt.NDArray[np.int64]  # (N,) priorities as messages carry them, 8 bit
 def _urgency(
     distances: FloatArray, ages: IntArray, num_units: int, config: MlrDmpcConfig
 ) -> FloatArray:
-    """Return urgencies (N,), (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
+    """Return urgencies (N,), the event triggers (A1)-(A3): `RR` age, `DT` distance, `HT` both.
 
     `WT` is between `HT` and `DT`: ages count four rounds more, so that a drone whose plan still
     ends far from its target is planned again before all others had their turn. Distances (N,) from
@@ -211,7 +214,7 @@ def _urgency(
 def prio_consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
     """Return the joint priorities (N,): prioConsensus of Algorithm 1, (11), the largest.
 
-    Where any unit says zero they are zero: that drone was just planned.
+    Where any unit sends zero they are zero (Appendix A): that drone was just planned.
     """
     joint = own.copy()
     zero = own == JUST_PLANNED
@@ -224,9 +227,10 @@ def prio_consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
 
 
 def rank_by_priority(priorities: Levels, round_: int) -> list[int]:
-    """Return drones by priority, highest first: selectUAV of Algorithm 1 takes the first M.
+    """Return drones by priority, highest first: selectUAV of Algorithm 1.
 
-    Ties go round, so that no drone always comes last.
+    The first M are A_ET(k), those that may be planned; selectUAV takes number (k + w) mod M of
+    them. Ties go round, so that no drone always comes last.
     """
     count = len(priorities)
     turn = (np.arange(count) - round_) % count

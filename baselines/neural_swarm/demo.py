@@ -63,8 +63,8 @@ def run_demo(
 ) -> dict[str, Any]:
     """Fly every swap twice, and write `summary.json`, `demo.png` and `demo.mp4` into `out`.
 
-    Where pybullet cannot be imported the compiled engine flies and there is no video; where ffmpeg
-    does not work the video is a GIF. The summary says so in `notes`.
+    Where pybullet cannot be imported the compiled engine flies; where ffmpeg does not work the
+    video is a GIF. The summary says so in `notes`.
 
     Args:
         out: folder, made if missing.
@@ -120,10 +120,10 @@ def run_demo(
         "scenarios": {team: _scenario(sides) for team, sides in flown.items()},
         "files": {"picture": "demo.png", "video": None},
     }
-    if video and engine == "bullet":
+    if video:
         path = _film(out / "demo.mp4", comparisons[VIDEO_TEAM], video_s, progress)
         summary["files"]["video"] = path.name
-    summary["notes"] = _notes(engine, video, summary["files"]["video"])
+    summary["notes"] = _notes(engine, summary["files"]["video"])
     summary["wall_time_s"] = round(time.perf_counter() - begin, 2)
     write_json(out / "summary.json", summary)
     return summary
@@ -166,24 +166,22 @@ def _film(path: Path, comparison: Comparison, duration_s: float, progress: bool)
 
     typical = int(np.argsort(comparison.without_cm)[len(comparison.without) // 2])
     pair = (comparison.without[typical], comparison.compensated[typical])
-    with SideBySide(f"Swap {comparison.title}", pair, duration_s) as film:
+    film = SideBySide(f"Swap {comparison.title}", pair, duration_s)
 
-        def draw() -> Iterator[npt.NDArray[np.uint8]]:
-            total = film.count(VIDEO_FPS)
-            bar = {"desc": "video", "unit": "frame", "mininterval": 0.5, "disable": not progress}
-            yield from tqdm(film.frames(VIDEO_FPS), total=total, **bar)
+    def draw() -> Iterator[npt.NDArray[np.uint8]]:
+        total = film.count(VIDEO_FPS)
+        bar = {"desc": "video", "unit": "frame", "mininterval": 0.5, "disable": not progress}
+        yield from tqdm(film.frames(VIDEO_FPS), total=total, **bar)
 
-        return write_video_or_gif(path, draw, VIDEO_FPS)
+    return write_video_or_gif(path, draw, VIDEO_FPS)
 
 
-def _notes(engine: str, video: bool, file: str | None) -> list[str]:
+def _notes(engine: str, file: str | None) -> list[str]:
     """What is otherwise than on a machine that has everything."""
     notes = []
     if engine == "batch":
         notes.append("pybullet cannot be imported here, so the compiled engine flew")
-        if video:
-            notes.append("there is no video, because pybullet draws it")
-    elif file is not None and file.endswith(".gif"):
+    if file is not None and file.endswith(".gif"):
         notes.append("ffmpeg does not work here, so the video is a GIF")
     return notes
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,7 +24,7 @@ from swarm_envs.baselines.rth3d.grid_validation import (
     validate,
 )
 from swarm_envs.errors import unknown_name
-from swarm_envs.files import written_whole
+from swarm_envs.files import read_npz, written_whole
 
 __all__ = ["plot_grid_plan"]
 
@@ -203,20 +201,17 @@ class GridPlan(GridInstance):
             OSError: it cannot be read.
         """
         path = _checked_path(path)
-        damaged = (ValueError, TypeError, KeyError, EOFError, OSError, RuntimeError)
-        with path.open("rb") as file:  # numpy leaves a file open that it cannot read
-            try:
-                with np.load(file, allow_pickle=False) as content:
-                    arrays = {name: content[name] for name in content.files}
-                return _from_arrays(json.loads(str(arrays.pop("about"))), arrays)
-            except (*damaged, zipfile.BadZipFile, zlib.error) as error:
-                what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-                raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
+        try:
+            arrays = read_npz(path)
+            return _from_arrays(json.loads(str(arrays.pop("about"))), arrays)
+        except (ValueError, TypeError, KeyError) as error:
+            what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+            raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
 
 
 def _checked_path(path: str | Path) -> Path:
     path = Path(path)
-    if path.suffix != ".npz":
+    if path.suffix.lower() != ".npz":
         raise ValueError(unknown_name("suffix", path.suffix, (".npz",), f"of {str(path)!r}"))
     return path
 

@@ -1,7 +1,8 @@
 """RTH3D-LBA as published (Sec. III-C): matchings height by height, balancing of the least distance.
 
-Matchings: for one height after another, a perfect matching of columns and colours whose largest
-shift is the least among the items that are left (eq. 1); then the matchings are assigned to heights
+Matchings: for one height after another, a perfect matching of columns and colors whose largest
+shift is the least among the items that are left (eq. 1, whose C_zi at lambda = 0 the paper does not
+define: it is taken as the shift along z, |z - s1.z|); then the matchings are assigned to heights
 so that their largest shift is the least (eq. 2). Both are linear bottleneck assignments.
 
 Balancing: a flow of the least cost from robots to slots, an edge costing one. Robots follow its

@@ -111,6 +111,7 @@ def xy_fitting(table: RubikTable, height: Ints, match: Matching, clock: Planning
     """Return the shuffles along y, x and y to the (x, y) of G1 (Algorithm 3).
 
     Their order is that of the paper's text; lines 19 and 20 have the last two the other way round.
+    Two more misprints: line 3 has s2i.y for s2i.z, line 15 has c for r.
     """
     with clock.phase("match rows") as record:
         row = rth2d(table, height, match)
@@ -134,7 +135,7 @@ def z_fitting(table: RubikTable, height: Ints) -> Shift:
 
 
 def rth2d(table: RubikTable, height: Ints, match: Matching) -> Ints:
-    """Return the row in which each item crosses its plane (Algorithm 3, lines 5 to 17).
+    """Return the row in which each item crosses its plane: RTH2D (Algorithm 3, lines 5 to 17).
 
     All planes are matched at once. An item's color is here the cell that it belongs into.
     """

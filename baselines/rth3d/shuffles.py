@@ -2,8 +2,9 @@
 
 Across the long axis (short and high shuffles) a robot steps from the middle lane x = 3i + 1 of its
 strip into one of the two lanes next to it, those that go up to one side, those that go down to the
-other; runs; and steps back: m + 2 steps at most. Along the long axis, the robots of a cell first
-change lanes (3 steps), run, park in the row between the lanes, and form a column again (2 steps).
+other; runs; and steps back: m + 1 steps at most (the paper has m + 5 for any shuffle). Along the
+long axis, the robots of a cell first change lanes (3 steps), run, park in the row between the
+lanes, and form a column again (2 steps).
 
 A cell is 3 x 3 vertices, long axis first. Its robots are on the column x = 1, at y = 0, 1, 2, or
 at y = 0, 2 around an obstacle. To change lanes, a robot that continues to larger x gets into the

@@ -2,11 +2,12 @@
 
 The robots are one flow over a few time steps ([51] of the paper): every vertex at every step is a
 node through which one unit may pass, and the slots at the last step are sinks. A maximum flow that
-takes in all robots is a plan whose makespan is the least there is. It depends on the *set* of
-starts alone, so that equal sets are balanced alike.
+takes in all robots is a plan; numbers of steps are tried from 1 up to 10, then in a sequence that
+grows by a fifth at most, so that up to 10 steps the makespan is the least there is. It depends on
+the *set* of starts alone, so that equal sets are balanced alike.
 
-Where goals are the starts reflected (rings and mirrors, Sec. V-C), both sides are balanced alike,
-each the other's image: columns then belong into columns as a whole, and two shuffles vanish.
+Where goals are the starts reflected (rings, Sec. V-C, and our mirrors), both sides are balanced
+alike, each the other's image: columns then belong into columns as a whole, and two shuffles vanish.
 """
 
 from __future__ import annotations

@@ -13,7 +13,12 @@ from typing import Any
 from .names import exports, listed_names, modules, public_names
 
 MARK = re.compile(r"^\.\. modules:: (\S+)$", re.MULTILINE)
-SINGLE = ("swarm_envs.vehicles", "swarm_envs.trajectories")
+SINGLE = (
+    "swarm_envs.reference",
+    "swarm_envs.reference_numbers",
+    "swarm_envs.trajectories",
+    "swarm_envs.vehicles",
+)
 """Modules that are no packages and that users import from; modules of tasks are others."""
 
 

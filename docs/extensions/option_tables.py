@@ -15,28 +15,14 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, PROGRAM, load_options
-from swarm_envs.columns_v0 import ColumnsOptions
-from swarm_envs.crowd_v0 import CrowdOptions
-from swarm_envs.delivery_v0 import DeliveryOptions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import default_of, field_docstrings
-from swarm_envs.formation_v1 import FormationOptions
-from swarm_envs.gates_v0 import GatesOptions
 from swarm_envs.hall import Hall
-from swarm_envs.pursuit_v0 import PursuitOptions
-from swarm_envs.ring_v1 import RingOptions
-from swarm_envs.swap_v1 import SwapOptions
 
 MARK = "<!-- commands -->"
 ASSIGNMENTS_MARK = "<!-- assignment table -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
-SETTINGS: dict[str, type] = {
-    settings.__name__: settings
-    for settings in (
-        *(EnvConfig, SwapOptions, RingOptions, FormationOptions, ColumnsOptions, DeliveryOptions),
-        *(CrowdOptions, PursuitOptions, GatesOptions, Hall),
-    )
-}
+SETTINGS: dict[str, type] = {"EnvConfig": EnvConfig, "Hall": Hall}
 """The settings whose options a page may ask for."""
 
 
@@ -89,14 +75,13 @@ def _default(field: dataclasses.Field[Any]) -> str:
 
 
 def settings_table(name: str) -> str:
-    """Options of settings in Markdown, a task's without those of every task.
+    """Options of settings in Markdown.
 
     Raises:
         KeyError: there are no such settings.
     """
-    settings, shared = SETTINGS[name], {field.name for field in dataclasses.fields(EnvConfig)}
-    names = [field.name for field in dataclasses.fields(settings)]
-    return options_table(settings, [n for n in names if settings is EnvConfig or n not in shared])
+    settings = SETTINGS[name]
+    return options_table(settings, [field.name for field in dataclasses.fields(settings)])
 
 
 def options_table(settings: type, names: Sequence[str]) -> str:

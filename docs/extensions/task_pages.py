@@ -1,13 +1,12 @@
 """Pages of tasks: `<!-- task: swap_v1 -->` becomes the page of that task, in Gymnasium's order.
 
-Text comes from the docstring of the task's module, numbers from an environment that is made with
+Text comes from the docstring of the task's class, numbers from an environment that is made with
 the default options. A new task needs one page in `docs/tasks/` with one such line.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import inspect
 import re
 from pathlib import Path
@@ -47,7 +46,7 @@ def task_page(task: str, folder: Path) -> str:
     """
     options = options_type(task)
     env = swarm_envs.make(task, physics="batch")
-    parts = sections(inspect.getdoc(importlib.import_module(f"swarm_envs.{task}")) or "")
+    parts = sections(inspect.getdoc(options.task_type) or "")
     head, _, rest = parts[""].partition("\n\n")
     title, _, summary = head.partition(": ")
     family = swarm_envs.task_family(task)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from typing import Any
 
 from tqdm import tqdm
 
-from swarm_envs import TASKS, make
+from swarm_envs import TASKS, make, task_family
+from swarm_envs.agents import fly_episode, load
+from swarm_envs.agents.recommendation import benchmark_rows
 from swarm_envs.physics import bullet_available
 
 WORLDS = ("ideal", "hall")  # Each has kernels of its own
@@ -18,7 +22,8 @@ WORLDS = ("ideal", "hall")  # Each has kernels of its own
 class CompileOptions:
     """Compile what flights need into the cache, so that the first flight begins at once.
 
-    Every task flies for a moment, in both worlds and on each physics engine that is installed.
+    Every task flies for a moment, in both worlds and on each physics engine that is installed, and
+    so does every shipped agent in one of its tasks.
     """
 
     progress: bool = True
@@ -26,12 +31,32 @@ class CompileOptions:
 
 
 def run_compile(options: CompileOptions) -> None:
-    """Fly every task for two decisions."""
+    """Fly every task for two decisions, and every agent for a moment."""
     engines = ("batch", "bullet") if bullet_available() else ("batch",)
     runs = [*itertools.product(TASKS, WORLDS, engines)]
-    for task, world, engine in tqdm(runs, unit="setting", disable=not options.progress):
-        with closing(make(task, world=world, physics=engine)) as env:
-            env.reset(seed=0)
-            for _ in range(2):
-                env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-    print(f"compiled the kernels of {len(TASKS)} tasks")
+    agents = _flown_by_agents()
+    with tqdm(total=len(runs) + len(agents), unit="setting", disable=not options.progress) as bar:
+        for task, world, engine in runs:
+            with closing(make(task, world=world, physics=engine)) as env:
+                env.reset(seed=0)
+                for _ in range(2):
+                    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+            bar.update()
+        for name, row in agents.items():
+            agent = load(name)
+            given = {"num_drones": row["drones"], "physics": "batch", "horizon_s": 0.1}
+            given |= {} if row["layout"] is None else {"layout": row["layout"]}
+            with closing(make(_newest(row["task"]), **{**given, **agent.requires})) as env:
+                fly_episode(env, agent, 0)
+            bar.update()
+    print(f"compiled the kernels of {len(TASKS)} tasks and {len(agents)} agents")
+
+
+def _flown_by_agents() -> dict[str, Mapping[str, Any]]:
+    """The smallest task of the benchmark that each shipped agent flies, by its name."""
+    rows = sorted(benchmark_rows(), key=lambda row: int(row["drones"]), reverse=True)
+    return {name: row for row in rows for name in row["agents"]}
+
+
+def _newest(family: str) -> str:
+    return next(task for task in TASKS if task_family(task) == family)

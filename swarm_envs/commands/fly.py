@@ -141,7 +141,7 @@ class FlyOptions(EpisodeOptions):
 
 def run_fly(options: FlyOptions) -> None:
     """Fly, print and write."""
-    from swarm_envs.agents.recommendation import AVOIDS
+    from swarm_envs.agents.recommendation import avoids_obstacles
 
     files = output_files(options, _FILES)
     for option in [name for name in files if getattr(options, name) is None]:  # of --out
@@ -163,25 +163,21 @@ def run_fly(options: FlyOptions) -> None:
     with closing(env):
         recording = _fly(env, agent, name, options)
     _print_summary(recording, agent)
-    if options.obstacles and options.agent is None and name not in AVOIDS:
+    if options.obstacles and options.agent is None and not avoids_obstacles(agent):
         print(f"note: {name} was measured without obstacles, and may fly into them")
     _write_files(files, recording)
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if pyarrow, pybullet or ffmpeg is missing for a file."""
+    """Raise ImportError if pyarrow or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
         check_trajectory_path(files["trajectory"])
-    if "video" in files:
-        from swarm_envs.physics.bullet import import_bullet
+    if "video" in files and files["video"].suffix == ".mp4":
+        from swarm_envs.viewing.video import find_ffmpeg
 
-        import_bullet()
-        if files["video"].suffix == ".mp4":
-            from swarm_envs.viewing.video import find_ffmpeg
-
-            find_ffmpeg()
+        find_ffmpeg()
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
@@ -229,18 +225,16 @@ def _newest() -> dict[str, str]:
 
 def check_layout(task: str, layout: str) -> None:
     """Refuse a layout that a task does not have, and name the tasks that have it."""
-    from swarm_envs.envs.options import options_type
+    from swarm_envs.envs.options import task_class
 
-    def layouts(name: str) -> tuple[str, ...]:
-        return options_type(name).task_type.layouts
-
-    valid, family = layouts(task), task_family(task)
+    valid, family = task_class(task).layouts, task_family(task)
     if layout in valid:
         return
     said = f"--layout is {layout!r}, but task {family!r} has no layouts; leave it out"
     if valid:
         said = unknown_name("layout", layout, valid, f"of task {family!r}")
-    others = [other for other, newest in _newest().items() if layout in layouts(newest)]
+    newest = _newest().items()
+    others = [other for other, name in newest if layout in task_class(name).layouts]
     raise ValueError("; ".join([said, *(f"--task {other} has {layout!r}" for other in others)]))
 
 

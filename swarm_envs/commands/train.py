@@ -107,4 +107,6 @@ def _summary(report: dict[str, Any]) -> str:
         if name.endswith(("_success", "_collision")):
             shown = f"{value:.1%}"
         lines.append(f"  {name}: {shown}")
+    if suggested := report.get("next"):
+        lines += ["to try next:", *(f"- {said}" for said in suggested)]
     return "\n".join(lines)

@@ -1,9 +1,9 @@
 """The tracking controller of Neural-Swarm2, Sec. VI (version 1): from set-points to rotor thrusts.
 
-Position loop, eqs. (18) and (19); attitude loop, eqs. (20) and (21); compensation of the motors'
-lag, eq. (22), which adds to the desired thrust its low-passed derivative over lambda, and to the
-torque the derivative of the rate error; the mixer. At 240 Hz `track` makes one step of the outer
-loops for blocks of drones, and `hold_rates` one of the rate loop and the mixer.
+Position loop, eqs. (18) and (19); attitude loop, eqs. (20) and (21); the delay compensation of
+the motors, eq. (22), which adds to the desired thrust its low-passed derivative over lambda, and to
+the torque the derivative of the rate error; the mixer. At 240 Hz `track` makes one step of the
+outer loops for blocks of drones, and `hold_rates` one of the rate loop and the mixer.
 
 Rotors: 1 front right, 2 back right, 3 back left, 4 front left; body x forward, y left, z up.
 """

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -39,10 +39,10 @@ __all__ = ["SwarmCore"]
 
 
 class StepResult(NamedTuple):
-    """What a step gives, for E environments of N drones."""
+    """The result of a step of E environments of N drones: buffers, valid until the next step."""
 
     observations: Float32Array
-    """(E, N, width) rows; see `observation_layout`. A buffer, valid until the next step."""
+    """(E, N, width) rows; see `observation_layout`."""
     rewards: FloatArray  # (E, N)
     reward_terms: FloatArray
     """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`.
@@ -65,13 +65,25 @@ class Snapshot:
     """
 
     kind: dict[str, object]
-    """What it fits: task, team, engine, action, and numbers of environments, stages, neighbours and
-    obstacles."""
+    """What it fits: task, team, engine, options, and numbers of environments and stages."""
     world: World  # The tables of drones and environments, and the goals
     observations: Float32Array  # (E, N, width) the last rows
     generators: tuple[Any, ...]  # State of each environment's random generator
     teams: tuple[Team, ...]
     """The team of each environment: the constructor's, or that of its last reset."""
+
+
+_AWAY_M = 1e4  # Drones so far apart put no force on each other
+
+
+class _Part(NamedTuple):
+    """The arguments of the kernels that follow a flight, for a part of the environments."""
+
+    actions: FloatArray
+    state: tuple[Any, ...]  # Records of drones and environments, goals, settings
+    flown: BoolArray
+    terms: FloatArray
+    scored: tuple[Any, ...]  # The arguments of `weigh`
 
 
 class _Kernels(NamedTuple):
@@ -109,12 +121,12 @@ class SwarmCore:
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
+        self._actions: FloatArray = np.zeros((num_envs, self.num_drones, self.mode.width))
         ranges = self.ranges = config.ranges
         self._noisy = ranges is not None and ranges.noisy
         sensed = self._noisy or config.hall is not None
         drones = self.world.drones
         self._seen = np.zeros(drones.shape, SENSED_TYPE) if sensed else drones
-        self._shape = (num_envs, self.num_drones, self.mode.width)
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._state = (*self.world, self.settings)
         self._force_model: InteractionModel | None = None
@@ -125,6 +137,31 @@ class SwarmCore:
             self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
         self._own_rules = has_own_rules(task)
+        self._result = StepResult(
+            observations=self.rows,
+            rewards=np.zeros(drones.shape),
+            reward_terms=np.zeros((len(weights), *drones.shape)),
+            terminated=np.zeros(num_envs, np.bool_),
+            truncated=np.zeros(num_envs, np.bool_),
+            active=np.zeros(drones.shape, np.bool_),
+            ended=np.zeros(drones.shape, np.bool_),
+        )
+        whole = (0, num_envs)
+        self._parts = {part: self._part(*part) for part in (*self.physics.workers.parts, whole)}
+
+    def _part(self, first: int, last: int) -> _Part:
+        """Return views of what the environments first to last - 1 have: all of it stays."""
+        here = slice(first, last)
+        drones, environments, goals = (table[here] for table in self.world)
+        flown, (_, rewards, all_terms, *flags) = self._flown[here], self._result
+        terms, written = all_terms[:, here], (rewards[here], *(flag[here] for flag in flags))
+        return _Part(
+            actions=self._actions[here],
+            state=(drones, environments, goals, self.settings),
+            flown=flown,
+            terms=terms,
+            scored=(terms, self._weights, flown, drones, environments, *written),
+        )
 
     def _what_is_observed(self) -> list[tuple[Any, ...]]:
         """What `write_observations` takes on each thread: all of it stays."""
@@ -164,22 +201,21 @@ class SwarmCore:
         Kernels look up the types of their arguments at each call; these do not, which saves a
         fifth of a single environment's step.
         """
-        task, settings, (drones, environments, _) = self.task, self.settings, self.world
-        actions = np.zeros(self._shape)
-        rewards = np.zeros(drones.shape)
-        terms = np.zeros((2, 2, drones.shape[1]))[:, :1]  # of any strides, as the parts of a batch
-        flown, state = self._flown, self._state
+        task, part = self.task, self._parts[0, self.num_envs]
+        drones, environments, _, settings = part.state
+        terms = np.zeros((2, 2, self.num_drones))[:, :1]  # of any strides, as parts of a batch
         advance = None if inspect.ismethod(task.advance) else task.advance
+        asked = self._actions, 1.0, drones, environments, settings, self._flown
         with compilation(len(_Kernels._fields) + 1 - (advance is None)):
             self.physics.compile()
             return _Kernels(
-                entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
-                entry_point(task.write_reference, *state),
-                entry_point(judge, actions, *state),
-                None if advance is None else entry_point(advance, flown, *state),
+                entry_point(apply_actions, 0, *asked),
+                entry_point(task.write_reference, *part.state),
+                entry_point(judge, self._actions, *part.state),
+                None if advance is None else entry_point(advance, self._flown, *part.state),
                 entry_point(task.write_reward_terms, drones, environments, settings, terms),
-                entry_point(weigh, terms, self._weights, drones, flown, rewards),
-                entry_point(write_observations, 0, 0, flown, *self._observed[0]),
+                entry_point(weigh, terms, *part.scored[1:]),
+                entry_point(write_observations, 0, 0, self._flown, *self._observed[0]),
             )
 
     @property
@@ -253,43 +289,35 @@ class SwarmCore:
             ValueError: actions of a wrong shape, not finite, or outside their bounds; nothing
                 has changed then.
         """
-        mode, kernels, flown = self.mode, self._kernels, self._flown
-        drones, environments, goals, settings = everything = self._state
-        asked = as_actions(mode, actions, self._shape, self.config.clip_actions)
-        if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
+        mode, flown = self.mode, self._flown
+        drones, environments, _, settings = self._state
+        asked = as_actions(mode, actions, self._actions.shape, self.config.clip_actions)
+        self._actions[...] = asked
+        to_fly = self._actions, mode.limit, drones, environments, settings, flown
+        if not self._kernels.apply(mode.code, *to_fly):
             check_actions(mode, asked)
-        rewards: FloatArray = np.empty(drones.shape)
-        terms: FloatArray = np.empty((len(self._weights), *drones.shape))
-
-        def finish(first: int, last: int, thread: int) -> None:
-            """Judge, weigh and observe what has been flown."""
-            state, decided, here = everything, asked, slice(first, last)
-            scored = (terms, self._weights, drones, flown, rewards)
-            if last - first < self.num_envs:
-                state = (drones[here], environments[here], goals[here], settings)
-                scored = (terms[:, here], self._weights, state[0], flown[here], rewards[here])
-                decided = asked[here]
-            kernels.refer(*state)
-            kernels.judge(decided, *state)
-            if kernels.advance is not None:
-                kernels.advance(flown[here], *state)
-            if self._own_rules:
-                apply_own_rules(self.task, self.world, flown, self.config.end_on_success)
-            kernels.write_terms(state[0], state[1], settings, scored[0])
-            if self._own_rules:
-                write_own_terms(self.task, self.world, terms)
-            kernels.weigh(*scored)
-            self._observe(first, last, flown, thread)
-
         if self._own_rules:  # their methods take all environments at once
             self.physics.fly(self._substeps, flown)
-            finish(0, self.num_envs, 0)
+            self._finish(0, self.num_envs, 0)
         else:
-            self.physics.fly(self._substeps, flown, finish)
-        terminated, truncated = environments["terminated"].copy(), environments["truncated"].copy()
-        active = flown[:, None] & (drones["active"] + drones["crashed"] > 0.0)
-        ended = active & (terminated[:, None] | (drones["active"] == 0.0))
-        return StepResult(self.rows, rewards, terms, terminated, truncated, active, ended)
+            self.physics.fly(self._substeps, flown, self._finish)
+        return self._result
+
+    def _finish(self, first: int, last: int, thread: int) -> None:
+        """Evaluate, reward and observe the decision that a part of the environments has flown."""
+        kernels, (actions, state, flown, terms, scored) = self._kernels, self._parts[first, last]
+        drones, environments, _, settings = state
+        kernels.refer(*state)
+        kernels.judge(actions, *state)
+        if kernels.advance is not None:
+            kernels.advance(flown, *state)
+        if self._own_rules:
+            apply_own_rules(self.task, self.world, flown, self.config.end_on_success)
+        kernels.write_terms(drones, environments, settings, terms)
+        if self._own_rules:
+            write_own_terms(self.task, self.world, terms)
+        kernels.weigh(*scored)
+        self._observe(first, last, self._flown, thread)
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
         """Weigh reward terms otherwise from the next step on: for curricula of trainers.
@@ -346,6 +374,8 @@ class SwarmCore:
         if self._force_model is not None:
             here, seen = slice(first, last), self._seen[first:last]
             motion = (seen["position"].copy(), seen["velocity"].copy())
+            ended = self.world.drones["active"][here] == 0.0  # these push nobody any more
+            motion[0][ended] = _AWAY_M * np.arange(1, ended.sum() + 1)[:, None]
             types, out = self._force_types[here], self._predicted[here]
             all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])
@@ -399,7 +429,7 @@ class SwarmCore:
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
         made = type(self), self.task, self.config, self.num_envs
-        return _rebuilt, (*made, self.get_state(), self._weights.copy())
+        return _rebuilt, (*made, self.get_state(), self.reward_weights)
 
     def get_state(self) -> Snapshot:
         """Everything that changes, copied: see `Snapshot`."""
@@ -426,8 +456,8 @@ class SwarmCore:
             theirs = snapshot.kind.get(name)
             if theirs != value:
                 raise ValueError(
-                    f"the state was taken of an environment whose {name} is {theirs!r}, but here "
-                    f"it is {value!r}; make an environment with the same options"
+                    f"the state was taken of an environment whose {name} is {theirs!r:.99}, but "
+                    f"here it is {value!r:.99}; make an environment with the same options"
                 )
         tasks = {team: self._task_for(team) for team in set(snapshot.teams)}
         for e, team in enumerate(snapshot.teams):
@@ -441,22 +471,27 @@ class SwarmCore:
         self.physics.place_bodies(np.arange(self.num_envs))
 
     def _kind(self) -> dict[str, object]:
-        *_, load, force, setpoint = self.form
+        options = vars(self.config) | {
+            "physics": self.physics.name,
+            "interactions": self.physics.interactions,
+            "world": "ideal" if self.physics.hall is None else "hall",
+            "hall": self.physics.hall,
+            "num_obstacles": self.num_obstacles,
+            "observe_force": self._force_model,
+            "horizon_s": float(self.settings["horizon_s"][0]),
+        }
         return {
             "task": self.task.name,
             "team": tuple(vehicle.token for vehicle in self.task.team),
-            "physics": self.physics.name,
-            "action": self.config.action,
-            "on_contact": self.config.on_contact,
-            "world": "ideal" if self.physics.hall is None else "hall",
-            "num_neighbors": self.config.num_neighbors,
-            "num_obstacles": self.num_obstacles,
-            "observe_load": load,
-            "observe_force": force,
-            "observe_setpoint": setpoint,
             "number of environments": self.num_envs,
             "number of stages": self.world.goals.shape[1],
+            **{k: _comparable(v) for k, v in options.items() if k not in _FREE},
         }
+
+    @property
+    def reward_weights(self) -> dict[str, float]:
+        """The weight of each reward term."""
+        return dict(zip(self.task.reward_names, self._weights.tolist(), strict=True))
 
 
 def _rebuilt(
@@ -465,13 +500,25 @@ def _rebuilt(
     config: EnvConfig,
     num_envs: int,
     snapshot: Snapshot,
-    weights: FloatArray,
+    weights: Mapping[str, float],
 ) -> SwarmCore:
     """Make a core again where another stood; what `pickle` and `copy` call."""
     core = kind(task, config, num_envs)
     core.set_state(snapshot)
-    core._weights[:] = weights
+    core.set_reward_weights(weights)
     return core
+
+
+_FREE = ("threads", "clip_actions", "observation")  # Options that change no state
+
+
+def _comparable(value: Any) -> object:
+    """An option so that it equals that of a copy: models have no single truth to compare by."""
+    if isinstance(value, InteractionModel):
+        return value.name, value.fingerprint
+    if is_dataclass(value):
+        return type(value).__name__, {k: _comparable(v) for k, v in vars(value).items()}
+    return value
 
 
 def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:

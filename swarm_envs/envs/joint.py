@@ -25,16 +25,22 @@ from swarm_envs.tasks.base import Task
 __all__ = ["split_teams"]
 
 
-def limited(entry: EnvSpec | None, core: SwarmCore) -> EnvSpec | None:
+def limited(entry: EnvSpec | None, core: SwarmCore, most: int | None = None) -> EnvSpec | None:
     """Return an entry of Gymnasium's registry with the time limit of an environment, in decisions.
 
     It depends on the options: the entry that is registered has none, so that Gymnasium wraps no
     time limit of its own around the environment. Wrappers such as `TimeAwareObservation` ask it.
+
+    Args:
+        entry: of the registry.
+        core: of the environment.
+        most: a lower limit than that of the options, if there is one.
     """
     if entry is None:
         return None
     decisions = float(core.settings["horizon_s"][0]) * core.config.decision_rate
-    return replace(entry, max_episode_steps=math.ceil(decisions - 1e-6))
+    steps = math.ceil(decisions - 1e-6)
+    return replace(entry, max_episode_steps=steps if most is None else min(steps, most))
 
 
 class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
@@ -111,11 +117,12 @@ class SwarmJointEnv(_SwarmEnv):
         self.parallel.check_running()
         result = self.core.step(split_teams(action, self.action_space.shape, self.core))
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
-        info: dict[str, Any] = {"rewards": result.rewards[0].copy(), "active": result.active[0]}
+        rewards = result.rewards[0].copy()
+        info: dict[str, Any] = {"rewards": rewards, "active": result.active[0].copy()}
         if terminated or truncated:
             self.parallel.agents = []
             info["episode_metrics"] = self.core.metrics()
-        reward = float(result.rewards[0].mean())
+        reward = float(rewards.mean())
         return self._observation(), reward, terminated, truncated, info
 
     def _observation(self) -> Float32Array:

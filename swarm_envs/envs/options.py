@@ -8,10 +8,9 @@ import importlib
 import inspect
 import itertools
 import textwrap
-from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, make_dataclass
-from typing import Any, ClassVar, NamedTuple, ParamSpec, cast
+from typing import Any, ClassVar, NamedTuple, TypeGuard, cast
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
@@ -22,24 +21,21 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.envs.setting import MOST_DRONES
 from swarm_envs.errors import check_integer, check_name, check_type, nearest
-from swarm_envs.hall import Hall
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.tasks.rewards import reward_meanings
 from swarm_envs.user_files import load_from_file
-from swarm_envs.vehicles import Team, Vehicle, parse_team
+from swarm_envs.vehicles import Vehicle, parse_team
 
 __all__ = [
-    "AirTaskOptions",
     "Blueprint",
     "TaskOptions",
     "batch_of",
     "blueprint_of",
     "options_type",
+    "task_class",
     "task_views",
 ]
-
-P = ParamSpec("P")
 
 
 class Blueprint(NamedTuple):
@@ -54,11 +50,12 @@ class Blueprint(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskOptions(EnvConfig, ABC):
-    """Options of a task's environment: those of every one, `EnvConfig`, and the task's own."""
+class TaskOptions(EnvConfig):
+    """Options of a task's environment: `EnvConfig`, these, and the fields of the task's class."""
 
-    num_drones: int
-    """N small drones, if no team is given."""
+    num_drones: int | None = 4
+    """N drones, if no team is given: small ones, unless the task has others. None, where it is the
+    default: as many as the layout has."""
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
     obstacles: Sequence[Obstacle] | str = ()
@@ -73,12 +70,12 @@ class TaskOptions(EnvConfig, ABC):
     such as `air-aware`; None for the default."""
 
     task_type: ClassVar[type[Task]]
-    """What `make_task` makes: a dataclass."""
+    """The class of the task."""
 
     def __post_init__(self) -> None:
         """Refuse values that an option cannot have."""
         super().__post_init__()
-        if self.num_drones is not None:  # of which `vehicles` says whether it may be
+        if self.num_drones is not None:  # which the task refuses, unless it has a number of its own
             check_integer("num_drones", self.num_drones, at_least=1, at_most=MOST_DRONES)
         check_type("reward_weights", self.reward_weights, Mapping | None)
         check_type("obstacles", self.obstacles, Sequence)
@@ -86,43 +83,22 @@ class TaskOptions(EnvConfig, ABC):
             check_name("render_mode", self.render_mode, RENDER_MODES)
 
     def make_task(self) -> Task:
-        """The task that is flown.
+        """Return the task that is flown.
 
         Raises:
             ValueError: the options contradict each other, or the task refuses them.
         """
-        return self.task_of()
-
-    def task_of(self, **others: Any) -> Task:
-        """A task whose fields have the options of the same names, except those that are None.
-
-        Args:
-            **others: fields that no option gives.
-        """
         kind: Any = self.task_type
-        shared = {f.name for f in fields(self)} & {f.name for f in fields(kind)}
-        given = {name: getattr(self, name) for name in shared if getattr(self, name) is not None}
-        about = {"reward_weights": self.weights, "obstacles": self.standing}
-        task: Task = kind(**{**others, **given, **about, "team": self.vehicles})
+        names = [f.name for f in fields(kind) if f.init and hasattr(self, f.name)]
+        given = {name: getattr(self, name) for name in names}
+        stand, team = self.obstacles, self.team
+        given |= {
+            "team": kind.default_team(self) if team is None else parse_team(team),
+            "obstacles": parse_obstacles(stand) if isinstance(stand, str) else tuple(stand),
+            "reward_weights": {**kind.default_weights, **(self.reward_weights or {})},
+        }
+        task: Task = kind(**given)
         return task
-
-    @property
-    def standing(self) -> tuple[Obstacle, ...]:
-        """The obstacles."""
-        given = self.obstacles
-        return parse_obstacles(given) if isinstance(given, str) else tuple(given)
-
-    @property
-    def weights(self) -> dict[str, float]:
-        """Weight of each reward term."""
-        return {**self.task_type.default_weights, **(self.reward_weights or {})}
-
-    @property
-    def vehicles(self) -> Team:
-        """The team: as given, else `num_drones` small ones."""
-        if self.team is not None:
-            return parse_team(self.team)
-        return parse_team("S" * check_integer("num_drones", self.num_drones, at_least=1))
 
     def blueprint(self) -> Blueprint:
         """What an environment with these options is made from.
@@ -138,55 +114,41 @@ class TaskOptions(EnvConfig, ABC):
         return Blueprint(self.make_task(), config, self.render_mode)
 
 
-@dataclass(frozen=True, kw_only=True)
-class AirTaskOptions(TaskOptions):
-    """Options of a task about downwash: those of every task, with other defaults."""
-
-    num_neighbors: int = 7
-    """K, how many neighbours a drone observes."""
-    observe_load: bool = True
-    """Whether observations include thrust margin, mass and charge of the drone and of its
-    neighbors."""
-    on_contact: str = "end_pair"
-    """Effect of a contact: see `EnvConfig`."""
-    world: str | Hall = "hall"
-    """`hall`, `ideal` or a custom `swarm_envs.hall.Hall`; see `EnvConfig`."""
-
-
 def task_views(
-    options: Callable[P, TaskOptions],
-) -> tuple[
-    Callable[P, Blueprint], Callable[P, SwarmParallelEnv], Callable[P, AECEnv[str, Any, Any]]
-]:
-    """The functions of a task whose options are of a class: `blueprint`, `parallel_env`, `env`."""
+    task: type[Task],
+) -> tuple[Callable[..., Blueprint], Callable[..., SwarmParallelEnv], Callable[..., AECEnv]]:
+    """Return the functions of a task's module: `blueprint`, `parallel_env` and `env`."""
 
-    def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
+    def blueprint(*args: object, **options: Any) -> Blueprint:
         """Make what every interface to the task is made from."""
         if args:
             raise TypeError(f"options have names, such as num_drones=4, but got {args[0]!r:.80}")
-        return _blueprint(options, given)
+        return blueprint_of(task, **options)
 
-    def parallel_env(*args: P.args, **given: P.kwargs) -> SwarmParallelEnv:
+    def parallel_env(*args: object, **options: Any) -> SwarmParallelEnv:
         """Make the environment with PettingZoo's parallel interface."""
-        return SwarmParallelEnv(*blueprint(*args, **given))
+        return SwarmParallelEnv(*blueprint(*args, **options))
 
-    def env(*args: P.args, **given: P.kwargs) -> AECEnv[str, Any, Any]:
+    def env(*args: object, **options: Any) -> AECEnv[str, Any, Any]:
         """Make the environment with PettingZoo's AEC interface."""
-        return OrderEnforcingWrapper(SwarmTurnEnv(parallel_env(*args, **given)))
+        return OrderEnforcingWrapper(SwarmTurnEnv(parallel_env(*args, **options)))
 
-    for view in (blueprint, parallel_env, env) if __doc__ else ():  # python -OO has no docstrings
-        _document(view, options)
+    for view in (blueprint, parallel_env, env):
+        _document(view, options_type(task))
     return blueprint, parallel_env, env
 
 
-def _blueprint(options: Callable[..., TaskOptions], given: Mapping[str, Any]) -> Blueprint:
-    names = inspect.signature(options).parameters
-    for name in given:
-        if name not in names:
-            owner = getattr(options, "__name__", "options")
-            said = f"{owner}() got an unexpected keyword argument {name!r}"
-            raise TypeError(f"{said}; {nearest(name, names)}")
-    return options(**given).blueprint()
+_TIME_LIMIT = "the time limit is horizon_s, in seconds: decisions / decision_rate"
+_OTHERS_NAMES = {
+    "max_cycles": _TIME_LIMIT,
+    "max_steps": _TIME_LIMIT,
+    "max_episode_steps": _TIME_LIMIT,
+    "frameskip": "decision_rate is the number of decisions a second",
+    "frame_skip": "decision_rate is the number of decisions a second",
+    "continuous": "every action is continuous; action is its mode, such as action='velocity'",
+    "num_agents": "num_drones is the number of agents",
+}
+"""Names of options in other packages, and what stands for them here."""
 
 
 _RAISES = """\
@@ -196,30 +158,27 @@ Raises:
     ImportError: `physics="bullet"` without pybullet."""
 
 
-def _document(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> None:
+def _document(view: Any, options: type[TaskOptions]) -> None:
     """Give a view the options as its signature, and a docstring that explains each of them.
 
     The reward terms come first, then the task's own options. Types are in the docstring, in words,
     and would make the signature unreadable.
     """
-    made: Any = view
-    settings = cast(type[TaskOptions], options)
-    table, meanings = {f.name: f for f in fields(settings)}, field_docstrings(settings)
+    table, meanings = {f.name: f for f in fields(options)}, field_docstrings(options)
     shared = [field.name for field in fields(EnvConfig)]
     names = [*(name for name in table if name not in shared), *shared]
     parameters = inspect.signature(options).parameters
-    made.__signature__ = inspect.Signature(
+    view.__signature__ = inspect.Signature(
         [parameters[name].replace(annotation=inspect.Parameter.empty) for name in names],
         return_annotation=view.__annotations__["return"],
     )
-    made.__module__, made.__qualname__ = options.__module__, view.__name__
+    view.__module__, view.__qualname__ = f"swarm_envs.{options.task_type.name}", view.__name__
     entries = [_entry(table[name], meanings[name]) for name in names]
-    parts = [made.__doc__, *_reward_list(options), "", "Args:", *entries, "", _RAISES]
-    made.__doc__ = "\n".join(parts)
+    parts = [view.__doc__, *_reward_list(options.task_type), "", "Args:", *entries, "", _RAISES]
+    view.__doc__ = "\n".join(parts) if view.__doc__ else None  # python -OO has no docstrings
 
 
-def _reward_list(options: object) -> list[str]:
-    task: Any = getattr(options, "task_type", Task)  # a custom class may have none
+def _reward_list(task: type[Task]) -> list[str]:
     meanings = reward_meanings(task.write_reward_terms)
     terms = [
         f"- `{name}` ({weight:g}): {meanings.get(name, '')}"
@@ -247,8 +206,8 @@ def field_docstrings(settings: type) -> dict[str, str]:
     They are empty where the source is not there.
     """
     found = {field.name: "" for field in fields(settings)}
-    task = getattr(settings, "task_type", None)  # whose fields may be options, and explain them
-    for base in (*([task] if task else []), *reversed(settings.__mro__)):
+    task = getattr(settings, "task_type", object)  # whose fields are options, and explain them
+    for base in (*reversed(task.__mro__), *reversed(settings.__mro__)):
         if is_dataclass(base):
             own = _own_docstrings(cast(type, base))
             found |= {name: text for name, text in own.items() if name in found}
@@ -269,55 +228,65 @@ def _own_docstrings(settings: type) -> dict[str, str]:
     }
 
 
-def options_type(task: str | type[Task]) -> type[TaskOptions]:
-    """Return the options of a task.
+def task_class(task: str | type[Task]) -> type[Task]:
+    """Return the class of a task.
 
     Args:
         task: its name, such as `swap_v1`; or a class of one's own, also as `my_task.py:MyTask`.
 
     Raises:
-        ValueError: there is no such task.
+        ValueError: there is no such task; or it is no task, no dataclass, or has no `draw`.
         ImportError: the file of one's own cannot be imported.
     """
-    if isinstance(task, str) and ".py:" in task:
-        task = load_from_file(task)
-    if not isinstance(task, str):
-        return own_options(own_task(task))
-    check_name("task", task, TASKS)
-    module = importlib.import_module(f"swarm_envs.{task}")
-    own = (c for c in vars(module).values() if getattr(c, "__module__", "") == module.__name__)
-    return next(c for c in own if inspect.isclass(c) and issubclass(c, TaskOptions))
-
-
-def own_task(task: object) -> type[Task]:
-    """Return a task of one's own if it is one.
-
-    Raises:
-        ValueError: it is no task, no dataclass, or has no `draw`.
-    """
-    kind = isinstance(task, type) and issubclass(task, Task)
-    if not kind or "__dataclass_fields__" not in vars(task) or inspect.isabstract(task):
+    found: object = load_from_file(task) if isinstance(task, str) and ".py:" in task else task
+    if isinstance(found, str):
+        check_name("task", found, TASKS)
+        return next(filter(_is_task, vars(importlib.import_module(f"swarm_envs.{found}")).values()))
+    if not _is_task(found):
         raise ValueError(
-            f"task is {task!r:.80}, but must be a name such as 'swap_v1', or a class with "
+            f"task is {found!r:.80}, but must be a name such as 'swap_v1', or a class with "
             "@dataclass(frozen=True) that inherits from swarm_envs.tasks.base.Task and has a "
             "method draw"
         )
-    return cast(type[Task], task)
+    return found
+
+
+def _is_task(kind: object) -> TypeGuard[type[Task]]:
+    own = isinstance(kind, type) and issubclass(kind, Task)
+    return own and "__dataclass_fields__" in vars(kind) and not inspect.isabstract(kind)
+
+
+def options_type(task: str | type[Task]) -> type[TaskOptions]:
+    """Return the options of a task, which `task_class` explains: a dataclass made from its class.
+
+    Raises:
+        ValueError: there is no such task, one of its `defaults` is no option of every task, or one
+            of its fields has a name that `EnvConfig` has for something else.
+        ImportError: the file of one's own cannot be imported.
+    """
+    return _options_of(task_class(task))
 
 
 @functools.cache
-def own_options(task: type[Task]) -> type[TaskOptions]:
-    """Return options of a task of one's own: those of every task, and the fields of its class."""
-    taken = {field.name for field in fields(TaskOptions)} | {"success"}
+def _options_of(task: type[Task]) -> type[TaskOptions]:
+    shared = {f.name: f.type for f in fields(TaskOptions)}
+    for name in task.defaults:
+        check_name(f"option in defaults of {task.__name__}", name, shared)
+    given = [(name, shared[name], field(default=value)) for name, value in task.defaults.items()]
     own = [
         (f.name, f.type, field(default=f.default, default_factory=f.default_factory))
         for f in fields(task)
-        if f.name not in taken
+        if f.init and f.name not in (*shared, "success")
     ]
-    drones: list[Any] = [("num_drones", int, 4)]
+    for name, *_ in own:
+        if hasattr(TaskOptions, name):
+            raise ValueError(
+                f"{task.__name__} has a field {name!r}, which means something else for every "
+                "environment; give it another name"
+            )
     made = make_dataclass(
-        f"{task.__name__}Options",
-        [*drones, *own],
+        f"{task.__name__.removesuffix('Task')}Options",
+        [*given, *own],
         bases=(TaskOptions,),
         namespace={"task_type": task, "__doc__": task.__doc__},
         frozen=True,
@@ -327,13 +296,19 @@ def own_options(task: type[Task]) -> type[TaskOptions]:
 
 
 def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
-    """Make what the task's `parallel_env(**options)` is made from; see `options_type`.
+    """Make what the task's environments with these options are made from; see `task_class`.
 
     Raises:
         TypeError: an option does not exist; the message names the nearest.
         ValueError: there is no such task, or an option has an impossible value.
     """
-    return _blueprint(options_type(task), options)
+    kind = options_type(task)
+    names = inspect.signature(kind).parameters
+    for name in options:
+        if name not in names:
+            said = f"{kind.__name__}() got an unexpected keyword argument {name!r}"
+            raise TypeError(f"{said}; {_OTHERS_NAMES.get(name) or nearest(name, names)}")
+    return kind(**options).blueprint()
 
 
 def batch_of(task: str | type[Task], **options: Any) -> Blueprint:
@@ -347,7 +322,7 @@ def batch_of(task: str | type[Task], **options: Any) -> Blueprint:
     found = blueprint_of(task, **{"physics": "batch", **options})
     if found.render_mode is not None:
         raise ValueError(
-            f"render_mode is {found.render_mode!r}, but environments that fly at once are not "
+            f"render_mode is {found.render_mode!r}, but environments for training are not "
             "drawn; render a single one: parallel_env(render_mode='rgb_array')"
         )
     return found

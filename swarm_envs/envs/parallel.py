@@ -84,6 +84,11 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return observation_layout(*self.core.form[1:])
 
     @property
+    def np_random(self) -> np.random.Generator:
+        """The generator of the episodes, seeded by `reset`; some wrappers draw from it too."""
+        return self.core.generators[0]
+
+    @property
     def view(self) -> View:
         """The truth, for privileged agents and for plots."""
         return View(self.core)
@@ -135,7 +140,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
             actions: one for each of `agents`; those of agents that have left are not used.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos by agent.
+            Observations, rewards, terminations, truncations and infos by agent: all empty if the
+            episode has ended and `actions` is empty, as black-death wrappers step once more.
 
         Raises:
             RuntimeError: there is no episode: `reset()` was not called, or the last one ended.
@@ -143,23 +149,27 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
                 its bounds. Nothing has changed then.
         """
         if not self.agents:
+            if isinstance(actions, Mapping) and not actions and self._has_ended():
+                return {}, {}, {}, {}, {}
             self.check_running()
         result, agents = self.core.step(self.join(actions)), self.agents
         over, cut = bool(result.terminated[0] | result.truncated[0]), bool(result.truncated[0])
         infos = infos_by_agent(self.core, self.possible_agents, result, over)
-        flew, ended = result.active[0].tolist(), result.ended[0].tolist()
-        ends = dict(zip(agents, compress(ended, flew), strict=True))
-        self.agents = [] if over else [agent for agent in agents if not ends[agent]]
+        observations = self.split(result.observations)
+        rewards = dict(zip(self.possible_agents, result.rewards[0].tolist(), strict=True))
+        ends = dict(zip(self.possible_agents, result.ended[0].tolist(), strict=True))
+        if len(agents) < len(ends):  # some have left before
+            observations, rewards, ends, infos = (
+                {agent: by_agent[agent] for agent in agents}
+                for by_agent in (observations, rewards, ends, infos)
+            )
+        cuts = dict.fromkeys(agents, cut)
+        if over or True in ends.values():
+            cuts = {agent: cut and not end for agent, end in ends.items()}
+            self.agents = [] if over else [agent for agent, end in ends.items() if not end]
         if self.render_mode == "human":
             self.render()
-        rows = compress(map(self._shape, result.observations[0].copy()), flew)
-        return (
-            dict(zip(agents, rows, strict=True)),
-            dict(zip(agents, compress(result.rewards[0].tolist(), flew), strict=True)),
-            ends,
-            {agent: cut and not ends[agent] for agent in agents},
-            {agent: infos[agent] for agent in agents},
-        )
+        return observations, rewards, ends, cuts, infos
 
     def state(self) -> Float32Array:
         """The true state of the whole team, for centralised critics: no noise, fixed order.
@@ -202,7 +212,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
             if self._screen is None:
                 from swarm_envs.viewing.camera import Screen
 
-                self._screen = Screen(self.core)
+                self._screen = Screen(self.core.task)
             return self._screen.render(self.view)
         if self.render_mode == "human":
             if self._live is None:
@@ -215,19 +225,18 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return None
 
     def close(self) -> None:
-        """Free what physics and renderer hold. May be called more than once."""
+        """Free what physics and viewer hold. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
-        for viewer in (self._screen, self._live):
-            if viewer is not None:
-                viewer.close()
+        if self._live is not None:
+            self._live.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
         self._check_open("pickling")
         options = (type(self), self.core.task, self.core.config, self.render_mode)
-        return _rebuilt, (*options, self.core.get_state())
+        return _rebuilt, (*options, self.core.get_state(), self.core.reward_weights)
 
     def check_running(self) -> None:
         """Refuse a step that needs an episode.
@@ -237,8 +246,11 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """
         self._check_open("step")
         if not self.agents:
-            why = "the episode has ended" if self.core.time[0] > 0 else "no episode has begun"
+            why = "the episode has ended" if self._has_ended() else "no episode has begun"
             raise RuntimeError(f"step() was called, but {why}; call reset() first")
+
+    def _has_ended(self) -> bool:
+        return not (self._closed or self.agents) and bool(self.core.time[0] > 0)
 
     def _check_open(self, what: str) -> None:
         if self._closed:
@@ -265,7 +277,9 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
     def split(self, rows: Float32Array) -> dict[str, Observation]:
         """What every drone of the team observes, by rows (1, N, width); zeros of one that ended."""
-        own = map(self._shape, rows[0].copy())
+        own: Any = rows[0].copy()
+        if self.core.config.observation != "flat":
+            own = map(self._shape, own)
         return dict(zip(self.possible_agents, own, strict=True))
 
 
@@ -283,9 +297,11 @@ def _rebuilt(
     config: EnvConfig,
     render_mode: str | None,
     snapshot: Snapshot,
+    weights: Mapping[str, float],
 ) -> SwarmParallelEnv:
     """Make an environment again where another stood; what `pickle` and `copy` call."""
     env = kind(task, config, render_mode)
+    env.core.set_reward_weights(weights)
     env.set_state(snapshot)
     return env
 
@@ -325,7 +341,7 @@ def join_actions(
         raise ValueError(
             f"actions are of type {joined.dtype}, but must be numbers, such as float32"
         )
-    return joined[None].astype(np.float64)
+    return joined[None]
 
 
 def _refuse_agents(agents: Sequence[str], actions: Mapping[str, npt.ArrayLike]) -> None:
@@ -347,10 +363,10 @@ def infos_by_agent(
         result: of the step.
         ended: whether the episode has ended; the infos then hold the metrics.
     """
-    names, columns = repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist()
+    named = map(zip, repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist())
     infos: dict[str, dict[str, Any]] = {
         agent: {"reward_terms": terms, "contact": _NO_CONTACT.copy()}
-        for agent, terms in zip(agents, map(dict, map(zip, names, columns)), strict=True)
+        for agent, terms in zip(agents, map(dict, named), strict=True)
     }
     if ended or core.config.on_contact != "end_team":  # else nothing is touched before the end
         for info, contact in zip(infos.values(), _contacts(core, agents), strict=True):

@@ -16,12 +16,14 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, limited, split_teams
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import batch_of
-from swarm_envs.envs.parallel import warn_without_mode
+from swarm_envs.envs.parallel import RENDER_MODES, warn_without_mode
+from swarm_envs.envs.view import View
 from swarm_envs.errors import check_bool, check_integer, check_name, check_type
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
 
 if TYPE_CHECKING:
+    from swarm_envs.viewing.camera import Screen
     from swarm_envs.viewing.live import LiveViewer
 
 Infos = dict[str, Any]  # What a step of a batch adds: arrays by name, an entry for each environment
@@ -50,7 +52,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
         per_agent: whether a row is a drone, and not a team. Reset masks are those of teams, (E,),
             or of rows, equal within a team.
-        render_mode: `human` shows the first 16 environments in a browser, in real time; or None.
+        render_mode: `rgb_array` (pictures), `human` (the first 16 environments in a browser, in
+            real time) or None.
+        max_episode_steps: decisions after which an episode is truncated, if `horizon_s` does not do
+            it before; as of `gymnasium.wrappers.TimeLimit`, the time left that is observed does not
+            change.
     """
 
     def __init__(
@@ -61,9 +67,10 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         per_agent: bool = False,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         if render_mode is not None:
-            check_name("render_mode of many environments", render_mode, ("human",))
+            check_name("render_mode", render_mode, RENDER_MODES)
         check_num_envs(num_envs)
         modes = {mode.value: mode for mode in AutoresetMode}
         if not isinstance(autoreset_mode, AutoresetMode):
@@ -73,10 +80,18 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self.core = SwarmCore(task, config, num_envs)
         self.num_teams, drones = num_envs, self.core.num_drones
         check_bool("per_agent", per_agent)
+        if max_episode_steps is not None:
+            check_integer("max_episode_steps", max_episode_steps, 1)
+        self._most_steps = max_episode_steps
         self.per_agent = per_agent
         self.num_envs = num_envs * drones if per_agent else num_envs
-        self.metadata = {"autoreset_mode": self.mode, "render_modes": ["human"]}
+        self.metadata = {
+            "autoreset_mode": self.mode,
+            "render_modes": list(RENDER_MODES),
+            "render_fps": config.decision_rate,
+        }
         self.render_mode = render_mode
+        self._pictures = Pictures(self.core, self.num_envs)
         self._entry: EnvSpec | None = None
         self._live: LiveViewer | None = None
         together = 1 if per_agent else drones
@@ -96,7 +111,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
     @spec.setter
     def spec(self, entry: EnvSpec | None) -> None:
-        self._entry = limited(entry, self.core)
+        self._entry = limited(entry, self.core, self._most_steps)
 
     def reset(
         self,
@@ -144,17 +159,19 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self._check_running()
         again = self._ended.copy()
         result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
+        decisions = np.rint(self.core.time * self.core.config.decision_rate)
         if again.any():  # only where the next step resets
             self.core.reset(mask=again)
-        over = (result.terminated | result.truncated) & ~again
+        cut = result.truncated | (decisions >= (self._most_steps or np.inf))
+        over = (result.terminated | cut) & ~again
         self._ended[:] = over
-        infos: Infos = {"active": result.active}
+        infos: Infos = {"active": result.active.copy()}
         if self.per_agent:
             ends = result.ended | (over[:, None] & ~result.active)  # who waited ends again
-            given = result.rewards, ends, result.truncated[:, None] & ~ends
-            again, infos = again[:, None], {"active": result.active.reshape(-1)}
+            given = result.rewards, ends, cut[:, None] & ~ends
+            again, infos = again[:, None], {"active": infos["active"].reshape(-1)}
         else:
-            given = result.rewards.mean(axis=1), result.terminated, result.truncated
+            given = result.rewards.mean(axis=1), result.terminated, cut
             infos["rewards"] = result.rewards.copy()
         rewards = np.where(again, 0.0, given[0]).reshape(-1)
         terminated, truncated = ((part & ~again).reshape(-1) for part in given[1:])
@@ -167,16 +184,24 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             self.render()
         return self._observations(), rewards, terminated, truncated, infos
 
-    def render(self) -> None:
-        """Show the environments as they are now, with `render_mode="human"`; else only warn."""
+    def render(self) -> Any:
+        """The pictures of all rows' environments, as of `SwarmParallelEnv.render`.
+
+        They are a sequence, as Gymnasium's wrappers want them, and each is drawn when it is read:
+        `envs.render()[0]` draws the first environment alone. Without a mode it returns None, with a
+        warning. `human` shows the environments as they are now.
+        """
+        if self.render_mode == "rgb_array":
+            return self._pictures
         if self.render_mode is None:
             warn_without_mode()
-            return
+            return None
         if self._live is None:
             from swarm_envs.viewing.live import LiveViewer
 
             self._live = LiveViewer(self.core)
         self._live.show()
+        return None
 
     def _rows_of(self, e: int) -> range:
         """The rows of a team."""
@@ -243,15 +268,42 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         return self.core.rows.reshape(self.num_envs, -1).copy()
 
 
+class Pictures(Sequence[npt.NDArray[np.uint8]]):
+    """What `render()` gives of a batch: a picture for each row, drawn when it is read.
+
+    Args:
+        core: the environments.
+        rows: how many rows they are; those of a team have the same picture.
+    """
+
+    def __init__(self, core: SwarmCore, rows: int) -> None:
+        self._core, self._rows = core, range(rows)
+        self._screens: dict[int, Screen] = {}
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, row: Any) -> Any:
+        from swarm_envs.viewing.camera import Screen
+
+        if isinstance(row, slice):
+            return [self[r] for r in self._rows[row]]
+        e = self._rows[row] * self._core.num_envs // len(self._rows)
+        if e not in self._screens:
+            self._screens[e] = Screen(self._core.task)
+        return self._screens[e].render(View(self._core, e))
+
+
 def make_vector(
     task: str,
     num_envs: int = 1,
     autoreset_mode: Any = "NextStep",
     per_agent: bool = False,
     render_mode: str | None = None,
+    max_episode_steps: int | None = None,
     **options: Any,
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
     made = batch_of(task, **options)
-    views = autoreset_mode, per_agent, render_mode
+    views = autoreset_mode, per_agent, render_mode, max_episode_steps
     return SwarmVectorEnv(made.task, made.config, num_envs, *views)

@@ -24,7 +24,7 @@ from swarm_envs.interactions.c_text import (
 from swarm_envs.interactions.composed import AXIS_RADIUS
 from swarm_envs.interactions.field import (
     COMPOSED,
-    LEARNED,
+    DEEP_SET,
     LOWEST_HEIGHT,
     ONSET,
     UNITS_OF_OWN,
@@ -53,12 +53,12 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
     """
     check_prefix(name)
     field = model.field
-    if field.kind not in (LEARNED, COMPOSED):
+    if field.kind not in (DEEP_SET, COMPOSED):
         raise ValueError(
             f"interaction model {model.name!r} is neither composed nor a deep set; only those can "
             "be exported, such as 'learned' or a file that `swarm-envs fit` made"
         )
-    deep_set = field.kind == LEARNED
+    deep_set = field.kind == DEEP_SET
     words = {
         "name": name,
         "NAME": name.upper(),

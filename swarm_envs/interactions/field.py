@@ -15,9 +15,9 @@ from swarm_envs.compiled import equation
 from swarm_envs.state import FloatArray, IntArray
 
 __all__ = [
+    "DEEP_SET",
     "INTERACTION_VOLUME",
     "LATERAL_REACH",
-    "LEARNED",
     "LOWEST_HEIGHT",
     "ONSET",
     "UNITS_OF_OWN",
@@ -30,7 +30,7 @@ __all__ = [
 Numbers = npt.NDArray[np.floating[Any]]
 """Weights: float64, or float32 for speed."""
 
-NONE, WAKE, LEARNED, PAIRWISE, COMPOSED = 0, 1, 2, 3, 4
+NONE, WAKE, DEEP_SET, PAIRWISE, COMPOSED = 0, 1, 2, 3, 4
 """Kinds of force model, as kernels tell them apart."""
 
 LATERAL_REACH = 0.35
@@ -60,7 +60,7 @@ class ForceField(NamedTuple):
     """Numbers of a force model over K interaction types. SI units unless said."""
 
     kind: int
-    """NONE, WAKE, LEARNED (a deep set), PAIRWISE or COMPOSED."""
+    """NONE, WAKE, DEEP_SET (a deep set), PAIRWISE or COMPOSED."""
     drag: FloatArray
     """(K, 3) linear drag coefficients c of a lone drone, N s/m: force -c v."""
     window: FloatArray

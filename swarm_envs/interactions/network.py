@@ -1,7 +1,7 @@
-"""`learned` and `pairwise`: ReLU networks of pairs, drones and codes, evaluated without torch.
+"""`deep-set` and `pairwise`: ReLU networks of pairs, drones and codes, evaluated without torch.
 
-`learned` is a heterogeneous deep set (Neural-Swarm2, eq. 10). The vertical force on drone i, in
-grams, is
+`deep-set` is a heterogeneous deep set (Neural-Swarm2, version 1, eq. 10). The vertical force on
+drone i, in grams, is
 
     rho_I(i)( phi_env(-z, -v) + sum_j w_ij phi_I(j)(p_j - p_i, v_j - v_i) ),
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from swarm_envs.interactions.field import (
     COMPOSED,
-    LEARNED,
+    DEEP_SET,
     PAIRWISE,
     UNITS_OF_OWN,
     UNITS_OF_PAIR,
@@ -97,11 +97,11 @@ def packed(field: ForceField) -> PackedField:
     constants["anchor_motion"] = np.clip(-field.anchor_height, low, high)
     if field.kind == COMPOSED:
         constants["anchor_motion"] /= UNITS_OF_OWN[0]
-    if field.kind not in (LEARNED, PAIRWISE, COMPOSED):
+    if field.kind not in (DEEP_SET, PAIRWISE, COMPOSED):
         empty = np.zeros((0, FIRST_LAYER + 3), np.int64)
         row = np.dtype([("v", np.float64, (INPUTS, WIDTH))])
         return PackedField(constants, empty, aligned(1, row))
-    steps = _deep_set_steps(types) if field.kind == LEARNED else _steps_of_pairs(field.kind, types)
+    steps = _deep_set_steps(types) if field.kind == DEEP_SET else _steps_of_pairs(field.kind, types)
     sorted_layers = _sorted_layers(field, steps)
     networks = [_shape(field, n) for n, *_ in steps]
     width = max(WIDTH, *(max(*inputs, *units) for inputs, units in networks))

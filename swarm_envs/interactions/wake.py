@@ -80,9 +80,22 @@ def _check(parameters: object) -> None:
             f"its jets tilt with the velocity {parameters['advection_velocity']!r}, but only "
             "'neighbor', the upper drone's own, is computed"
         )
-    for array in wake_field(parameters):
+    field = wake_field(parameters)
+    for array in field:
         if not np.isfinite(array).all():
             raise ValueError("it holds a number that is not finite")
+    q, (lost, height) = field.wake_combine, field.wake_mitigation
+    if q < 1.0 or not 0.0 <= lost <= 1.0 or height <= 0.0:
+        raise ValueError(
+            f"combine_q is {q:g}, M {lost:g} and hm_m {height:g}, but q must be at least 1, M 0 to "
+            "1, and hm_m above 0"
+        )
+    if (field.wake_pair < 0.0).any() or (field.wake_pair[..., 1] == 0.0).any():
+        raise ValueError("pair holds a negative number, or a wake without width")
+    if (field.wake_delay < 0.0).any() or (field.wake_ground < 0.0).any():
+        raise ValueError("advection_speed or ground holds a negative number")
+    if (field.wake_ground[:, 1] == 0.0).any():
+        raise ValueError("ground has a height h_m of 0")
 
 
 @equation

@@ -21,8 +21,8 @@ from swarm_envs.errors import check_array
 from swarm_envs.files import parse_note
 from swarm_envs.interactions.field import (
     COMPOSED,
+    DEEP_SET,
     LATERAL_REACH,
-    LEARNED,
     PAIRWISE,
     UNITS_OF_OWN,
     UNITS_OF_PAIR,
@@ -38,7 +38,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 Layers = list[tuple[FloatArray, FloatArray]]
 """Weights and biases of a network."""
 
-KINDS = {"deep-set-1": LEARNED, "pairwise-1": PAIRWISE, "composed-1": COMPOSED}
+KINDS = {"deep-set-1": DEEP_SET, "pairwise-1": PAIRWISE, "composed-1": COMPOSED}
 """Formats, and which kernels read them."""
 _FORMATS = " or ".join(map(repr, KINDS))
 ENVIRONMENT = "environment"  # Name of the environment's network and input range in a file
@@ -103,7 +103,7 @@ def _assemble(
     types: tuple[str, ...], tensors: dict[str, FloatArray], notes: dict[str, Any]
 ) -> ForceField:
     kind = KINDS[notes["format"]]
-    names = _deep_set_names(types) if kind == LEARNED else pairwise_names(types)
+    names = _deep_set_names(types) if kind == DEEP_SET else pairwise_names(types)
     networks = [network_layers(name, tensors) for name in names]
     _check_all_read(tensors, networks)
     _check_widths(kind, names, networks)

@@ -36,12 +36,14 @@ from swarm_envs.physics.contact import (
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.physics.step import (
     BEGIN,
+    CONTACTS,
     CONTROL,
     FAR,
-    MOVE,
+    FORCES,
+    INTEGRATE,
     ROTORS,
-    SPIN,
-    TOUCH,
+    Flight,
+    Forces,
     fly,
     new_work,
 )
@@ -70,7 +72,7 @@ FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}
 Neural-Swarm2 plans (Sec. VII-D, Fig. 6)."""
 
 
-DECISION = BEGIN | CONTROL | SPIN | MOVE | TOUCH
+DECISION = BEGIN | CONTROL | FORCES | INTEGRATE | CONTACTS
 """Phases of the steps of a decision on the compiled engine."""
 
 
@@ -202,28 +204,21 @@ class Physics:
         largest = max(1, PART // drones)
         self.workers = Workers(self.num_envs, threads, len(work.members), largest)
         self._open_circuit = self._battery.open_circuit
-        given = (
-            self.world.drones,
-            self._columns,
-            self.world.environments,
-            self.settings,
-            self.obstacles,
-            self._open_circuit,
-            self.order,
-            True if self._varied else None,
-            True if self.settings["adaptation"][0] else None,
-            None if self.hall is None else True,
-            True if self._twisting else None,
-            self.interactions.packed,
-            self.feedforward.packed,
+        flight = Flight(
+            drones=self.world.drones,
+            columns=self._columns,
+            environments=self.world.environments,
+            settings=self.settings,
+            obstacles=self.obstacles,
+            open_circuit=self._open_circuit,
+            order=self.order,
         )
+        flags = (self._varied, self.settings["adaptation"][0], self.hall, self._twisting)
+        given = (flight, *(True if flag else None for flag in flags))
         places = len(work.members)
+        models = self.interactions.packed, self.feedforward.packed
         self._given = [  # to each thread
-            (
-                *given,
-                new_work(drones),
-                *(scratch_for(m, places, drones) for m in given[-2:]),
-            )
+            (*given, *(Forces(m, scratch_for(m, places, drones)) for m in models), new_work(drones))
             for _ in range(self.workers.threads)
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
@@ -438,7 +433,7 @@ class Physics:
     def _advance(self) -> None:
         if self._functions:
             self._call_functions(self._everywhere)
-        self._fly(BEGIN | SPIN | MOVE | TOUCH, 1, self._everywhere)
+        self._fly(BEGIN | FORCES | INTEGRATE | CONTACTS, 1, self._everywhere)
 
     def __reduce__(self) -> str:
         """Refuse to be copied or pickled: views of the state would come apart from it.

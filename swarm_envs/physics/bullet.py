@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 import weakref
 from collections.abc import Sequence
 from struct import Struct
@@ -14,20 +13,12 @@ import numpy as np
 from swarm_envs.physics.base import Physics
 from swarm_envs.physics.contact import BOX
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.physics.step import BEGIN, CONTROL, SPIN, TOUCH
+from swarm_envs.physics.step import BEGIN, CONTACTS, CONTROL, FORCES
 from swarm_envs.physics.workers import Call
 from swarm_envs.state import BoolArray, IntArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
 __all__ = ["build_body", "import_bullet"]
-
-_COLORS = {
-    "S": [0.13, 0.45, 0.85, 1.0],
-    "L": [0.90, 0.45, 0.10, 1.0],
-    "S*": [0.10, 0.65, 0.35, 1.0],
-}
-_OTHER_COLOR = [0.5, 0.5, 0.5, 1.0]
-_DARK = [0.15, 0.15, 0.18, 1.0]
 
 
 def build_body(
@@ -38,7 +29,7 @@ def build_body(
     Args:
         bullet: the pybullet module.
         client: id of the physics client.
-        vehicle: gives the collision radius and the looks.
+        vehicle: gives the collision radius.
         mass: kg.
         inertia: principal moments, kg m^2.
 
@@ -51,7 +42,6 @@ def build_body(
     body = bullet.createMultiBody(
         baseMass=mass,
         baseCollisionShapeIndex=sphere,
-        baseVisualShapeIndex=_looks(bullet, client, vehicle),
         useMaximalCoordinates=False,
         physicsClientId=client,
     )
@@ -67,27 +57,6 @@ def build_body(
         physicsClientId=client,
     )
     return int(body)
-
-
-def _looks(bullet: Any, client: int, vehicle: Vehicle) -> int:
-    color = _COLORS.get(vehicle.token, _OTHER_COLOR)
-    offset, arm = vehicle.arm / math.sqrt(2.0), vehicle.arm
-    half_turns = [math.pi / 8, -math.pi / 8]
-    bars = [[0.0, 0.0, math.sin(a), math.cos(a)] for a in half_turns]
-    rotors = [[x * offset, y * offset, 0.012] for x in (1, -1) for y in (1, -1)]
-    shape = bullet.createVisualShapeArray(
-        shapeTypes=[bullet.GEOM_BOX] * 3 + [bullet.GEOM_CYLINDER] * 4,
-        halfExtents=[[0.25 * arm, 0.25 * arm, 0.009]]
-        + [[arm, 0.08 * arm, 0.004] for _ in bars]
-        + [[0.0] * 3] * 4,
-        radii=[0.0] * 3 + [vehicle.rotor_radius] * 4,
-        lengths=[0.0] * 3 + [0.003] * 4,
-        visualFramePositions=[[0.0] * 3] * 3 + rotors,
-        visualFrameOrientations=[[0.0, 0.0, 0.0, 1.0], *bars] + [[0.0, 0.0, 0.0, 1.0]] * 4,
-        rgbaColors=[_DARK] * 3 + [color] * 4,
-        physicsClientId=client,
-    )
-    return int(shape)
 
 
 def build_floor(bullet: Any, client: int) -> int:
@@ -159,8 +128,8 @@ def import_bullet() -> Any:
 class BulletPhysics(Physics):
     """Rigid bodies in Bullet, built once for a team; a reset sets poses and velocities.
 
-    Collisions are decided by the phase `TOUCH` of `fly`, as on the compiled engine. Where one ends
-    the team's episode Bullet's contacts give the response; else Bullet lets bodies pass.
+    Collisions are decided by the phase `CONTACTS` of `fly`, as on the compiled engine. Where one
+    ends the team's episode Bullet's contacts give the response; else Bullet lets bodies pass.
     Call `close()` when done, or use it in `with`.
 
     Raises:
@@ -278,14 +247,14 @@ class BulletPhysics(Physics):
 
     def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly; see `Physics.fly`."""
-        self._step_bodies(CONTROL | SPIN, steps, np.ascontiguousarray(flown), settles=True)
+        self._step_bodies(CONTROL | FORCES, steps, np.ascontiguousarray(flown), settles=True)
         then(0, self.num_envs, 0)
 
     def _advance(self) -> None:
-        self._step_bodies(SPIN, 1, self._everywhere, settles=False)
+        self._step_bodies(FORCES, 1, self._everywhere, settles=False)
 
     def _step_bodies(self, before: int, steps: int, flown: BoolArray, settles: bool) -> None:
-        """Make physics steps, with Bullet in the place of the phase MOVE.
+        """Make physics steps, with Bullet in the place of the phase INTEGRATE.
 
         One call of the kernel ends a step and begins the next: it has to load and store once.
 
@@ -302,12 +271,12 @@ class BulletPhysics(Physics):
         for k in range(steps):
             if self._functions:
                 self._call_functions(flown)
-            kernel(0, self.num_envs, before | (TOUCH if k else BEGIN), *given)
+            kernel(0, self.num_envs, before | (CONTACTS if k else BEGIN), *given)
             for e in where.tolist():
                 if k and bounces:
                     self.settle(e)
                 self._move_bodies(e, settles and k == steps - 1, ends_team)
-        kernel(0, self.num_envs, TOUCH, *given)
+        kernel(0, self.num_envs, CONTACTS, *given)
         if not ends_team:  # who bounced, or has ended, is not where its body is
             for e in where.tolist():
                 self.settle(e)

@@ -4,9 +4,9 @@
 1/240 s there, and writes them back. A step has four phases, of which Bullet replaces one:
 
 1. `CONTROL`: the tracking loop turns set-points into rotor commands;
-2. `SPIN`: interaction forces and gusts at the present state, metrics, rotor lag, batteries;
-3. `MOVE`: the rigid bodies, on the compiled engine; on Bullet `wrench` says what pushes them;
-4. `TOUCH`: contacts at the new positions.
+2. `FORCES`: interaction forces and gusts at the present state, metrics, motor lag, batteries;
+3. `INTEGRATE`: the rigid bodies, on the compiled engine; on Bullet `wrench` is what pushes them;
+4. `CONTACTS`: contacts at the new positions.
 """
 
 from __future__ import annotations
@@ -65,9 +65,28 @@ from swarm_envs.tables import (
 
 SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
-BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
+BEGIN, CONTROL, FORCES, INTEGRATE, CONTACTS = 1, 2, 4, 8, 16
 """Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
 FAR = 1e6  # Where drones whose episode has ended are taken to be, and how far from each other, m
+
+
+class Flight(NamedTuple):
+    """The memory of E environments of N drones that `fly` reads and writes."""
+
+    drones: Records  # (E, N)
+    columns: FloatArray  # (E, N, columns) the same memory as plain numbers
+    environments: Records  # (E,)
+    settings: Records  # (1,)
+    obstacles: FloatArray  # (M, 7)
+    open_circuit: FloatArray  # (K,) voltages, as of `empty_batteries`
+    order: IntArray  # (E, N) the drones as last sorted along x, used if they are many
+
+
+class Forces(NamedTuple):
+    """A model of interaction forces, and the memory of one thread in which it is evaluated."""
+
+    model: PackedField
+    scratch: Scratch
 
 
 class Work(NamedTuple):
@@ -188,42 +207,150 @@ def stop_tumbling(
 
 
 @part
-def gather(
-    count: int, drones: int, compensated: bool, hall: bool | None, work: Work, scratch: Scratch
-) -> None:
-    """Give a force model the drones at the places `work.due[:count]`, where they are.
-
-    `compensated`: whether the controller compensates these forces, or they act. `hall`: True if
-    drones are where the hall's estimate says, else None.
-    """
+def gather(count: int, drones: int, work: Work, scratch: Scratch) -> None:
+    """Give a force model the drones at the places `work.due[:count]`, where they are."""
     for place in range(count):
         for i in range(drones):
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
-            felt["type"] = int(b.feedforward_type[lane] if compensated else b.type[lane])
-            position = b.position if hall is None else b.seen_position
-            velocity = b.velocity if hall is None else b.seen_velocity
+            felt["type"] = int(b.type[lane])
             for k in range(3):
-                felt["position"][k], felt["velocity"][k] = position[k, lane], velocity[k, lane]
+                felt["position"][k] = b.position[k, lane]
+                felt["velocity"][k] = b.velocity[k, lane]
 
 
 @part
-def spread(
-    count: int, drones: int, compensated: bool, environments: Records, work: Work, scratch: Scratch
-) -> None:
-    """Write the forces that a force model has found into the blocks; arguments as of `gather`."""
+def spread(count: int, drones: int, environments: Records, work: Work, scratch: Scratch) -> None:
+    """Write the forces that a model has found for the drones of `gather` into the blocks."""
     for place in range(count):
         scale = environments[work.members[work.due[place]]].force_scale
         for i in range(drones):
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
-            if compensated:
-                for k in range(3):
-                    b.feedforward_force[k, lane] = felt["force"][k]
-            else:
-                b.outside[lane] = felt["outside"]
-                for k in range(3):
-                    b.force[k, lane] = felt["force"][k] * scale
+            b.outside[lane] = felt["outside"]
+            for k in range(3):
+                b.force[k, lane] = felt["force"][k] * scale
+
+
+@part
+def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, work: Work) -> None:
+    """Write the forces that the controllers of the first `count` members compensate.
+
+    `hall`: True if drones are where the hall's estimate says, else None.
+    """
+    scratch = feedforward.scratch
+    for at in range(count * drones):
+        felt, b, lane = scratch.drones[at], work.blocks[at // LANES], at % LANES
+        felt["type"] = int(b.feedforward_type[lane])
+        position = b.position if hall is None else b.seen_position
+        velocity = b.velocity if hall is None else b.seen_velocity
+        for k in range(3):
+            felt["position"][k], felt["velocity"][k] = position[k, lane], velocity[k, lane]
+    swarm_forces(feedforward.model, count, drones, scratch)
+    for at in range(count * drones):
+        b, lane = work.blocks[at // LANES], at % LANES
+        for k in range(3):
+            b.feedforward_force[k, lane] = scratch.drones[at]["force"][k]
+
+
+@part
+def find_due(count: int, hold: int, environments: Records, work: Work) -> int:
+    """Write places of members whose force is due to `work.due`, and count their physics step."""
+    due: Any = np.int64(0)  # a literal would compile what takes it twice
+    for place in range(count):
+        environment = environments[work.members[place]]
+        if environment.age % hold == 0:
+            work.due[due] = place
+            due += 1
+        environment.age += 1
+    return due
+
+
+@part
+def control(
+    count: int,
+    full: int,
+    flight: Flight,
+    varied: bool | None,
+    adaptive: bool | None,
+    hall: bool | None,
+    feedforward: Forces,
+    work: Work,
+) -> None:
+    """Turn set-points, or thrust and body rates, into rotor commands; arguments as of `fly`.
+
+    `count` members of a tile lie in `full` blocks.
+    """
+    settings = flight.settings
+    if hall is not None:
+        see(work.blocks, full)
+    if settings[0].level == SETPOINTS:
+        if varied is not None and settings[0].compensates:
+            predict(count, flight.drones.shape[1], hall, feedforward, work)
+        if adaptive is not None:
+            adapt(work.blocks, full, settings, hall)
+        track(work.blocks, full, settings, adaptive, hall)
+    hold_rates(work.blocks, full, settings, hall)
+
+
+@part
+def push(
+    phases: int,
+    count: int,
+    full: int,
+    flight: Flight,
+    varied: bool | None,
+    hall: bool | None,
+    twisting: bool | None,
+    acting: Forces,
+    work: Work,
+) -> None:
+    """Evaluate all forces at the present state, and let motors follow; arguments as of `control`.
+
+    Gusts belong to flights with a controller: a single step of physics is without.
+    """
+    settings, environments, size = flight.settings, flight.environments, flight.drones.shape[1]
+    due = find_due(count, settings[0].hold, environments, work)
+    if due > 0 and acting.model.constants[0]["kind"] != NONE:
+        gather(due, size, work, acting.scratch)
+        swarm_forces(acting.model, due, size, acting.scratch)
+        spread(due, size, environments, work, acting.scratch)
+        if hall is not None:
+            find_company(due, size, work.due, work.blocks, acting.scratch)
+        if twisting is not None:
+            twist(acting, due, size, environments, work)
+    if varied is not None and settings[0].gusty and phases & CONTROL:
+        for place in range(count):
+            environment = environments[work.members[place]]
+            gust(environment, place * size, size, settings, work.blocks)
+    if hall is not None:
+        adds = settings[0].gusty or phases & CONTROL == 0
+        disturb(work.blocks, full, settings, adds)
+    spin_rotors(work.blocks, full)
+    if varied is not None and settings[0].drains:
+        empty_batteries(count, flight.drones, settings, flight.open_circuit, work)
+
+
+@part
+def find_contacts(
+    count: int, full: int, flight: Flight, varied: bool | None, hall: bool | None, work: Work
+) -> None:
+    """Find what drones touch where they are now; arguments as of `control`."""
+    settings, obstacles, size = flight.settings, flight.obstacles, flight.drones.shape[1]
+    if hall is not None:
+        estimate(work.blocks, full, settings)
+    touch(work.blocks, full, settings)
+    if varied is not None and size > FEW:
+        for place in range(count):
+            sorted_drones = flight.order[work.members[place]]
+            meet_many(work.blocks, place * size, work.position, sorted_drones)
+    else:
+        meet(work.blocks, count, size, work.spots)
+    if varied is not None and len(obstacles) > 0:
+        touch_obstacles(work.blocks, count * size, obstacles)
+    if varied is not None and settings[0].bounces:
+        for place in range(count):
+            bounce(work.blocks, place * size, size, settings, obstacles)
 
 
 @kernel
@@ -233,36 +360,29 @@ def fly(  # noqa: C901  # one step, on one screen
     phases: int,
     steps: int,
     flown: BoolArray,
-    drones: Records,
-    columns: FloatArray,
-    environments: Records,
-    settings: Records,
-    obstacles: FloatArray,
-    open_circuit: FloatArray,
-    order: IntArray,
+    flight: Flight,
     varied: bool | None,
     adaptive: bool | None,
     hall: bool | None,
     twisting: bool | None,
-    air: PackedField,
-    feedforward: PackedField,
+    acting: Forces,
+    feedforward: Forces,
     work: Work,
-    scratch: Scratch,
-    feedforward_scratch: Scratch,
 ) -> None:
     """Fly the environments first to last - 1 that are `flown` (E,), a tile of them at a time.
 
-    Each step has the phases given; without MOVE, TOUCH comes first: Bullet has moved the bodies
-    since the last call. A drone that tumbles stops at that step: alone, or with its team where
-    `ends_team` is set. `columns` (E, N, columns) is the memory of the records `drones` (E, N) as
-    plain numbers, `order` (E, N) the drones as last sorted along x, used if they are many,
-    `open_circuit` (K,) as of `empty_batteries`. Flags are True or None: what is None is left out
-    when this is compiled, which saves about a fifth of the time. `varied` stands for obstacles,
-    batteries, gusts, bounces, a force that is fed forward and many drones together: one flag, so
-    that few combinations are compiled.
+    Each step has the phases given; without INTEGRATE, CONTACTS comes first: Bullet has moved the
+    bodies since the last call. A drone that tumbles stops at that step: alone, or with its team
+    where `ends_team` is set. `acting` are the forces on the drones, `feedforward` those that their
+    controllers compensate.
+
+    Flags are True or None: what is None is left out when this is compiled, which saves about a
+    fifth of the time. `varied` stands for obstacles, batteries, gusts, bounces, a force that is fed
+    forward and many drones together: one flag, so that few combinations are compiled.
     """
-    s, size, members = settings[0], drones.shape[1], work.members
-    controlled, moves = s.level != ROTORS, phases & MOVE != 0
+    drones, columns, environments = flight.drones, flight.columns, flight.environments
+    s, size, members = flight.settings[0], drones.shape[1], work.members
+    controlled, moves = s.level != ROTORS, phases & INTEGRATE != 0
     adapts, team = adaptive is not None and controlled, s.ends_team
     e = first
     while e < last:
@@ -280,71 +400,21 @@ def fly(  # noqa: C901  # one step, on one screen
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         elif twisting is not None:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
-        if phases & TOUCH and phases & BEGIN == 0:  # it may have tumbled since the decision began
+        if phases & CONTACTS and phases & BEGIN == 0:  # may have tumbled since the decision began
             stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
         for k in range(steps + 1):
-            if phases & TOUCH and (k > 0) == moves:
-                if hall is not None:
-                    estimate(work.blocks, full, settings)
-                touch(work.blocks, full, settings)
-                if varied is not None and size > FEW:
-                    for place in range(count):
-                        meet_many(work.blocks, place * size, work.position, order[members[place]])
-                else:
-                    meet(work.blocks, count, size, work.spots)
-                if varied is not None and len(obstacles) > 0:
-                    touch_obstacles(work.blocks, count * size, obstacles)
-                if varied is not None and s.bounces:
-                    for place in range(count):
-                        bounce(work.blocks, place * size, size, settings, obstacles)
+            if phases & CONTACTS and (k > 0) == moves:
+                find_contacts(count, full, flight, varied, hall, work)
                 stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
             if k == steps:
                 break
-            if hall is not None and phases & CONTROL and controlled:
-                see(work.blocks, full)
-            if phases & CONTROL and s.level == SETPOINTS:
-                if varied is not None and s.compensates:
-                    compensated = size > 0
-                    for place in range(count):
-                        work.due[place] = place
-                    gather(count, size, compensated, hall, work, feedforward_scratch)
-                    swarm_forces(feedforward, count, size, feedforward_scratch)
-                    spread(count, size, compensated, environments, work, feedforward_scratch)
-                if adaptive is not None:
-                    adapt(work.blocks, full, settings, hall)
-                track(work.blocks, full, settings, adaptive, hall)
             if phases & CONTROL and controlled:
-                hold_rates(work.blocks, full, settings, hall)
-            if phases & SPIN:
-                compensated = size == 0
-                due: Any = np.int64(0)  # a literal would compile what takes it twice
-                for place in range(count):
-                    environment = environments[members[place]]
-                    if environment.age % s.hold == 0:
-                        work.due[due] = place
-                        due += 1
-                    environment.age += 1
-                if due > 0 and air.constants[0]["kind"] != NONE:
-                    gather(due, size, compensated, None, work, scratch)
-                    swarm_forces(air, due, size, scratch)
-                    spread(due, size, compensated, environments, work, scratch)
-                    if hall is not None:
-                        find_company(due, size, work.due, work.blocks, scratch)
-                    if twisting is not None:
-                        twist(air, due, size, environments, work, scratch)
-                if varied is not None and s.gusty and phases & CONTROL:
-                    for place in range(count):
-                        environment = environments[members[place]]
-                        gust(environment, place * size, size, settings, work.blocks)
-                if hall is not None:
-                    adds = s.gusty or phases & CONTROL == 0
-                    disturb(work.blocks, full, settings, adds)
-                spin_rotors(work.blocks, full)
-                if varied is not None and s.drains:
-                    empty_batteries(count, drones, settings, open_circuit, work)
-            if phases & MOVE:
+                control(count, full, flight, varied, adaptive, hall, feedforward, work)
+            if phases & FORCES:
+                push(phases, count, full, flight, varied, hall, twisting, acting, work)
+            if phases & INTEGRATE:
                 integrate(work.blocks, full, twisting)
-            elif phases & SPIN:
+            elif phases & FORCES:
                 write_wrenches(count, drones, work, twisting)
         store_tile(columns, 0, count * size, controlled, adapts, work)
         if hall is not None:  # noqa: SIM114  # likewise
@@ -354,15 +424,14 @@ def fly(  # noqa: C901  # one step, on one screen
 
 
 @part
-def twist(
-    air: PackedField, count: int, drones: int, environments: Records, work: Work, scratch: Scratch
-) -> None:
+def twist(acting: Forces, count: int, drones: int, environments: Records, work: Work) -> None:
     """Write the torque of the air on bodies: each rotor feels a quarter of its place's force.
 
     That is the vertical force that the model, just evaluated for the first `count` places of
     `work.due`, gives for the drone at the rotor's place, all others where they are. Pairs, and
     where the model says so their weights, are those of the centres.
     """
+    scratch = acting.scratch
     for rotor in range(4):
         across = 1.0 if rotor == 0 or rotor == 3 else -1.0
         along = 1.0 if rotor >= 2 else -1.0
@@ -373,7 +442,7 @@ def twist(
             x, y = across * b.rotor_offset[lane], along * b.rotor_offset[lane]
             for k in range(3):
                 felt["position"][k] = felt["seen"][k] + r[3 * k] * x + r[3 * k + 1] * y
-        felt_forces(air, count * drones, scratch)
+        felt_forces(acting.model, count * drones, scratch)
         for at in range(count * drones):
             place = work.due[at // drones]
             slot = place * drones + at % drones

@@ -29,7 +29,8 @@ class Workers:
         self.threads = min(threads, num_envs)
         shared = min(_PARTS_PER_THREAD * self.threads, num_envs // together)
         count = max(self.threads, shared if self.threads > 1 else 1, -(-num_envs // largest))
-        self._parts = parts(num_envs, count)
+        self.parts = parts(num_envs, count)
+        """The parts, as (first, last + 1)."""
         self._pool = self._new_pool()
 
     def _new_pool(self) -> ThreadPoolExecutor | None:
@@ -44,13 +45,13 @@ class Workers:
     def share(self, call: Call) -> None:
         """Call `call(first, last + 1, thread)` until every environment had its turn."""
         if self._pool is None:
-            for first, last in self._parts:
+            for first, last in self.parts:
                 call(first, last, 0)
             return
         if os.getpid() != self._process:  # a fork copies no threads: the child would wait for ever
             self._pool = self._new_pool()
         assert self._pool is not None
-        left = iter(self._parts)  # of which Python hands each part to one thread only
+        left = iter(self.parts)  # of which Python hands each part to one thread only
         waiting = [self._pool.submit(_work, call, left, k) for k in range(1, self.threads)]
         _work(call, left, 0)
         for future in waiting:

@@ -8,12 +8,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.errors import check_array, check_bool, check_number, check_type
+from swarm_envs.errors import check_array, check_bool, check_integer, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
 from swarm_envs.tasks.learning import Learning
@@ -178,6 +178,8 @@ class Task(_Flown, ABC):
     success: Success | TrackingSuccess | ByScore | OwnSuccess = Success()
     """When the team has done a stage, or the task; or a method `success(world)`, which returns for
     each environment (E,) whether its team is done."""
+    defaults: ClassVar[Mapping[str, Any]] = {}
+    """Defaults of options that every task has, such as `num_drones`, where they differ."""
     layouts: tuple[str, ...] = ()
     """The names that the task's option `layout` can have, if it has one."""
     default_weights: Mapping[str, float] = {}
@@ -224,6 +226,15 @@ class Task(_Flown, ABC):
         if not self.reward_weights:
             object.__setattr__(self, "reward_weights", dict(self.default_weights))
         check_reward_weights(self.reward_weights, self.reward_names)
+
+    @classmethod
+    def default_team(cls, options: Any) -> Team:
+        """Return the team that flies if none is given: `options.num_drones` small drones.
+
+        Raises:
+            ValueError: there is no team of so many.
+        """
+        return parse_team("S" * check_integer("num_drones", options.num_drones, at_least=1))
 
     def with_team(self, team: Team) -> Self:
         """The same task for another team.

@@ -1,13 +1,5 @@
 """Columns: drones gather in two vertical columns and stay in the downwash of those above.
 
-Layouts:
-
-- `stack`: half of each column's drones carry a payload, which is drawn. Any drone may take any
-  place, so a drone with little thrust to spare had better stand on top. The task's reference leads
-  each drone to the place nearest to it.
-- `sprint`: each drone has a place of its own, and just the time to get there and stay. Who stands
-  above whom is drawn.
-
 Drones start next to their column, each at the height of its first place and in a direction of its
 own, so that straight ways within a column do not meet, with any assignment of places.
 """
@@ -16,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.errors import check_interval, check_number, check_type
+from swarm_envs.errors import check_interval, check_name, check_type
 from swarm_envs.state import IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.learning import in_time
@@ -32,20 +25,37 @@ from swarm_envs.vehicles import Team, parse_team
 
 __all__ = ["COLUMN_LAYOUTS", "ColumnsTask"]
 
-COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+
+class ColumnLayout(NamedTuple):
+    """What columns are drawn from; by default those of `stack`."""
+
+    gap_m: tuple[float, float] = (0.36, 0.42)
+    """Range of the vertical distance between places, m."""
+    payload_kg: tuple[float, float] = (0.008, 0.011)
+    """Range of what half of each column's drones carry, kg; in an episode all of them the same."""
+    beside_m: float = 0.6
+    """Distance from their column at which drones start, m."""
+    travel_s: float = 2.5
+    """Time in which the reference gets there, s."""
+    success: Success = Success(0.06, 1.0, named=False)
+    """When the team has gathered."""
+    episode_s: float = 6.0
+    """Time limit, s."""
+
+
+COLUMN_LAYOUTS: Mapping[str, ColumnLayout] = MappingProxyType(
     {
-        "stack": {},
-        "sprint": {
-            "gap_m": (0.28, 0.36),
-            "payload_kg": (0.0, 0.0),
-            "beside_m": 0.5,
-            "travel_s": 0.9,
-            "success": Success(0.03, 1.0),
-            "episode_s": 2.0,
-        },
+        "stack": ColumnLayout(),
+        "sprint": ColumnLayout((0.28, 0.36), (0.0, 0.0), 0.5, 0.9, Success(0.03, 1.0), 2.0),
     }
 )
-"""Each layout by name, as options of `ColumnsTask`."""
+"""Each layout by name."""
+LOWEST_M, APART_M = 0.4, 1.5
+"""Height of the lowest places, and distance between the columns, m."""
+AIR_DEFAULTS: Mapping[str, Any] = MappingProxyType(
+    {"num_neighbors": 7, "observe_load": True, "on_contact": "end_pair", "world": "hall"}
+)
+"""Defaults of the options of tasks about downwash."""
 RAMP = 0.5  # Share of the way's time in which the reference speeds up, and in which it slows down
 
 
@@ -69,28 +79,48 @@ def in_columns(num_drones: int) -> list[IntArray]:
 
 @dataclass(frozen=True)
 class ColumnsTask(Task):
-    """Gather in two columns. The defaults are those of `stack`; see the module."""
+    """Columns, version 0: drones gather in columns and stay in the downwash of those above.
 
-    team: Team
-    """The drones; the first half of them, rounded up, start at the first column."""
-    gap_m: tuple[float, float] = (0.36, 0.42)
-    """Range of the vertical distance between places, m."""
-    payload_kg: tuple[float, float] = (0.008, 0.011)
-    """Range of what half of each column's drones carry, kg; in an episode all of them the same."""
-    lowest_m: float = 0.4
-    """Height of the lowest places, m."""
-    apart_m: float = 1.5
-    """Distance between the columns, m."""
-    beside_m: float = 0.6
-    """Distance from their column at which drones start, m."""
-    travel_s: float = 2.5
-    """Time in which the reference gets there, s."""
-    success: Success = Success(0.06, 1.0, named=False)
-    """When the team has gathered."""
-    episode_s: float = 6.0
-    """Time limit, s."""
+        from swarm_envs import columns_v0
+        env = columns_v0.parallel_env(layout="stack")
+
+    Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. By default drones fly in
+    the world `"hall"`, and each observes seven neighbors and, with `observe_load`, the thrust
+    margin, mass and charge of itself and of its neighbors.
+
+    **Layouts.** `stack`: eight small drones, half of them with a payload of 8 to 11 g, in two
+    columns of four places, 0.36 to 0.42 m apart. `sprint`: two large drones and a strong small one
+    in each column, in random order, 0.28 to 0.36 m apart.
+
+    **Start.** Next to the column, 0.6 m away in `stack` and 0.5 m in `sprint`, each drone at the
+    height of its first place. Gap, rotation, payload, which drones carry it, and starts are random.
+    `reset(options={"start": ...})` sets other starts. Goals cannot be set.
+
+    **Success.** `stack`: all places are occupied, within 0.06 m, for 1 s. Any drone may take any
+    place: a drone that reaches the place of another exchanges goals with it, so that `task.goal` is
+    always a place that no other drone has. The neighbors' goals show all places. `sprint`: every
+    drone stays within 0.03 m of its own place for 1 s. In both, without a collision.
+
+    **Rewards** (`parallel_env` lists terms and weights): as in swap.
+
+    **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision,
+    the floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes
+    are terminated by success and truncated after 6 s in `stack` and 2 s in `sprint`.
+
+    **Versions.** v0: first version.
+    """
+
+    layout: str = "stack"
+    """The layout: `stack` or `sprint`."""
+    gap_m: tuple[float, float] | None = None
+    """Range of the vertical distance between places, m; None: the layout's."""
+    payload_kg: tuple[float, float] | None = None
+    """Range of the payload of half of each column's drones, kg; None: the layout's."""
+    success: Success | None = None  # type: ignore[assignment]  # set below
+    """When the team has gathered; None: the layout's."""
 
     name = "columns_v0"
+    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": None, **AIR_DEFAULTS}
     layouts = tuple(COLUMN_LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "the places of the columns"
@@ -103,27 +133,45 @@ class ColumnsTask(Task):
 
     def __post_init__(self) -> None:
         """Refuse teams and gaps of which no columns can be made."""
-        check_interval("gap_m", self.gap_m, above=0.0, unit="m")
-        check_interval("payload_kg", self.payload_kg, at_least=0.0)
-        for name in ("lowest_m", "apart_m", "beside_m"):
-            check_number(name, getattr(self, name), above=0.0, unit="m")
-        for name in ("travel_s", "episode_s"):
-            check_number(name, getattr(self, name), above=0.0, unit="s")
-        check_type("success", self.success, Success)
+        check_name("layout", self.layout, COLUMN_LAYOUTS)
+        check_interval("gap_m", self.ranges.gap_m, above=0.0, unit="m")
+        check_interval("payload_kg", self.ranges.payload_kg, at_least=0.0)
+        check_type("success", self.success, Success | None)
         super().__post_init__()
+        if self.success is None:
+            object.__setattr__(self, "success", self.ranges.success)
         size, widest = len(in_columns(len(self.team))[0]), max(v.radius for v in self.team)
-        if self.gap_m[0] <= 2.0 * widest:
+        narrow, wide = self.ranges.gap_m
+        if narrow <= 2.0 * widest:
             raise ValueError(
-                f"gap_m begins at {self.gap_m[0]} m, but these drones touch at {2 * widest:.3f} m; "
+                f"gap_m begins at {narrow} m, but these drones touch at {2 * widest:.3f} m; "
                 "use a larger gap"
             )
-        top, ceiling = self.lowest_m + self.gap_m[1] * (size - 1), self.arena[1, 2] - widest
+        top, ceiling = LOWEST_M + wide * (size - 1), self.arena[1, 2] - widest
         if top > ceiling:
             raise ValueError(
-                f"columns of {size} drones from {self.lowest_m} m with gaps of up to "
-                f"{self.gap_m[1]} m reach {top:.2f} m, but must stay below {ceiling:.2f} m; use "
-                "fewer drones or a smaller gap_m"
+                f"columns of {size} drones from {LOWEST_M} m with gaps of up to {wide} m reach "
+                f"{top:.2f} m, but must stay below {ceiling:.2f} m; use fewer drones or a smaller "
+                "gap_m"
             )
+
+    @classmethod
+    def default_team(cls, options: Any) -> Team:
+        """Return the layout's team."""
+        check_name("layout", options.layout, COLUMN_LAYOUTS)
+        return column_team(options.layout, options.num_drones)
+
+    @cached_property
+    def ranges(self) -> ColumnLayout:
+        """What columns are drawn from: the layout, and what was given."""
+        given = {"gap_m": self.gap_m, "payload_kg": self.payload_kg}
+        own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        return COLUMN_LAYOUTS[self.layout]._replace(**own)
+
+    @property
+    def episode_s(self) -> float:
+        """The layout's time limit, s."""
+        return self.ranges.episode_s
 
     @property
     def motion(self) -> Motion:
@@ -133,18 +181,19 @@ class ColumnsTask(Task):
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw gap, turn, who starts where, who carries the payload, and how much that is."""
         n, team = len(self.team), list(self.team)
-        gap, turn = rng.uniform(*self.gap_m), rng.uniform(0.0, 2 * np.pi)
-        payload = rng.uniform(*self.payload_kg)
+        ranges = self.ranges
+        gap, turn = rng.uniform(*ranges.gap_m), rng.uniform(0.0, 2 * np.pi)
+        payload = rng.uniform(*ranges.payload_kg)
         places, beside = np.empty((n, 3)), np.zeros((n, 3))
         for side, column in zip((-0.5, 0.5), in_columns(n), strict=True):
             size = len(column)
-            places[column, 0] = side * self.apart_m * np.cos(turn)
-            places[column, 1] = side * self.apart_m * np.sin(turn)
-            places[column, 2] = self.lowest_m + gap * rng.permutation(size)
+            places[column, 0] = side * APART_M * np.cos(turn)
+            places[column, 1] = side * APART_M * np.sin(turn)
+            places[column, 2] = LOWEST_M + gap * rng.permutation(size)
             angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * rng.permutation(size) / max(size, 1)
-            beside[column, 0] = self.beside_m * np.cos(angle)
-            beside[column, 1] = self.beside_m * np.sin(angle)
+            beside[column, 0] = ranges.beside_m * np.cos(angle)
+            beside[column, 1] = ranges.beside_m * np.sin(angle)
             for i in rng.permutation(column)[: size // 2].tolist():
                 team[i] = replace(team[i], mass=team[i].mass + payload)
         begin = places + beside if start is None else start
-        return Placement(begin, places[None], float(self.travel_s), team=tuple(team))
+        return Placement(begin, places[None], ranges.travel_s, team=tuple(team))

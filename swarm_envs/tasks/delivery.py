@@ -8,14 +8,16 @@ correction is of no use. Goals of the others are where they hover.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator
 
 from swarm_envs.errors import check_integer, check_interval, check_number, check_type
 from swarm_envs.tasks.base import Given, Placement, Success, Task
-from swarm_envs.tasks.columns import RAMP
+from swarm_envs.tasks.columns import AIR_DEFAULTS, RAMP
 from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
@@ -37,10 +39,38 @@ def delivery_team(num_drones: int) -> Team:
 
 @dataclass(frozen=True)
 class DeliveryTask(Task):
-    """Dock below others, again and again. See the module."""
+    """Delivery, version 0: drones dock just above the floor, below others that hover, and move on.
 
-    team: Team
-    """Three couriers, or fewer; then those that hover, two above each dock, at most six."""
+        from swarm_envs import delivery_v0
+        env = delivery_v0.parallel_env()
+
+    Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. By default drones fly in
+    the world `"hall"`, and each observes seven neighbors and, with `observe_load`, the thrust
+    margin, mass and charge of itself and of its neighbors.
+
+    **Team.** Three couriers, which are strong small drones; then large drones that hover above
+    docks, two above each. By default there are four, above two of three docks.
+
+    **Start.** Three docks are 0.8 m from the center; docked couriers are 0.093 to 0.103 m high, and
+    touch the floor at 0.06 m. The first large drone hovers 0.28 to 0.36 m above, the second 0.35 m
+    higher. Rotation, heights, the docks below large drones, and the first dock of each courier are
+    random. Couriers start outside their first dock, 0.5 m high; after each stage they move to the
+    next, all in the same direction. `reset(options={"start": ...})` sets other starts. Goals cannot
+    be set.
+
+    **Success.** A stage of 2.2 s is reached if every drone was within 0.02 m of its goal for 0.4 s.
+    Success: all three stages were reached, without a collision.
+
+    **Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is one over the
+    number of stages, for each stage reached.
+
+    **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision,
+    the floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes
+    are terminated by success and truncated after 6.6 s.
+
+    **Versions.** v0: first version.
+    """
+
     radius_m: float = 0.8
     """Radius of the circle of docks, m."""
     height_m: tuple[float, float] = (0.093, 0.103)
@@ -57,6 +87,7 @@ class DeliveryTask(Task):
     """When all have docked, and those that hover are where they should be."""
 
     name = "delivery_v0"
+    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 7, **AIR_DEFAULTS}
     default_weights = REWARD_WEIGHTS
     goals_are = "the docks"
     learning = in_time({"docks": {}})
@@ -76,10 +107,22 @@ class DeliveryTask(Task):
                 f"delivery has {len(self.team)} drones, but room for {DOCKS} couriers and two "
                 f"drones above each of {DOCKS} docks; use at most {3 * DOCKS}"
             )
+        lowest, widest = self.height_m[0], max(v.radius for v in self.team[:DOCKS])
+        if lowest < widest:
+            raise ValueError(
+                f"couriers dock at {lowest} m, but the largest of the first {DOCKS} drones, which "
+                f"are the couriers, touches the floor at {widest:.3f} m; let small ones be the "
+                "first, such as 'S*S*S*LL', or, in Python, give a larger height_m"
+            )
         if self.travel_s > self.stage_s:
             raise ValueError(
                 f"travel_s is {self.travel_s}, but must not exceed stage_s, {self.stage_s}"
             )
+
+    @classmethod
+    def default_team(cls, options: Any) -> Team:
+        """Return three couriers, and large drones that hover."""
+        return delivery_team(options.num_drones)
 
     @property
     def num_stages(self) -> int:

@@ -16,11 +16,11 @@ of time alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -38,15 +38,28 @@ __all__ = ["FormationTask", "nearest_places"]
 
 SHAPES = ("plane", "pyramid", "cube", "sphere", "plane")
 """What is flown unless other shapes are asked for."""
-LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+
+
+class Mission(NamedTuple):
+    """What is flown; by default the tour of all shapes."""
+
+    shapes: tuple[str, ...] = SHAPES
+    """Names of the shapes, in order; `letter:A` and the like write."""
+    labels: str = "nearest"
+    """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
+    shape_s: float = 6.0
+    """Time for each shape, s."""
+
+
+LAYOUTS: Mapping[str, Mission] = MappingProxyType(
     {
-        "tour": {"shapes": SHAPES},
-        "cube": {"shapes": ("plane", "cube"), "shape_s": 8.0},
-        "shuffle": {"shapes": ("plane", "cube"), "labels": "random", "shape_s": 8.0},
+        "tour": Mission(),
+        "cube": Mission(("plane", "cube"), shape_s=8.0),
+        "shuffle": Mission(("plane", "cube"), "random", 8.0),
     }
 )
-"""Missions by name, as options of `FormationTask`: the default; one change of shape, in which half
-of the drones end up below others; the same where places are drawn, so that ways cross."""
+"""Missions by name: the default; one change of shape, in which half of the drones end up below
+others; the same where places are drawn, so that ways cross."""
 LABELS = ("nearest", "random", "mirror", "blocks")  # Rules of who goes to which place
 STARTS = ("shape", "ground")  # Where an episode begins: on the first shape, or on the ground
 GROUND_HEIGHT = 0.15
@@ -59,27 +72,68 @@ _RAMP = 0.5
 
 @dataclass(frozen=True)
 class FormationTask(Task):
-    """Fly one shape after another. See the module for who goes where."""
+    """Formation, version 1: drones fly one shape after another, each to a place of its own.
 
-    shapes: tuple[str, ...] = SHAPES
-    """Names of the shapes, in order; `letter:A` and the like write."""
-    labels: str = "nearest"
-    """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
+        from swarm_envs import formation_v1
+        env = formation_v1.parallel_env(num_drones=10, letters="ARC")
+
+    Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; the observed
+    `task.goal` is the drone's place in the current shape.
+
+    **Shapes.** `plane`, `pyramid`, `cube`, `sphere` and `plane` by default; `rings` and `blocks`
+    are those of Fig. 9 of the RTH3D paper; `letter:A` etc. are letters. Shapes exist for any number
+    of drones; places are 0.5 m apart, or less where the shape would not fit into the arena. All
+    shapes are turned about the vertical by one random angle; letters are not.
+
+    **Layouts.** `tour`: the default shapes. `cube`: one change, from a plane to a cube, within 8 s.
+    `shuffle`: the same with `labels="random"`.
+
+    **Labels.** `nearest` (the default): drones are assigned to places by the least sum of squared
+    distances, and the reference is a straight line of 4 s to the place. `random`, `mirror`,
+    `blocks`: see `swarm_envs.tasks.formation`; there is no reference.
+
+    **Start.** On the first shape, or just above the ground (`start="ground"`), with a random
+    assignment. `reset(options={"start": ...})` sets other starts. Goals cannot be set: use
+    `shapes`.
+
+    **Success.** A shape is reached when every drone stayed within 0.10 m of its place for 0.5 s
+    before the next shape begins, every 6 s. Success: all shapes were reached, without a collision.
+
+    **Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is one over the
+    number of shapes, for each shape reached.
+
+    **End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
+    rad/s) or success. It is truncated after 6 s for each shape but the first.
+
+    **Versions.** v1: first version.
+    """
+
+    layout: str | None = None
+    """A mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
+    `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`."""
+    shapes: Sequence[str] | None = None
+    """Names of the shapes, in order; None: `tour`'s."""
+    letters: str | None = None
+    """A text such as `"ARC"` to write, letter by letter, instead of `shapes`."""
+    labels: str | None = None
+    """Who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
     start: str = "shape"
     """Where drones start: on the first `shape`, or on the `ground`."""
     spacing_m: float | None = None
     """Smallest distance between two places of a shape, m; None: 0.5, or less where shapes of so
     many drones would not fit the arena."""
-    shape_s: float = 6.0
-    """Time for each shape, s."""
+    shape_s: float | None = None
+    """Time for each shape, s; None: 6."""
     travel_s: float = 4.0
     """Time in which the reference gets there, s."""
-    turn_rad: tuple[float, float] = (0.0, 2 * math.pi)
-    """Range from which the turn of all shapes about the vertical is drawn, rad."""
+    turn_rad: tuple[float, float] | None = None
+    """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
+    turned."""
     success: Success = Success()
     """When the team has reached a shape."""
 
     name = "formation_v1"
+    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 9}
     layouts = tuple(LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "those of shapes=(...)"
@@ -94,34 +148,72 @@ class FormationTask(Task):
 
     def __post_init__(self) -> None:
         """Refuse options that contradict each other, and shapes that do not fit the arena."""
-        check_type("shapes", self.shapes, tuple | list)
-        check_name("labels", self.labels, LABELS)
+        check_type("letters", self.letters, str | None)
+        check_type("shapes", self.shapes, tuple | list | None)
+        if self.layout is not None:
+            check_name("layout", self.layout, LAYOUTS)
+        shapes, labels, shape_s = self.mission
+        check_name("labels", labels, LABELS)
         check_name("start", self.start, STARTS)
         if self.spacing_m is not None:
             check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
-        for name in ("shape_s", "travel_s"):
-            check_number(name, getattr(self, name), above=0.0, unit="s")
-        check_interval("turn_rad", self.turn_rad, unit="rad")
+        for name, value in (("shape_s", shape_s), ("travel_s", self.travel_s)):
+            check_number(name, value, above=0.0, unit="s")
+        check_interval("turn_rad", self.turn, unit="rad")
         check_type("success", self.success, Success)
         super().__post_init__()
-        if self.travel_s > self.shape_s:
-            raise ValueError(
-                f"travel_s is {self.travel_s}, but must not exceed shape_s, {self.shape_s}"
-            )
+        if self.travel_s > shape_s:
+            raise ValueError(f"travel_s is {self.travel_s}, but must not exceed shape_s, {shape_s}")
         least = 2 if self.start == "shape" else 1
-        if len(self.shapes) < least:
+        if len(shapes) < least:
             raise ValueError(
-                f"shapes are {self.shapes!r}, but must be at least {least} with "
-                f"start={self.start!r}"
+                f"shapes are {shapes!r}, but must be at least {least} with start={self.start!r}"
             )
-        if self.labels == "blocks" and {*self.shapes} != {"blocks"}:
-            raise ValueError(f"labels='blocks' needs shapes=('blocks', ...), not {self.shapes!r}")
+        if labels == "blocks" and {*shapes} != {"blocks"}:
+            raise ValueError(f"labels='blocks' needs shapes=('blocks', ...), not {shapes!r}")
         self._check_fits()
+
+    @cached_property
+    def mission(self) -> Mission:
+        """What is flown: a layout, or what is given.
+
+        Raises:
+            ValueError: more than one of layout, shapes and letters says so.
+        """
+        shapes = None if self.shapes is None else tuple(self.shapes)
+        if self.letters is not None:
+            if not self.letters:
+                raise ValueError("letters is '', but must have at least one, such as 'ARC'")
+            if shapes is not None:
+                raise ValueError(
+                    f"letters={self.letters!r} says what is flown, but shapes are given too; give "
+                    "either"
+                )
+            shapes = shapes_of(self.letters)
+        mission = {"shapes": shapes, "labels": self.labels, "shape_s": self.shape_s}
+        given: dict[str, Any] = {k: value for k, value in mission.items() if value is not None}
+        if self.layout is not None and given:
+            raise ValueError(
+                f"layout={self.layout!r} already says what is flown, but {', '.join(given)} are "
+                "given too; give either"
+            )
+        return LAYOUTS[self.layout or "tour"]._replace(**given)
+
+    @property
+    def turn(self) -> tuple[float, float]:
+        """Range from which the turn of all shapes about the vertical is drawn, rad."""
+        if self.turn_rad is not None:
+            return self.turn_rad
+        return (0.0, 2 * math.pi) if self.letters is None else (0.0, 0.0)
+
+    @property
+    def _spaced(self) -> tuple[str, ...]:
+        """Names of all shapes for which there must be room."""
+        return (*self.mission.shapes, *(["plane"] if self.start == "ground" else []))
 
     def _check_fits(self) -> None:
         wanted = SPACING if self.spacing_m is None else self.spacing_m
-        names = (*self.shapes, "plane") if self.start == "ground" else self.shapes
-        name = min(names, key=self._room)
+        name = min(self._spaced, key=self._room)
         largest, closest = self._room(name), CLOSEST * float(self.radius.max())
         if self.spacing < closest:
             raise ValueError(
@@ -140,7 +232,7 @@ class FormationTask(Task):
         points = shape_points(name, len(self.team), 1.0)
         room = (self.arena[1] - self.arena[0]) / 2 - WALL_MARGIN
         reach = np.abs(points).max(axis=0)
-        if self.turn_rad[0] < self.turn_rad[1]:
+        if self.turn[0] < self.turn[1]:
             reach[:2] = np.hypot(points[:, 0], points[:, 1]).max()
         return float((room / np.maximum(reach, 1e-9)).min())
 
@@ -149,35 +241,35 @@ class FormationTask(Task):
         """Smallest distance between two places that is flown, m."""
         if self.spacing_m is not None:
             return self.spacing_m
-        names = (*self.shapes, "plane") if self.start == "ground" else self.shapes
-        return min(SPACING, *(math.floor(100 * self._room(name)) / 100 for name in names))
+        return min(SPACING, *(math.floor(100 * self._room(name)) / 100 for name in self._spaced))
 
     @property
     def num_stages(self) -> int:
         """Shapes to be flown to."""
-        return len(self.shapes) - (self.start == "shape")
+        return len(self.mission.shapes) - (self.start == "shape")
 
     @property
     def motion(self) -> Motion:
         """Straight lines to the nearest places, else rest at the goals."""
-        return Motion(LINES if self.labels == "nearest" else REST, _RAMP, float(self.shape_s))
+        _, labels, shape_s = self.mission
+        return Motion(LINES if labels == "nearest" else REST, _RAMP, float(shape_s))
 
     @property
     def episode_s(self) -> float:
         """A time for each shape, s."""
-        return self.num_stages * self.shape_s
+        return self.num_stages * self.mission.shape_s
 
     @cached_property
     def places(self) -> tuple[FloatArray, ...]:
         """Places (N, 3) of each shape, m, before the turn."""
         middle = (self.arena[0] + self.arena[1]) / 2
         n = len(self.team)
-        return tuple(middle + shape_points(name, n, self.spacing) for name in self.shapes)
+        return tuple(middle + shape_points(name, n, self.spacing) for name in self.mission.shapes)
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Draw the turn of the shapes, who starts where, and who goes where."""
         n = len(self.team)
-        turn, order = rng.uniform(*self.turn_rad), rng.permutation(n)
+        turn, order = rng.uniform(*self.turn), rng.permutation(n)
         places = [_turned(points, turn) for points in self.places]
         if self.start == "ground":
             ground = plane(n, self.spacing) + np.array([0.0, 0.0, GROUND_HEIGHT])
@@ -189,17 +281,18 @@ class FormationTask(Task):
         for k, points in enumerate(places):
             at = self._match(rng, here, points, at)
             here = goals[k] = points[at]
-        return Placement(begin, goals, self.travel_s if self.labels == "nearest" else 0.0)
+        return Placement(begin, goals, self.travel_s if self.mission.labels == "nearest" else 0.0)
 
     def _match(
         self, rng: np.random.Generator, here: FloatArray, places: FloatArray, at: IntArray
     ) -> IntArray:
         """(N,) index of the place that each drone goes to; it is `here`, at place `at`."""
-        if self.labels == "random":
+        labels = self.mission.labels
+        if labels == "random":
             return rng.permutation(len(here))
-        if self.labels == "mirror":
+        if labels == "mirror":
             return nearest_places(self.arena[0] + self.arena[1] - here, places)
-        if self.labels == "blocks":
+        if labels == "blocks":
             owner = block_of(len(here))
             count = int(owner.max()) + 1
             middles = np.array([places[owner == k].mean(axis=0) for k in range(count)])
@@ -265,7 +358,7 @@ class FormationCurriculum(FormationTask):
     ) -> Placement:
         """Draw two shapes, their turn and spacing, who starts where and who goes where."""
         count, n = len(self.places), len(self.team)
-        stretch, angle = rng.uniform(*STRETCH), rng.uniform(*self.turn_rad)
+        stretch, angle = rng.uniform(*STRETCH), rng.uniform(*self.turn)
         middle = (self.arena[0] + self.arena[1]) / 2
         c, s = np.cos(angle), np.sin(angle)
         turn = stretch * np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

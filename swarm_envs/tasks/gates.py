@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator
 
 from swarm_envs.compiled import kernel
-from swarm_envs.errors import check_interval, check_type
+from swarm_envs.errors import check_interval, check_number
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Given, Placement, Task
@@ -75,16 +76,52 @@ def pass_gates(
 
 @dataclass(frozen=True)
 class GatesTask(Task):
-    """Fly a slalom in vertical formation, there and back."""
+    """Gates, version 0: a team flies a slalom in a column, passing each gate together.
+
+        from swarm_envs import gates_v0
+        env = gates_v0.parallel_env(team="LSS")
+
+    Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; `task.goal`
+    is the drone's place in the next gate. The default world is `"hall"`.
+
+    **Gates.** Four gates, 0.8 m apart along x, alternate between 0.4 m left and right. Each is a
+    gap of 0.7 m between two posts of radius 0.05 m, which are obstacles. The team flies through
+    them in both directions.
+
+    **Start.** A column before the first gate, at either end. The order of drones in the column,
+    their vertical distance (0.3-0.4 m) and the height of the lowest place in each gate (0.4-0.8 m)
+    are random. `reset(options={"start": ...})` sets other starts. Goals cannot be set.
+
+    **Passing a gate.** A gate is passed on the step on which every drone that still flies is within
+    0.05 m of its place in it; the goals are then the places in the next gate.
+
+    **Success.** All eight gates are passed within the time limit, without a crash. The score is
+    `gates_per_min`: gates passed per minute until the last one, or of the whole episode length if
+    not all were passed. A gate that part of the team passed counts for that part.
+
+    **Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is 1/8 for each
+    gate.
+
+    **End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision,
+    the floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes
+    are terminated by success and truncated after 30 s.
+
+    **Versions.** v0: first version.
+    """
 
     gap_m: tuple[float, float] = (0.3, 0.4)
     """Range from which the vertical distance of neighbours in the column is drawn, m."""
     lowest_m: tuple[float, float] = (0.4, 0.8)
     """Range from which the height of the lowest is drawn, for each gate, m."""
-    success: ByScore = ByScore(radius=0.05, least=0.0)
-    """How near to their places all must be at once; success is to have passed every gate."""
+    radius_m: float = 0.05
+    """Largest distance of all drones from their places in a gate, m."""
 
     name = "gates_v0"
+    defaults: ClassVar[Mapping[str, Any]] = {
+        "num_drones": 3,
+        "world": "hall",
+        "on_contact": "end_pair",
+    }
     default_weights = REWARD_WEIGHTS
     goals_are = "the gates"
     episode_s = 30.0
@@ -104,7 +141,7 @@ class GatesTask(Task):
         """Add the posts; refuse columns that do not fit, and weights of unknown terms."""
         for name in ("gap_m", "lowest_m"):
             check_interval(name, getattr(self, name), above=0.0, unit="m")
-        check_type("success", self.success, ByScore)
+        check_number("radius_m", self.radius_m, above=0.0, unit="m")
         super().__post_init__()
         top = self.lowest_m[1] + self.gap_m[1] * (len(self.team) - 1)
         if top > _CEILING:
@@ -117,6 +154,11 @@ class GatesTask(Task):
         posts = tuple(Column((x, y + side), _POST) for x, y in _GATES for side in sides)
         given = tuple(o for o in self.obstacles if o not in posts)
         object.__setattr__(self, "obstacles", (*posts, *given))
+
+    @property
+    def success(self) -> ByScore:  # type: ignore[override]
+        """Every gate is passed, all drones being in it at once."""
+        return ByScore(radius=self.radius_m, least=0.0)
 
     @property
     def num_stages(self) -> int:

@@ -82,22 +82,42 @@ def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> 
 
 @kernel
 def weigh(
-    terms: FloatArray, weights: FloatArray, drones: Records, running: BoolArray, rewards: FloatArray
+    terms: FloatArray,
+    weights: FloatArray,
+    flown: BoolArray,
+    drones: Records,
+    environments: Records,
+    rewards: FloatArray,
+    terminated: BoolArray,
+    truncated: BoolArray,
+    active: BoolArray,
+    ended: BoolArray,
 ) -> None:
-    """Sum weighted terms, in their order: compiled, so that no batch changes the last bit.
+    """Sum weighted terms, in their order, and write who has flown and whose episode has ended.
+
+    Compiled, so that no batch changes the last bit.
 
     Args:
         terms: (T, E, N); set to 0 for drones that ended in an earlier decision.
         weights: (T,).
+        flown: (E,) environments that have made this decision; the others get nothing.
         drones: (E, N) records.
-        running: (E,) environments that fly; the others get nothing.
+        environments: (E,) records.
         rewards: (E, N), written.
+        terminated: (E,) ended by a crash or by success, written.
+        truncated: (E,) ended by the time limit, written.
+        active: (E, N) drones that have flown this decision, written.
+        ended: (E, N) those whose own episode was terminated in it, written.
     """
     for e in range(rewards.shape[0]):
+        terminated[e], truncated[e] = environments[e].terminated, environments[e].truncated
         for i in range(rewards.shape[1]):
-            total, flew = 0.0, drones[e, i].active + drones[e, i].crashed > 0.0
+            d, total = drones[e, i], 0.0
+            flew = d.active + d.crashed > 0.0
             for t in range(terms.shape[0]):
                 if not flew:
                     terms[t, e, i] = 0.0
                 total += weights[t] * terms[t, e, i]
-            rewards[e, i] = total if running[e] else 0.0
+            rewards[e, i] = total if flown[e] else 0.0
+            active[e, i] = flown[e] and flew
+            ended[e, i] = active[e, i] and (terminated[e] or d.active == 0.0)

@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator
@@ -241,7 +242,38 @@ def worst_height_error_m(metrics: Metrics) -> float:
 
 @dataclass(frozen=True)
 class RingTask(Task):
-    """Keep to a reference on intertwined rings. See the module for teams and rings."""
+    """Ring, version 1: drones track references on intertwined rings, through each other's downwash.
+
+        from swarm_envs import ring_v1
+        env = ring_v1.parallel_env(num_drones=5, action="setpoint")
+
+    Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`. The goal,
+    which is observed as `task.goal`, is the present position of the reference.
+
+    **Teams.** 5 drones (the default, `S*S*S*LL`): three small drones on a vertical circle and two
+    large drones on a horizontal circle of the same radius, 0.55 m, at 0.65 m/s; a small drone is at
+    its lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two
+    large and four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical
+    circles of 0.5 m at its tips, at 0.5 m/s. Other teams follow the same rule: see
+    `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds: `CLOSE_SIXTEEN` there
+    has those of Neural-Swarm2, Fig. 1, whose references come within 0.26 m, and `CLOSE_FIVE` is
+    alike for Fig. 9.
+
+    **Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
+    ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`
+    sets other starts; the reference stays the same. Goals cannot be set.
+
+    **Success.** No collision until the time limit, and after the first 2 s every drone stays within
+    0.15 m of its reference. Success is known, and rewarded, at the time limit.
+
+    **Rewards** (`parallel_env` lists terms and weights): as in swap, with `tracking` in place of
+    `progress` and `at_goal`.
+
+    **End.** The episode is terminated by a collision, the floor, a wall, an obstacle or tumbling
+    (150 rad/s). It is truncated after 2 + 10 s.
+
+    **Versions.** v1: first version.
+    """
 
     rings: RingLayout | None = None
     """Sizes, speed and phases; None: those of the paper for 5 or 16 drones, whichever fits."""
@@ -251,6 +283,7 @@ class RingTask(Task):
     """Seconds flown after the start-up."""
 
     name = "ring_v1"
+    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 5}
     default_weights = REWARD_WEIGHTS
     goals_are = "where the reference is"
     learning = Learning(
@@ -270,6 +303,11 @@ class RingTask(Task):
         check_number("settle_s", self.success.settle_s, above=0.0, unit="s")
         check_speed(self.orbit, self.team)
         self._check_arena()
+
+    @classmethod
+    def default_team(cls, options: Any) -> Team:
+        """Return the paper's team for 5 and 16 drones, else small ones."""
+        return ring_team(options.num_drones)
 
     @property
     def layout(self) -> RingLayout:

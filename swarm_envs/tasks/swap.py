@@ -1,14 +1,4 @@
-"""Swap: drones change places, through each other's downwash.
-
-Layouts:
-
-- `stacked`: Neural-Swarm2's data collection and flight test (Sec. VII-B, Fig. 8). Drones
-  start in horizontal planes on a cylinder, the first of the team on top; each flies straight to the
-  opposite side, and half way all are in one vertical line. The task gives the reference.
-- `circle`: starts evenly spaced on a circle at a common height; goals are on the opposite side, so
-  that all straight paths cross in the centre. No reference.
-- `random`: starts anywhere in the box; each drone's goal is another's start. No reference.
-"""
+"""Swap: drones change places, through each other's downwash."""
 
 from __future__ import annotations
 
@@ -35,7 +25,6 @@ from swarm_envs.tasks.placing import (
     draw_apart,
     drawing_box,
 )
-from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
 
@@ -62,7 +51,10 @@ stage of a formation more than its 6 s there, so that lingering does not pay."""
 
 @dataclass(frozen=True)
 class StackedLayout:
-    """Ranges from which a stacked swap is drawn; equal ends fix a value."""
+    """Ranges from which a stacked swap is drawn; equal ends fix a value.
+
+    Drones stand in horizontal planes on a cylinder, as in Neural-Swarm2 (Sec. VII-B, Fig. 8).
+    """
 
     radius_m: tuple[float, float] = (0.5, 0.75)
     """Radius of the circle on which drones stand, seen from above, m."""
@@ -133,16 +125,56 @@ def kinds_of_swaps(task: SwapTask, layout: str) -> Parts:
 
 @dataclass(frozen=True)
 class SwapTask(Task):
-    """Swap places. See the module for the layouts."""
+    """Swap, version 1: drones swap places through each other's downwash.
 
-    team: Team
-    """The drones; in `stacked` the uppermost first."""
+        from swarm_envs import swap_v1
+        env = swap_v1.parallel_env(team="LS", layout="stacked", action="setpoint")
+
+    | | |
+    |---|---|
+    | Agents | `drone_0` ... `drone_{N-1}`, in the team's order; `on_contact` says when they end |
+    | `acceleration` | 3 in [-1, 1]: a set-point's acceleration along x, y, z, times 5 m/s^2 |
+    | `velocity` | 3 in [-1, 1]: a set-point's velocity along x, y, z, times 2 m/s |
+    | `ctbr` | 4 in [-1, 1]: collective thrust, zero to maximum; body rates times 8, 8, 4 rad/s |
+    | `rotors` | 4 in [-1, 1]: thrust of each rotor, from zero to maximum |
+    | `setpoint` | 14, SI, world frame: position, velocity, acceleration, jerk, yaw, yaw rate |
+    | Observations | float32 row; `env.observation_layout`: names, slices, units and scales |
+    | Arena | 4 x 4 x 2.5 m, grown with (N / 16)^(1/3) above 16 drones |
+
+    World frame: x and y are horizontal, z points up, metres. In `acceleration` and `velocity` the
+    drone tracks a set-point, whose acceleration follows the action with a lag of 0.1 s and whose
+    speed is at most 2 m/s. Rotors: front right, back right, back left, front left; the first and
+    the third turn counter-clockwise. Yaw in rad. An observed quantity is the number in the row
+    times its field's scale.
+
+    **Start.**
+
+    - `random`: at least 0.5 m apart, 0.5-2.0 m high. Each drone's goal is the start of another
+      drone.
+    - `circle`: evenly spaced on a circle of radius 1.5 m (larger where neighbors would be less than
+      0.3 m apart), 1.0 m high. Each goal is the opposite point.
+    - `stacked`, the flight test of Neural-Swarm2 (Sec. VII-E): on a circle of radius 0.5-0.75 m, in
+      planes 0.2-0.3 m apart, the lowest at 0.8 m, the first drone of the team on top. The reference
+      leads straight to the opposite side in 3-4 s, so that drones are above each other half way.
+
+    **Success.** Every drone stays within 0.10 m of its goal for 0.5 s, without a collision.
+
+    **Rewards** (`parallel_env` lists terms and weights): each drone gets the weighted sum of
+    bounded terms, which `infos[agent]["reward_terms"]` contains; `reward_weights={"effort": -0.5}`
+    changes a weight.
+
+    **End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
+    rad/s) or success. It is truncated after 8 s.
+
+    **Versions.** v1: first version.
+    """
+
     layout: Layout = "random"
-    """`stacked`, `circle` or `random`."""
+    """Where drones start: `random`, `stacked` or `circle`."""
     stacked: StackedLayout = StackedLayout()
-    """What the stacked layout is drawn from."""
+    """Ranges of the stacked layout."""
     circle: CircleLayout = CircleLayout()
-    """What the circle layout is made of."""
+    """Size of the circle layout."""
     spacing_m: float = 0.5
     """Smallest distance between starts in the random layout, m."""
     heights_m: tuple[float, float] = (0.5, 2.0)
@@ -160,8 +192,6 @@ class SwapTask(Task):
         curriculum=hard_swaps,
         parts=kinds_of_swaps,
     )
-    episode_s = 8.0
-    """Time limit, s."""
 
     def __post_init__(self) -> None:
         """Refuse layouts that do not fit the team, and weights of unknown terms."""

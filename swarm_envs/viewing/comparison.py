@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from swarm_envs.state import FloatArray
 from swarm_envs.viewing.camera import Camera
-from swarm_envs.viewing.overlay import draw_arrow
+from swarm_envs.viewing.painting import ZOOM, draw_arrow
 from swarm_envs.viewing.record import FlightRecord
 from swarm_envs.viewing.style import GREY, INK, font, picture
 
@@ -130,9 +130,7 @@ def _add_legend(figure: Figure, axis: Axes, flights: int) -> None:
 WIDTH, HEIGHT = 1280, 720
 """Size of a picture, pixels."""
 _HEADER, _CHART = 56, 184
-_SMOOTH = 2
-"""Everything is drawn at this many times the size and then averaged: neither Bullet's renderer
-nor lines are smoothed otherwise."""
+_SMOOTH = ZOOM  # Everything is drawn at this many times the size and then averaged
 _PALE, _PAPER = "#7A8088", "#FFFFFF"
 _ARROW_M_PER_G = 0.012
 _CAPTIONS = ("Without compensation", "With compensation")
@@ -143,15 +141,12 @@ class SideBySide:
     """Draws frames of two flights side by side, with their height errors below.
 
     Each half shows the way that the lowest drone should fly (dashed), the way that it flew, and
-    the force of the air on it as an arrow. Use it in `with`.
+    the force of the air on it as an arrow.
 
     Args:
         title: stands above.
         flights: the flight without compensation, then the one with it; of one team and task.
         duration_s: of the video, s; it ends earlier if both flights do.
-
-    Raises:
-        ImportError: pybullet is not installed.
     """
 
     def __init__(
@@ -159,7 +154,7 @@ class SideBySide:
     ) -> None:
         self.title, self.flights = title, flights
         self.duration_s = min(duration_s, max(float(flight.time[-1]) for flight in flights))
-        size = (_SMOOTH * WIDTH // 2, _SMOOTH * (HEIGHT - _HEADER - _CHART))
+        size = WIDTH // 2, HEIGHT - _HEADER - _CHART
         self._camera = Camera(
             flights[0].team, *size, azimuth_deg=_beside(flights[0]), elevation_deg=9.0
         )
@@ -169,14 +164,6 @@ class SideBySide:
             math.floor(errors.min() / 5.0) * 5.0 - 1.0,
             math.ceil(max(float(errors.max()), 1.0) / 5.0) * 5.0 + 1.0,
         )
-
-    def __enter__(self) -> SideBySide:
-        """Use as a context that closes itself."""
-        return self
-
-    def __exit__(self, *failure: object) -> None:
-        """Free the renderer."""
-        self._camera.close()
 
     def count(self, fps: int) -> int:
         """How many frames `frames` gives."""
@@ -198,7 +185,7 @@ class SideBySide:
         canvas = Image.new("RGB", (_SMOOTH * WIDTH, _SMOOTH * HEIGHT), _PAPER)
         for side, flight in enumerate(self.flights):
             index = min(int(np.searchsorted(flight.time, time + 1e-9)), len(flight.time)) - 1
-            half = Image.fromarray(self._camera.picture(flight.state(index)))
+            half = self._camera.canvas(flight.state(index))
             self._annotate(ImageDraw.Draw(half), side, index)
             canvas.paste(half, (side * _SMOOTH * WIDTH // 2, _SMOOTH * _HEADER))
         pen = ImageDraw.Draw(canvas)
@@ -215,20 +202,22 @@ class SideBySide:
 
     def _annotate(self, pen: ImageDraw, side: int, index: int) -> None:
         flight, color = self.flights[side], _COLORS[side]
-        lens = self._camera.lens
-        _dash(pen, lens.project(flight.reference[:, -1]), _PALE)
-        flown = lens.project(flight.position[: index + 1, -1])
+        _dash(pen, self._project(flight.reference[:, -1]), _PALE)
+        flown = self._project(flight.position[: index + 1, -1])
         if index:
             pen.line(_points(flown), fill=color, width=3 * _SMOOTH, joint="curve")
         force = float(flight.vertical_force_g()[index])
         foot = flight.position[index, -1]
         tip = foot + np.array([0.0, 0.0, _ARROW_M_PER_G * force])
-        foot, tip = lens.project(np.stack([foot, tip]))
+        foot, tip = self._project(np.stack([foot, tip]))
         draw_arrow(pen, foot, tip, INK, width=3 * _SMOOTH, head=9.0 * _SMOOTH)
         error = float(flight.height_error_cm()[index])
         _write(pen, (20, 14), _CAPTIONS[side], 21, bold=True, color=color)
         _write(pen, (20, 44), f"height error {_signed(error)} cm", 18)
         _write(pen, (20, 68), f"force of the air {_signed(force)} g", 18)
+
+    def _project(self, points: FloatArray) -> FloatArray:
+        return _SMOOTH * self._camera.lens.project(points)
 
     def _chart(self, pen: ImageDraw, time: float) -> None:
         left, right, top, bottom = 84, WIDTH - 24, HEIGHT - _CHART + 34, HEIGHT - 30

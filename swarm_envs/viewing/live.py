@@ -39,6 +39,8 @@ ROW = {"position": 3, "quaternion": 4, "goal": 3, "force": 3, "hit": 1}
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)  # Times real time
 _WAIT_S = 10.0  # for the first browser, so that the beginning of a flight is not missed
 _IDLE_S = 5.0  # between comments that keep a connection open
+_SILENT_S = 5.0  # after which a connection that asks for nothing is closed
+MOST_CONNECTIONS = 32  # Connections at a time; others are closed at once
 
 
 class LiveViewer:
@@ -153,6 +155,21 @@ class _Server(ThreadingHTTPServer):
         self._paused, self._steps = False, 0
         self._changed = threading.Condition()
         self._frame = b""
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer on a thread of its own, or close the connection where there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer a connection until it ends."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def send(self, frame: bytes) -> None:
         with self._changed:
@@ -186,6 +203,7 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers a browser that knows the token."""
 
     server: _Server
+    timeout = _SILENT_S
 
     def do_GET(self) -> None:
         path = self._path()
@@ -199,9 +217,12 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         if self._path() != "/control":
             return
-        length = min(int(self.headers.get("Content-Length") or 0), 1000)
+        length = self.headers.get("Content-Length") or "0"
+        if not length.isdecimal():
+            self.send_error(400)
+            return
         try:
-            asked = json.loads(self.rfile.read(length))
+            asked = json.loads(self.rfile.read(min(int(length), 1000)))
         except ValueError:
             asked = None
         if isinstance(asked, dict):

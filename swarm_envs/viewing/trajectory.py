@@ -11,7 +11,6 @@ An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same J
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.errors import check_type, unknown_name
-from swarm_envs.files import pyarrow, written_whole
+from swarm_envs.files import parse_note, pyarrow, read_npz, written_whole
 from swarm_envs.vehicles import Vehicle
 from swarm_envs.viewing.record import About, Recording, Solid
 
@@ -53,6 +52,9 @@ _INTEGERS = ("contact_drone", "contact_obstacle")
 _FLAGS = ("contact_floor", "contact_wall", "tumbling")
 _KEY = b"swarm_envs"
 _SUFFIXES = (".parquet", ".npz")
+_UNIT_TOLERANCE = 0.01  # By how much the length of a quaternion may differ from 1
+
+Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name
 
 
 def check_trajectory_path(path: Path) -> None:
@@ -103,15 +105,40 @@ def read_trajectory(path: Path) -> Recording:
     """
     check_trajectory_path(path)
     read = _read_npz if path.suffix.lower() == ".npz" else _read_parquet
-    arrays, text = read(path)
-    about = json.loads(text)
-    team = tuple(map(_vehicle, about.pop("team")))
-    about["arena"] = tuple(map(tuple, about["arena"]))
-    about["solids"] = tuple(Solid(r, tuple(low), tuple(high)) for r, low, high in about["solids"])
-    names = about.pop("reward_terms")
-    fields = {name: arrays[name] for name in ("time", *GROUPS)}
-    terms = {name: arrays[_TERM + name] for name in names}
-    return Recording(team=team, reward_terms=terms, about=About(**about), **fields)
+    try:
+        arrays, about = read(path)
+        team = tuple(map(_vehicle, about.pop("team")))
+        about["arena"] = tuple(map(tuple, about["arena"]))
+        about["solids"] = tuple(
+            Solid(r, tuple(low), tuple(high)) for r, low, high in about["solids"]
+        )
+        terms = {name: arrays[_TERM + name] for name in about.pop("reward_terms")}
+        fields = {name: arrays[name] for name in ("time", *GROUPS)}
+        _check_arrays(path, len(team), fields, terms)
+        return Recording(team=team, reward_terms=terms, about=About(**about), **fields)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} holds no episode, or is damaged: {error!r}") from error
+
+
+def _check_arrays(path: Path, drones: int, fields: Arrays, terms: Arrays) -> None:
+    """Refuse arrays of other shapes, times that do not rise, and states that cannot be."""
+    steps = len(fields["time"])
+    shapes = {name: (len(group),) if len(group) > 1 else () for name, group in GROUPS.items()}
+    for name, array in {**fields, **terms}.items():
+        wanted = (steps,) if name == "time" else (steps, drones, *shapes.get(name, ()))
+        if array.shape != wanted or array.dtype.kind not in "biuf":
+            raise ValueError(
+                f"{name} in {path} is {array.dtype} of shape {array.shape}, but must be numbers of "
+                f"shape {wanted}"
+            )
+    for name in ("time", "position", "velocity", "quaternion"):
+        if not np.isfinite(fields[name]).all():
+            raise ValueError(f"{name} in {path} holds a number that is not finite")
+    if steps == 0 or (np.diff(fields["time"]) <= 0.0).any():
+        raise ValueError(f"time in {path} must rise from sample to sample")
+    length = np.linalg.norm(fields["quaternion"], axis=-1)
+    if (np.abs(length - 1.0) > _UNIT_TOLERANCE).any():
+        raise ValueError(f"quaternion in {path} has length {length.min():g}, but must have 1")
 
 
 def columns(recording: Recording) -> dict[str, npt.NDArray[Any]]:
@@ -151,7 +178,7 @@ def _write_parquet(path: Path, recording: Recording) -> None:
     parquet.write_table(table, path, compression="zstd")
 
 
-def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
+def _read_parquet(path: Path) -> tuple[Arrays, dict[str, Any]]:
     _, parquet = _arrow()
     with path.open("rb") as file:  # a missing file is an OSError, whatever pyarrow would say
         try:
@@ -161,8 +188,7 @@ def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
     metadata = table.schema.metadata or {}
     if _KEY not in metadata:
         raise ValueError(f"{path} holds no episode: its metadata lack {_KEY.decode()!r}")
-    text = metadata[_KEY].decode()
-    about = json.loads(text)
+    about = parse_note(metadata[_KEY].decode())
     terms = [_TERM + name for name in about["reward_terms"]]
     _check_names(path, (*COLUMNS, *terms), table.column_names)
     drones = len(about["team"])
@@ -180,7 +206,7 @@ def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
         dtype = np.int64 if field in _INTEGERS else np.bool_ if field in _FLAGS else np.float64
         arrays[field] = np.array(joined, dtype=dtype)
     arrays |= {name: np.array(column(name), dtype=np.float64) for name in terms}
-    return arrays, text
+    return arrays, about
 
 
 def _by_time_and_drone(path: Path, table: Any, drones: int) -> npt.NDArray[np.int64]:
@@ -201,20 +227,12 @@ def _by_time_and_drone(path: Path, table: Any, drones: int) -> npt.NDArray[np.in
     return np.asarray(order)
 
 
-def _read_npz(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
-    with path.open("rb") as file:
-        if not zipfile.is_zipfile(file):  # numpy would advise to unpickle it
-            raise ValueError(f"{path} is not an npz file; `swarm-envs fly --trajectory` writes one")
-        file.seek(0)
-        try:
-            with np.load(file, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-        except (ValueError, OSError, EOFError) as error:
-            raise ValueError(f"{path} is not an npz file: {error}") from error
+def _read_npz(path: Path) -> tuple[Arrays, dict[str, Any]]:
+    arrays = read_npz(path)
     _check_names(path, ("about", "time", *GROUPS), arrays)
-    text = str(arrays.pop("about"))
-    _check_names(path, [_TERM + name for name in json.loads(text)["reward_terms"]], arrays)
-    return arrays, text
+    about = parse_note(str(arrays.pop("about")))
+    _check_names(path, [_TERM + name for name in about["reward_terms"]], arrays)
+    return arrays, about
 
 
 def _check_names(path: Path, wanted: Any, found: Any) -> None:

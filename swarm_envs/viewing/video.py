@@ -17,9 +17,9 @@ import numpy.typing as npt
 from swarm_envs.files import written_whole
 from swarm_envs.vehicles import GRAM_FORCE
 from swarm_envs.viewing.camera import Camera
-from swarm_envs.viewing.overlay import Overlay
+from swarm_envs.viewing.painting import Overlay
 from swarm_envs.viewing.record import Recording
-from swarm_envs.viewing.style import drone_colors, font
+from swarm_envs.viewing.style import font
 from swarm_envs.viewing.summary import outcome, team_label
 
 __all__ = [
@@ -36,7 +36,6 @@ __all__ = [
 WIDTH, HEIGHT, FPS = 768, 544, 24
 """Size of a picture, pixels, and pictures per second."""
 _HEADER = 40
-_SMOOTH = 2
 _TRAIL_S = 2.0
 _REST_S = 1.0  # The last frame stands so long, to be read
 _METRE_PER_GRAM = 0.012
@@ -51,15 +50,13 @@ def count_frames(recording: Recording, fps: int | None = None) -> int:
 
 def film(recording: Recording, fps: int | None = None) -> Iterator[npt.NDArray[np.uint8]]:
     """Frames (544, 768, 3) of an episode, 24 a second or `fps`; the last one stays for 1 s."""
-    size = (_SMOOTH * WIDTH, _SMOOTH * (HEIGHT - _HEADER))
-    camera = Camera(recording.team, *size)
-    try:
-        seen = (recording.position, recording.goal, recording.reference)
-        camera.aim(np.concatenate([array.reshape(-1, 3) for array in seen]))
-        for k in range(count_frames(recording, fps)):
-            yield _frame(camera, recording, k / (fps or FPS))
-    finally:
-        camera.close()
+    about = recording.about
+    size = WIDTH, HEIGHT - _HEADER
+    camera = Camera(recording.team, *size, solids=about.solids, arena=np.array(about.arena))
+    seen = (recording.position, recording.goal, recording.reference)
+    camera.aim(np.concatenate([array.reshape(-1, 3) for array in seen]))
+    for k in range(count_frames(recording, fps)):
+        yield _frame(camera, recording, k / (fps or FPS))
 
 
 def _frame(camera: Camera, recording: Recording, time: float) -> npt.NDArray[np.uint8]:
@@ -68,7 +65,7 @@ def _frame(camera: Camera, recording: Recording, time: float) -> npt.NDArray[np.
     index = int(np.searchsorted(recording.time, time + 1e-9)) - 1
     scene = camera.picture(recording.state(index), _overlay(recording, index))
     canvas = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
-    canvas.paste(Image.fromarray(scene).reduce(_SMOOTH), (0, _HEADER))
+    canvas.paste(Image.fromarray(scene), (0, _HEADER))
     pen, about = ImageDraw.Draw(canvas), recording.about
     seed = "" if about.seed is None else f", seed {about.seed}"
     title = f"{about.task}, {team_label(recording.team)}, {about.agent}{seed}"
@@ -88,14 +85,10 @@ def _overlay(recording: Recording, index: int) -> Overlay:
     tips = position + _METRE_PER_GRAM / GRAM_FORCE * force
     reference, goal = recording.reference[index], recording.goal[index]
     return Overlay(
-        colors=drone_colors(recording.team),
-        arena=np.array(recording.about.arena),
-        solids=recording.about.solids,
         goals=goal,
         references=None if np.array_equal(reference, goal) else reference,
         trails=recording.position[first : index + 1],
         arrows=np.stack([position, tips], axis=1)[strong],
-        enlarged=True,
     )
 
 

@@ -14,7 +14,7 @@ LIBRARIES = [re.findall(r"from (\w+)", block)[0] for block in BLOCKS]
 
 
 def test_there_is_a_block_for_each_library():
-    assert LIBRARIES == ["stable_baselines3", "torchrl", "ray", "skrl"]
+    assert LIBRARIES == ["supersuit", "stable_baselines3", "torchrl", "ray", "skrl"]
 
 
 @pytest.mark.slow

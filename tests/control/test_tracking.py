@@ -1,6 +1,8 @@
-"""The compiled tracking loop against the plain one, its memory, and its configuration."""
+"""The compiled tracking loop against the equations, its memory, and its configuration."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +16,10 @@ from swarm_envs.control.config import (
     low_pass_blend,
 )
 from swarm_envs.control.tracking import TrackingController
+from swarm_envs.reference import State, followed, held, hovering
+from swarm_envs.reference_numbers import bodies_of, gains_of
 from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, Team, parse_team
-from tests.helpers.numpy_controller import NumpyTrackingController, TrackingTarget
 from tests.helpers.plain_adaptation import PlainAdaptation
 
 TEAM = parse_team("SLS*L")
@@ -85,33 +88,34 @@ CONFIGS = {
 
 
 @pytest.mark.parametrize(("wildness", "config"), CONFIGS.values(), ids=CONFIGS)
-def test_compiled_agrees_with_plain(wildness, config):
-    compiled, places = TrackingController(TEAM, 2, config), list(np.ndindex(2, len(TEAM)))
-    plain = {at: NumpyTrackingController(TEAM[at[1]], config) for at in places}
-    adaptive = {at: PlainAdaptation(TEAM[at[1]], config) for at in places if config.adaptation}
-    drones = compiled._loop.world.drones
+def test_compiled_agrees_with_the_equations(wildness: float, config: ControllerConfig) -> None:
+    compiled, body = TrackingController(TEAM, 2, config), bodies_of(TEAM)
+    gains = gains_of(replace(config, adaptation=None))
+    places = list(np.ndindex(2, len(TEAM))) if config.adaptation else []
+    adaptive = {at: PlainAdaptation(TEAM[at[1]], config) for at in places}
+    drones, memory = compiled._loop.world.drones, hovering(np.zeros((2, len(TEAM), 3)), body)
     flight, commands = RandomFlight(TEAM, 7, wildness), drones["commands"].copy()
     limits = np.array([v.max_rotor_thrust for v in TEAM])[:, None]
     saturated = limited = 0
     for _ in range(300):
         state, setpoint, force = flight.advance()
         last, commands = commands, compiled.commands(state, setpoint, force)
+        more = np.zeros_like(force)
         for at in places:
-            p, v, q, w = (array[at] for array in state[:4])
+            p, v, q = (array[at] for array in state[:3])
             aims = setpoint.position[at].copy(), setpoint.velocity[at].copy()
-            turn = float(setpoint.yaw[at]), float(setpoint.yaw_rate[at])
-            target = TrackingTarget(*aims, setpoint.acceleration[at], *turn)
-            more = np.zeros(3)
-            if adaptive:
-                more = adaptive[at].force(p, v, q, last[at], force[at], aims)
-                np.testing.assert_allclose(drones["adaptive_force"][at], more, rtol=0, atol=1e-9)
-                limited += int((abs(more) >= 0.999 * TEAM[at[1]].mass * GRAVITY).any())
-            expected = plain[at].commands(p, v, q, w, target, force[at] + more)
-            np.testing.assert_allclose(commands[at], expected, rtol=0, atol=1e-9)
+            more[at] = adaptive[at].force(p, v, q, last[at], force[at], aims)
+            limited += int((abs(more[at]) >= 0.999 * TEAM[at[1]].mass * GRAVITY).any())
+        if places:
+            np.testing.assert_allclose(drones["adaptive_force"], more, rtol=0, atol=1e-9)
+        memory = State._make([*(array.copy() for array in state[:5]), *memory[5:]])
+        memory, asked = followed(memory, setpoint, force + more, body, gains)
+        memory, expected = held(memory, asked, body, gains)
+        np.testing.assert_allclose(commands, expected, rtol=0, atol=1e-9)
         saturated += int(((commands <= 0) | (commands >= limits)).any(axis=-1).sum())
     assert (limited > 0) == (wildness == 3.0)
-    if not adaptive:
-        assert saturated > 500 if wildness == 1.0 else saturated < 300 * len(places) - 500
+    if not places:
+        assert saturated > 500 if wildness == 1.0 else saturated < 300 * 2 * len(TEAM) - 500
 
 
 def test_a_set_point_moves_on_by_its_derivatives_until_the_next_step() -> None:

@@ -276,6 +276,9 @@ def test_setpoints_that_cannot_be_observed():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
+        ({"frameskip": 2}, TypeError, "unexpected keyword argument 'frameskip'; decision_rate is"),
+        ({"max_cycles": 2}, TypeError, "argument 'max_cycles'; the time limit is horizon_s"),
+        ({"continuous": True}, TypeError, "argument 'continuous'; every action is continuous"),
         (
             {"num_drone": 2},
             TypeError,
@@ -295,7 +298,7 @@ def test_bad_options(face, options, error, message):
 
 def test_options_have_names():
     with pytest.raises(TypeError, match="options have names, such as num_drones=4, but got 8"):
-        swap_v1.parallel_env(8)  # type: ignore[call-arg, arg-type]
+        swap_v1.parallel_env(8)
 
 
 @pytest.mark.parametrize(
@@ -400,15 +403,29 @@ def test_closed(face):
 def test_step_without_an_episode(engine):
     env = swap_v1.parallel_env(team="LS", physics=engine, horizon_s=0.1)
     actions = {agent: np.zeros(3) for agent in env.possible_agents}
-    with pytest.raises(RuntimeError, match=r"no episode has begun; call reset\(\) first"):
-        env.step(actions)
+    for given in (actions, {}):
+        with pytest.raises(RuntimeError, match=r"no episode has begun; call reset\(\) first"):
+            env.step(given)
     env.reset(seed=1)
     while env.agents:
         env.step(actions)
     before = everything(env)
     with pytest.raises(RuntimeError, match=r"the episode has ended; call reset\(\) first"):
         env.step(actions)
+    assert env.step({}) == ({}, {}, {}, {}, {})  # as SuperSuit's black_death_v3 does
     assert everything(env) == before
+    env.close()
+    with pytest.raises(RuntimeError, match="closed environment"):
+        env.step({})
+
+
+def test_wrappers_draw_from_the_generator_of_the_episodes():
+    env = swap_v1.parallel_env(num_drones=2, physics="batch")
+    draws = []
+    for _ in range(2):
+        env.reset(seed=3)
+        draws.append(env.np_random.integers(1000, size=4).tolist())
+    assert draws[0] == draws[1] != env.np_random.integers(1000, size=4).tolist()
     env.close()
 
 

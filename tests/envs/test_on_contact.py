@@ -14,6 +14,7 @@ from swarm_envs.agents.protocol import fly_batch
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import make_vector
+from swarm_envs.interactions import load as load_forces
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.viewing.record import Recorder
 
@@ -213,3 +214,30 @@ def test_agents_fly_it_alone_and_at_once():
     if hasattr(agent, "act_batch"):
         assert fly_batch(core, agent.act_batch, seeds) == alone
     env.close()
+
+
+@pytest.mark.parametrize("world", ["ideal", "hall"])
+def test_who_has_ended_pushes_nobody_in_the_observed_force(world):
+    """Below the place where two met, the third observes the force of flying alone."""
+    model = load_forces("learned")
+    envs = [make(observe_force=model, world=world, physics="batch") for _ in range(2)]
+    below = START - [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -1.5, 0.35]]
+    for env in envs:
+        env.reset(seed=0, options={"start": below, "goal": GOAL})
+    field = next(f for f in envs[0].observation_layout if f.name == "self.force")
+    rng, beneath = np.random.default_rng(0), 0
+    for _ in range(60):
+        free = np.concatenate([rng.uniform(-1, 1, (2, 3)), np.zeros((1, 3))]).astype(np.float32)
+        rows = [
+            env.step({agent: (MEET if len(env.agents) == 3 else given)[int(agent[-1])]
+                      for agent in env.agents})[0]
+            for env, given in zip(envs, (MEET, free), strict=True)
+        ]  # fmt: skip
+        if envs[0].agents == ["drone_2"]:
+            view, row = envs[0].view, rows[0]["drone_2"]
+            own = (view.state.position[None, 2:], view.state.velocity[None, 2:])
+            alone = field.scale * model.forces(*own, "S")[0, 0] / (34e-3 * 9.81)
+            beneath += 1
+            assert np.abs(row[field.where] - alone).max() < 0.03
+            assert np.array_equal(row, rows[1]["drone_2"])
+    assert beneath > 20

@@ -109,13 +109,23 @@ def test_goes_on_byte_for_byte(engine, action, way):
         ({"team": "SS"}, r"team is \('S', 'L', 'S'\), but here it is \('S', 'S'\)"),
         ({"team": "SLS", "action": "rotors"}, "action is 'acceleration', but here it is 'rotors'"),
         ({"team": "SLS", "num_neighbors": 1}, "num_neighbors is 3, but here it is 1"),
+        ({"team": "SLS", "decision_rate": 24}, "decision_rate is 48, but here it is 24"),
+        ({"team": "SLS", "force_rate": 240}, "force_rate is 80, but here it is 240"),
+        ({"team": "SLS", "horizon_s": 2.0}, r"horizon_s is 1\.0, but here it is 2\.0"),
+        ({"team": "SLS", "interactions": "none"}, "interactions is .*'learned'.* it is .*none"),
+        ({"team": "SLS", "observe_load": True}, "observe_load is False, but here it is True"),
+        ({"team": "SLS", "end_on_success": True}, "end_on_success is False, but here it is True"),
     ],
 )
 def test_refuses_what_does_not_fit(options, message):
     snapshot = flying("batch").get_state()
-    env = swap_v1.parallel_env(physics="batch", **options)
+    same = {"horizon_s": 1.0, "force_rate": 80, **LOADED}
+    env = swap_v1.parallel_env(**{"physics": "batch", **same, **options})
+    env.reset(seed=1)
+    before = env.state().tobytes()
     with pytest.raises(ValueError, match=message):
         env.set_state(snapshot)
+    assert env.state().tobytes() == before
     with pytest.raises(TypeError, match=r"state is a dict, but must be what get_state\(\)"):
         env.set_state({})  # type: ignore[arg-type]
 
@@ -136,6 +146,9 @@ def test_copies_keep_the_weights_that_were_set():
     for env in (core, twin):
         env.reset(seeds=[3])
     np.testing.assert_array_equal(core.step(still).rewards, twin.step(still).rewards)
+    parallel = SwarmParallelEnv(*blueprint)
+    parallel.core.set_reward_weights({"effort": -9.0})
+    assert copy.deepcopy(parallel).core.reward_weights["effort"] == -9.0
     core.set_reward_weights({"effort": -0.1})
     assert (core.step(still).rewards != twin.step(still).rewards).all()
 

@@ -1,4 +1,4 @@
-"""The composed model, written out in numpy: pushes of pairs that are joined."""
+"""The composed model: that of the equations; it turns with the swarm; files are checked."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from safetensors.numpy import save_file
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import fade_weight
+from swarm_envs.reference import learned
+from swarm_envs.reference_numbers import air_of
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
 
@@ -62,69 +64,17 @@ def team_of(kinds: list[str]) -> list[Vehicle]:
     return [Vehicle(**{**small, "token": t, "interaction_type": t}) for t in kinds]
 
 
-def network(tensors: Tensors, name: str, x: FloatArray) -> FloatArray:
-    for k in range(3):
-        x = tensors[f"{name}.{k}.weight"] @ (np.maximum(x, 0.0) if k else x)
-        x = x + tensors[f"{name}.{k}.bias"]
-    return x
-
-
-def fade(distance: float, full: float, end: float) -> float:
-    u = np.clip((distance - full) / (end - full), 0.0, 1.0)
-    return float(1 - 10 * u**3 + 15 * u**4 - 6 * u**5)
-
-
-def pair_push(
-    tensors: Tensors, upper: str, lower: str, p: FloatArray, v: FloatArray, wind: FloatArray
-) -> tuple[float, FloatArray]:
-    """Push of one neighbour, g, and its horizontal part, g."""
-    weight = fade(float(np.hypot(*p[:2])), FULL, END) * fade(abs(p[2]), TOP, EDGE)
-    axis = p[:2] - wind[:2] * max(p[2], 0.0) * tensors[f"delay.{upper}"][0]
-    towards = axis / np.sqrt(axis @ axis + 0.04**2)
-    radial = towards @ v[:2]
-    across = np.sqrt(max(v[:2] @ v[:2] - radial**2, 0.0))
-    r, dz = min(np.hypot(*axis), np.hypot(END, END)), np.clip(p[2], -1.0, 1.0)
-    speeds = [np.clip(radial, -FAST, FAST), min(across, FAST), np.clip(v[2], -FASTER, FASTER)]
-    inputs = np.array([r, dz, *speeds]) / [0.2, 0.5, 0.5, 0.5, 0.5]
-    correction, lean = network(tensors, f"pair.{upper}.{lower}", inputs)
-    amplitude, start, spread, decay = tensors[f"wake.{upper}.{lower}"]
-    width = start + spread * max(dz, 0.0)
-    wake = amplitude * (start / width) ** decay * np.exp(-0.5 * (r / width) ** 2)
-    push = weight * max(wake / (1.0 + np.exp(-dz / 0.03)) + correction, 0.0)
-    return push, push * np.clip(lean, -1.0, 1.0) * towards
-
-
-def alone(tensors: Tensors, own: str, height: float, v: FloatArray) -> float:
-    inputs = [np.clip(-height, -1.6, -0.07), min(np.hypot(*v[:2]), 0.6), np.clip(-v[2], -1.0, 1.0)]
-    return float(network(tensors, f"environment.{own}", np.array(inputs) / [0.2, 0.5, 0.5])[0])
-
-
 @pytest.mark.parametrize("drones", [1, 3, 26])
 def test_forces_are_those_of_the_formula(drones: int, tmp_path: Path) -> None:
     path = tmp_path / "composed.safetensors"
-    tensors, rng = written(path), np.random.default_rng(drones)
-    position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (drones, 3))
-    velocity = rng.normal(0.0, 0.5, (drones, 3))
-    kinds = [TYPES[k % 3 % 2] for k in range(drones)]
-    found = load(path).forces(position[None], velocity[None], team_of(kinds))[0]
-    q, lost, height = tensors["joining"]
-    for i, own in enumerate(kinds):
-        force, z = np.zeros(3), position[i, 2]
-        if z < ANCHOR:
-            force[2] += alone(tensors, own, z, velocity[i])
-            force[2] -= alone(tensors, own, ANCHOR, velocity[i])
-        pushes, sideways = [0.0], np.zeros(2)
-        for j in set(range(drones)) - {i}:
-            p, v = position[j] - position[i], velocity[j] - velocity[i]
-            push, part = pair_push(tensors, kinds[j], own, p, v, velocity[j])
-            pushes.append(push)
-            sideways += part
-        down = np.sum(np.power(pushes, q)) ** (1.0 / q)
-        down *= 1.0 - lost * np.exp(-max(z, 0.07) / height)
-        force[2] -= down
-        force[:2] += sideways * down / max(sum(pushes), 1e-30)
-        expected = force * GRAM_FORCE - DRAG * velocity[i]
-        np.testing.assert_allclose(found[i], expected, rtol=0, atol=1e-12)
+    written(path)
+    rng, model = np.random.default_rng(drones), load(path)
+    position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (1, drones, 3))
+    velocity = rng.normal(0.0, 0.5, (1, drones, 3))
+    team = team_of([TYPES[k % 3 % 2] for k in range(drones)])
+    expected = learned(position, velocity, air_of(model, team))
+    found = model.forces(position, velocity, team)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def turned(vector: FloatArray, angle: float, mirror: bool) -> FloatArray:

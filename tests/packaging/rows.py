@@ -49,6 +49,7 @@ ROWS = (
     Row(name="oldest", extras=("viz",), oldest=True, steps=(*BASE, "page", "tests")),
     Row(name="3.12", python="3.12", steps=(*BASE, "tests")),
     Row(name="3.13", python="3.13", steps=(*BASE, "tests")),
+    Row(name="3.14", python="3.14", steps=(*BASE, "tests")),
     Row(name="locked", locked=True),
     Row(name="viz", extras=("viz",), steps=("modules", "page")),
     Row(name="ray", extras=("ray",), steps=("modules", "cluster")),

@@ -17,6 +17,7 @@ TESTS = (
     "control/test_closed_loop.py",
     "envs/test_turns.py",
     "envs/test_gymnasium.py",
+    "test_camera.py",
 )
 """Tests that are run against the installation: those nearest to the kernels and the interfaces."""
 
@@ -46,8 +47,10 @@ def demo(here: Installation) -> None:
 
 
 def fly(here: Installation) -> None:
-    """A shipped policy flies an episode and solves it."""
-    here.command("fly", "--agent", "swap-dagger", "--seed", 3, "--json", "flight.json")
+    """A shipped policy flies an episode, solves it and is filmed."""
+    files = ("--json", "flight.json", "--video", "flight.gif")
+    here.command("fly", "--agent", "swap-dagger", "--seed", 3, *files)
+    _expect(here.home, "flight.gif")
     flown = json.loads((here.home / "flight.json").read_text(encoding="utf-8"))
     if not flown["metrics"]["success"]:
         raise AssertionError(f"swap-dagger does not solve seed 3: {flown['metrics']}")

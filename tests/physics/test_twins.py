@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.tracking import TrackingController
@@ -98,6 +99,33 @@ def test_same_flight_until_both_report_tumbling(rate: float) -> None:
             assert difference(a, b) < 1e-9
         assert flags.any()
         assert step > 10
+
+
+@pytest.mark.parametrize(("rate", "gain"), [(4.0, 0.0069), (16.0, 0.1216), (50.0, 3.416)])
+def test_free_spin_gains_the_energy_that_the_limits_name(rate: float, gain: float) -> None:
+    """Without torque it would keep its energy; attitudes may differ in the quaternion's sign."""
+    state = hover_state(TEAM, np.add(STACK, [0.0, 0.0, 50.0]))
+    state.rotor_thrust[:] = 0.0
+    state.angular_velocity[:] = rate / np.sqrt(3.0)
+    attitudes = []
+    for kind in (BatchPhysics, BulletPhysics):
+        engine = kind(TEAM, interactions="none")
+        engine.reset(state)
+        for _ in range(240):
+            engine.step(np.zeros((1, 3, 4)))
+        attitude = Rotation.from_quat(engine.state.quaternion[0].copy())
+        inertia = np.array([vehicle.inertia for vehicle in TEAM])
+        energies = [
+            (inertia * turned.inv().apply(spin.copy()) ** 2).sum(axis=1)
+            for turned, spin in (
+                (Rotation.from_quat(state.quaternion[0]), state.angular_velocity[0]),
+                (attitude, engine.state.angular_velocity[0]),
+            )
+        ]
+        np.testing.assert_allclose(energies[1] / energies[0] - 1.0, gain, rtol=0.01)
+        attitudes.append(attitude)
+        engine.close()
+    assert ((attitudes[0].inv() * attitudes[1]).magnitude() < 1e-6).all()
 
 
 def spinning(rate: float, wobble: float) -> SwarmState:

@@ -185,6 +185,7 @@ def test_what_cannot_be_is_refused():
         (lambda: make("columns_v0", num_drones=20), "use fewer drones or a smaller gap_m"),
         (lambda: make("columns_v0", gap_m=(0.1, 0.2)), "use a larger gap"),
         (lambda: make("delivery_v0", num_drones=10), "use at most 9"),
+        (lambda: make("delivery_v0", team="S*LS*"), "couriers dock at 0.093 m, but .* 0.095 m"),
     ):
         with pytest.raises(ValueError, match=text):
             refused()

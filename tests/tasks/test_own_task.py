@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -16,10 +16,11 @@ from examples import own_task
 from swarm_envs.cli import main
 from swarm_envs.compiled import kernel
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.options import batch_of
+from swarm_envs.envs.options import batch_of, blueprint_of
 from swarm_envs.tasks.base import Placement, Task
 from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
+from swarm_envs.vehicles import parse_team, team_string
 
 FILE = Path(own_task.__file__)
 UPRIGHT = {**REWARD_WEIGHTS, "upright": 0.3}
@@ -154,6 +155,38 @@ def test_options_are_the_fields_of_the_class_and_its_docstrings_explain_them():
         swarm_envs.make(own_task.LineTask, spacing=0.4)
     with pytest.raises(ValueError, match="must be a name such as 'swap_v1', or a class with"):
         swarm_envs.make(Task)
+
+
+@dataclass(frozen=True)
+class Tower(Endless):
+    """One above another, strong ones, so many decisions a second."""
+
+    decision_rate: int = 0
+    """An option of every task, which this one reads too."""
+    gap_m: float | None = 0.5
+    """Distance between neighbors, m; None: 0.4."""
+
+    defaults: ClassVar[dict[str, Any]] = {"num_drones": 2, "world": "hall", "decision_rate": 40}
+
+    @classmethod
+    def default_team(cls, options):
+        return parse_team("S*" * options.num_drones)
+
+
+def test_a_task_has_defaults_and_a_team_of_its_own():
+    made = blueprint_of(Tower, gap_m=None)
+    assert team_string(made.task.team) == "S*S*" and made.config.world == "hall"
+    assert (made.task.decision_rate, made.config.decision_rate) == (40, 40)  # type: ignore[attr-defined]
+    assert made.task.gap_m is None  # type: ignore[attr-defined]
+    given = blueprint_of(Tower, team="LL", world="ideal", decision_rate=20)
+    assert team_string(given.task.team) == "LL" and given.config.world == "ideal"
+    assert given.task.decision_rate == 20  # type: ignore[attr-defined]
+    wrong: Any = dataclass(frozen=True)(type("Wrong", (Endless,), {"defaults": {"wrld": "hall"}}))
+    with pytest.raises(ValueError, match="defaults of Wrong 'wrld'; did you mean 'world'"):
+        swarm_envs.make(wrong)
+    taken: Any = make_dataclass("Taken", [("hall", float, 1.0)], bases=(Endless,), frozen=True)
+    with pytest.raises(ValueError, match="Taken has a field 'hall', which means something else"):
+        swarm_envs.make(taken)
 
 
 def test_ids_are_registered():

@@ -15,6 +15,7 @@ from swarm_envs import TASKS
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.observation import observation_layout
+from swarm_envs.envs.options import blueprint_of, options_type
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.base import SPEED_LIMIT
@@ -205,3 +206,23 @@ def test_force_bounds_are_counted_each_physics_step(bound):
     share = (small > bound).mean() / 2  # the large one has no bound here
     assert metrics["fraction_over_force_bound"] == pytest.approx(share)
     assert (metrics["force_bound_violations"] > 0) == (bound < 100)
+
+
+TEAMS = ("L", "LS", "S*L", "LLLL", "LSLSLS", "S*S*S*L", "S" * 7, "L" * 9, "LS" * 16)
+
+
+@every_task
+def test_a_team_that_a_task_accepts_is_always_placed(task):
+    accepted = 0
+    for layout in options_type(task).task_type.layouts or (None,):
+        for team in TEAMS:
+            layouts = {} if layout is None else {"layout": layout}
+            try:
+                flown = blueprint_of(task, team=team, physics="batch", **layouts).task
+            except ValueError:
+                continue
+            accepted += 1
+            for seed in range(60):
+                placed = flown.place(np.random.default_rng(seed))
+                assert np.isfinite(placed.goals).all()
+    assert accepted >= 2

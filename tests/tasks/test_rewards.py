@@ -76,14 +76,22 @@ def test_weighted_sum():
     rng = np.random.default_rng(0)
     terms, weights = rng.normal(size=(7, 3, 4)), rng.normal(size=7)
     rewards = np.full((3, 4), 5.0)
-    drones = new_world(3, 4).drones
+    drones, environments, _ = new_world(3, 4)
     drones["active"], drones["active"][0, 1] = 1.0, 0.0  # one has ended, another now
     drones["active"][2, 2], drones["crashed"][2, 2] = 0.0, 1.0
     expected = np.tensordot(weights, terms, 1)
     expected[0, 1] = 0.0
-    weigh(terms, weights, drones, np.array([True, False, True]), rewards)
+    (active, ended), ends = np.ones((2, 3, 4), np.bool_), np.zeros((2, 3), np.bool_)
+    flown = np.array([True, False, True])
+    weigh(terms, weights, flown, drones, environments, rewards, *ends, active, ended)
     np.testing.assert_allclose(rewards[[0, 2]], expected[[0, 2]], rtol=1e-13)
     np.testing.assert_array_equal(rewards[1], 0.0)
+    assert active.tolist() == [[True, False, True, True], [False] * 4, [True] * 4]
+    assert np.argwhere(ended).tolist() == [[2, 2]]
+    environments["terminated"][0] = True  # ends the episodes of all that still fly
+    weigh(terms, weights, flown, drones, environments, rewards, *ends, active, ended)
+    assert np.argwhere(ended).tolist() == [[0, 0], [0, 2], [0, 3], [2, 2]]
+    assert ends.tolist() == [[True, False, False], [False] * 3]
 
 
 def hovering(success: Success, start: list[list[float]], steps: int) -> list[bool]:

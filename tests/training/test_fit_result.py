@@ -189,6 +189,8 @@ def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
         ({"advection_velocity": "relative"}, "only 'neighbor'"),
         ({"pair": {}}, "'S>S'"),
         ({"combine_q": "two"}, "could not convert"),
+        ({"combine_q": 0.0}, "combine_q is 0, .* must be at least 1"),
+        ({"advection_speed": {"S": -1.0, "L": 1.0}}, "advection_speed .* negative"),
     ):
         path.write_text(json.dumps(content | change))
         with pytest.raises(ValueError, match=f"damaged or not a 'wake-1' file .*{reason}"):
@@ -373,22 +375,6 @@ def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert kept.stat().st_mtime_ns == before
     with pytest.raises(ValueError, match="other options: seed is 0 there, 1 here"):
         compare(comparison_of(tmp_path, seed=1))
-
-
-def test_models_are_tested_on_two_neighbors_after_a_fit_to_one(tmp_path: Path) -> None:
-    one, second = flights(), np.zeros((1200, 1, 6))
-    second[:, 0, :3] = [0.05, 0.0, 0.3]
-    two = np.arange(1200) % 3 == 0
-    rows = replace(
-        one,
-        neighbor=np.concatenate([one.neighbor, second], axis=1),
-        neighbor_type=np.stack([np.zeros(1200, np.int64), np.where(two, 0, -1)], axis=1),
-        force_g=one.force_g - 4.0 * two[:, None] * [0.0, 0.0, 1.0],
-    )
-    save_rows(tmp_path / "rows.npz", rows)
-    found = compare(comparison_of(tmp_path, hold_out="two-neighbors", models=("wake",)))
-    assert found.rows == two.sum()
-    assert len(list((tmp_path / "out").glob("wake-*.npy"))) == 1
 
 
 def test_flights_of_every_scenario_are_spread_over_the_folds() -> None:

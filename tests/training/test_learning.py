@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from itertools import permutations
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import blueprint_of
 from swarm_envs.swap_v1 import blueprint
 from swarm_envs.tasks import formation
-from swarm_envs.tasks.formation import LAYOUTS, FormationCurriculum
+from swarm_envs.tasks.formation import LAYOUTS, FormationCurriculum, FormationTask
 from swarm_envs.tasks.learning import ALL
 from swarm_envs.tasks.ring import LOST_M
 from swarm_envs.tasks.swap import SwapCurriculum
@@ -25,7 +26,7 @@ from swarm_envs.vehicles import parse_team
 
 TINY = [
     *("--drones", "2", "--environments", "8", "--set", "n_steps=8", "batch_size=64", "n_epochs=1"),
-    *("--hidden", "8", "--steps", "256", "--evaluation-episodes", "2", "--num-neighbors", "1"),
+    *("--hidden", "8", "--steps", "256", "--evaluation-episodes", "2", "--neighbors", "1"),
     *("--interactions", "none", "--no-progress"),
 ]
 
@@ -152,8 +153,9 @@ def _distances(points: np.ndarray) -> np.ndarray:
 def test_a_formation_layout_is_a_mission_by_name():
     for name, mission in LAYOUTS.items():
         task = formation_v1.blueprint(num_drones=8, layout=name).task
-        assert all(getattr(task, option) == value for option, value in mission.items())
-    assert formation_v1.blueprint(layout="tour").task == formation_v1.blueprint().task
+        assert isinstance(task, FormationTask) and task.mission == mission
+        assert task.with_team(task.team[::-1]).motion == task.motion
+    assert formation_v1.blueprint().task.mission == LAYOUTS["tour"]  # type: ignore[attr-defined]
     assert formation_v1.blueprint(num_drones=8, layout="shuffle").task.episode_s == 8.0
     with pytest.raises(ValueError, match=r"layout='cube' already says .* but labels are given too"):
         formation_v1.blueprint(layout="cube", labels="random")
@@ -201,7 +203,7 @@ def test_rewards_follow_new_weights():
     found = blueprint(num_drones=2, physics="batch", layout="circle")
     core, action = SwarmCore(found.task, found.config), np.full((1, 2, 3), 0.3)
     core.reset([0])
-    before = core.step(action)
+    before = deepcopy(core.step(action))
     core.set_reward_weights({"effort": -2.0})
     core.reset([0])
     after = core.step(action)

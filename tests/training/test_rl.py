@@ -28,7 +28,7 @@ from swarm_envs.training.rl.runs import make_setting
 from tests.helpers.interrupts import calls_of
 
 COMMON = (
-    "--drones 2 --environments 8 --hidden 8 8 --num-neighbors 1 --evaluations 2 "
+    "--drones 2 --environments 8 --hidden 8 8 --neighbors 1 --evaluations 2 "
     "--evaluation-episodes 4 --interactions none --seed 5 --no-progress"
 )
 OFF_POLICY = "--steps 640 --set learning_starts=200 buffer_size=1000 batch_size=32 gradient_steps=2"

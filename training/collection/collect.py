@@ -68,7 +68,7 @@ class CollectionConfig:
     points, or the accelerometer"""
     motion: tyro.conf.Suppress[MotionRanges] = MotionRanges()
     """what the motions are drawn from"""
-    noise: SensorNoise = SensorNoise()
+    noise: tyro.conf.Suppress[SensorNoise] = SensorNoise()
     """what sensors add to the logged state; the pilot flies with the true one"""
     seed: int = 0
     """seed of every flight; each has its own generator, so that none depends on another"""

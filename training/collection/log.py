@@ -21,7 +21,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from swarm_envs.errors import check_number
-from swarm_envs.files import written_whole
+from swarm_envs.files import read_npz, written_whole
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
@@ -63,9 +63,10 @@ def read_log(path: Path) -> FlightLog:
 
     Raises:
         FileNotFoundError: there is none.
+        ValueError: it is damaged.
     """
-    with np.load(path, allow_pickle=False) as file:
-        return FlightLog(*(file[name].astype(np.float64) for name in FlightLog._fields))
+    arrays = read_npz(path)
+    return FlightLog(*(arrays[name].astype(np.float64) for name in FlightLog._fields))
 
 
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import tyro
@@ -53,9 +53,6 @@ class CompareConfig(FlightData):
     """the models; the first is compared with each of the others"""
     folds: int = 5
     """parts of the flights, each held out once"""
-    hold_out: Literal["flights", "two-neighbors"] = "flights"
-    """`two-neighbors`: fit to rows with at most one neighbor and test on the others, in place of
-    the folds; it shows what a model makes of several neighbors"""
     steps: int = FitConfig.steps
     """optimizer steps of each fit"""
     seed: int = 0
@@ -71,7 +68,6 @@ class CompareConfig(FlightData):
         """Refuse values that an option cannot have."""
         for model in self.models:
             check_name("models", model, get_args(Model))
-        check_name("hold_out", self.hold_out, ("flights", "two-neighbors"))
         check_integer("folds", self.folds, at_least=2)
         check_integer("steps", self.steps, at_least=1)
         check_integer("seed", self.seed, at_least=0)
@@ -152,7 +148,7 @@ def compare(config: CompareConfig) -> ModelComparison:
     """
     rows, _ = read_data(config.data, config.logs, config.progress)
     rows = dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_))
-    fold, digest = _folds(rows, config), data_sha256(config.data)
+    fold, digest = flight_folds(rows, config.folds, config.seed), data_sha256(config.data)
     options = {k: v for k, v in vars(config).items() if k not in _ASIDE}
     begin_manifest(config.out / "comparison.json", {**options, "data_sha256": digest})
     label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
@@ -167,16 +163,7 @@ def compare(config: CompareConfig) -> ModelComparison:
             with written_whole(path) as partial, partial.open("wb") as stream:
                 np.save(stream, said[held_out])
         squared[model][held_out] = (np.load(path) - label[held_out]) ** 2
-    tested = fold >= 0
-    squared = {model: own[tested] for model, own in squared.items()}
-    return _compared(rows.select(tested), squared, config, digest)
-
-
-def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
-    """Part in which each row is tested, (R,); -1 for rows that are only fitted to."""
-    if config.hold_out == "flights":
-        return flight_folds(rows, config.folds, config.seed)
-    return (rows.neighbor_type >= 0).sum(axis=1, dtype=np.int64).clip(1, 2) - 2
+    return _compared(rows, squared, config, digest)
 
 
 def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:

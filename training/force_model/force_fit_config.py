@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+import tyro
+
 from swarm_envs.errors import check_bool, check_integer, check_name, check_number, check_type
 from swarm_envs.training.flight_logs.log_options import LogOptions
 
@@ -20,7 +22,7 @@ class TrainConfig:
     """optimizer steps"""
     batch_size: int = 1024
     """rows of a step; every row comes once in each pass, in random order"""
-    learning_rate: float = 3e-3
+    learning_rate: tyro.conf.Suppress[float] = 3e-3
     """Adam's rate at the start; it falls to zero along a cosine"""
     spectral: Literal["clip", "exact", "none"] = "clip"
     """what is done to the spectral norm of every weight matrix after each step: `clip` scales it
@@ -100,13 +102,13 @@ class FitConfig(TrainConfig, FitFiles):
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
     offsets: Literal["estimated", "none"] = "estimated"
     """calibration offsets of an anchored fit; `none` if the labels are exact"""
-    anchor_height_m: float = 0.6
+    anchor_height_m: tyro.conf.Suppress[float] = 0.6
     """height from which a lone drone feels exactly nothing, in an anchored fit"""
-    hidden: int = 20
+    hidden: tyro.conf.Suppress[int] = 20
     """H, length of the hidden state between phi and rho"""
-    layers: int = 4
+    layers: tyro.conf.Suppress[int] = 4
     """L, layers of every phi and rho"""
-    relative_velocity: bool = True
+    relative_velocity: tyro.conf.Suppress[bool] = True
     """let the network see velocities; without, it sees positions alone"""
     torque: bool = False
     """let the deep set give the torque too, from rows that carry it"""

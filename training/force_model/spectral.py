@@ -1,4 +1,4 @@
-"""Spectral normalization (Neural-Swarm2, eq. 12), held without reparametrization.
+"""Spectral normalization (Neural-Swarm2, version 1, eq. 12), held without reparametrization.
 
 After each step of the optimizer the weight matrices themselves are scaled, so that a weights file
 holds what was trained.
@@ -18,7 +18,9 @@ Spectral = Literal["clip", "exact", "none"]
 
 @torch.no_grad()
 def hold_spectral_norms(weights: Iterable[Tensor], norm: float, kind: Spectral = "clip") -> None:
-    """Scale weight matrices in place so that they keep to a spectral norm, gamma^(1/L).
+    """Scale weight matrices in place so that they keep to a spectral norm.
+
+    It is gamma^(1/(L+1)) for L + 1 matrices: four here, which Sec. VII-C calls four layers.
 
     `clip` scales a matrix whose norm is above `norm` down to it and never up, as the published code
     does; `exact` scales every matrix to exactly this norm, as eq. (12) is written.

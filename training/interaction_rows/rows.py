@@ -7,8 +7,6 @@ fitted to them. World frame, z up; SI, but labels in gram-force, as Neural-Swarm
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.errors import unknown_name
-from swarm_envs.files import written_whole
+from swarm_envs.files import read_npz, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 __all__ = ["ROW_ARRAYS", "InteractionRows", "read_rows"]
@@ -31,7 +29,6 @@ _LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the p
 _PUBLISHED = ("x", "fa", "names", "cf", "flight", "step", "scenario")
 _INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario")
 
-_DAMAGED = (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError)
 
 Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name, as a file holds them
 
@@ -167,12 +164,9 @@ def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     if not Path(path).is_file():
         raise FileNotFoundError(f"no file of interaction rows at {name!r}; give its path")
     try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except _DAMAGED as error:
-        raise ValueError(
-            f"it cannot be read as an npz file without pickle ({error}); copy it again or delete it"
-        ) from error
+        arrays = read_npz(Path(path))
+    except (ValueError, OSError) as error:
+        raise ValueError(f"it cannot be read ({error}); copy it again or delete it") from error
     if "format" in arrays and str(arrays["format"]) == FORMAT:
         return _saved_rows(arrays)
     if set(_PUBLISHED) <= set(arrays):

@@ -13,7 +13,7 @@ from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.agents.protocol import AT_ONCE, fly_batch
 from swarm_envs.agents.registry import controller_of
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.options import batch_of, options_type
+from swarm_envs.envs.options import batch_of, task_class
 from swarm_envs.errors import check_name
 from swarm_envs.tasks.learning import ALL, Learning
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -30,7 +30,7 @@ def learning_of(task: str) -> Learning:
     Raises:
         ValueError: there is no such task.
     """
-    learning = options_type(task).task_type.learning
+    learning = task_class(task).learning
     return Learning(layouts={"own": {}}, horizon_s=None) if learning is None else learning
 
 

@@ -34,6 +34,7 @@ from swarm_envs.envs.options import Blueprint
 from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.provenance import check_same, scalar_writer
+from swarm_envs.training.rl.advice import advice
 from swarm_envs.training.rl.choosing import learning_of
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
@@ -65,6 +66,7 @@ def train_dagger(config: RlConfig, task: str) -> dict[str, Any]:
             "steps": dagger.steps,
             "chosen": dagger.evaluation.best,
             "last": dagger.evaluation.results[-1],
+            "next": advice(dagger.config, task, dagger.evaluation.results),
             "cpu_s": round(dagger.cpu_s, 1),
             "wall_s": round(dagger.wall_s, 1),
             "version": __version__,

@@ -35,7 +35,7 @@ ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # those that need no import path
 
 
 def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+    return f"--{name.replace('num_neighbors', 'neighbors').replace('_', '-')}"
 
 
 @dataclass(frozen=True)
@@ -54,18 +54,18 @@ class DaggerConfig:
     """decisions per gradient step"""
     learning_rate: float = 2e-3
     """learning rate of Adam at the start; it falls as a cosine"""
-    last_rate: float = 0.02
+    last_rate: tyro.conf.Suppress[float] = 0.02
     """final learning rate, as a share of the initial one"""
     buffer_size: int = 400_000
     """size of the replay buffer in decisions of single drones; checkpoints contain it"""
     guided: float = 0.125
     """share of the run during which the teacher flies too; its share of the decisions falls from 1
     to 0"""
-    noise: float = 0.1
+    noise: tyro.conf.Suppress[float] = 0.1
     """standard deviation of noise on the actions of a third of the environments"""
     avoiding: float = 3.0
     """weight of decisions in which other drones change the teacher's action; others have 1"""
-    huber: float = 0.1
+    huber: tyro.conf.Suppress[float] = 0.1
     """error of an action from which on the loss grows linearly"""
 
     def __post_init__(self) -> None:
@@ -145,9 +145,9 @@ class RlConfig(AirOptions, RunOptions):
     and body rates (`ctbr`), or each of the `rotors`; it will fly with this one alone"""
     decision_rate: int = 10
     """decisions per second, in training and in flight"""
-    force_rate: int = 48
+    force_rate: tyro.conf.Suppress[int] = 48
     """evaluations of the interaction force per second in training"""
-    num_neighbors: Annotated[int, tyro.conf.arg(aliases=["--neighbors"])] = 3
+    num_neighbors: Annotated[int, tyro.conf.arg(name="neighbors")] = 3
     """K, the number of observed neighbors"""
     num_obstacles: int | None = None
     """M, the number of observed obstacles; default: 3 where there are any"""
@@ -163,7 +163,7 @@ class RlConfig(AirOptions, RunOptions):
     `air-aware`; the default controller if not given"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, a weights file or path/to/file.py:function"""
-    proximity: tuple[float, float] = (4.0, 2.0)
+    proximity: tyro.conf.Suppress[tuple[float, float]] = (4.0, 2.0)
     """cost of being near another drone, before and after 37 % of the steps; too much for too long,
     and drones hover next to their goals"""
     checkpoint_rollouts: int = 100

@@ -28,6 +28,7 @@ from swarm_envs import __version__
 from swarm_envs.agents.networks import Network
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.provenance import check_same
+from swarm_envs.training.rl.advice import advice
 from swarm_envs.training.rl.encoders import SetExtractor, linear_layers
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
@@ -100,6 +101,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             "steps": model.num_timesteps,
             "chosen": evaluation.best,
             "last": evaluation.results[-1],
+            "next": advice(setting.config, task, evaluation.results),
             "cpu_s": round(time.process_time() - begun[0], 1),
             "wall_s": round(time.monotonic() - begun[1], 1),
             "version": __version__,

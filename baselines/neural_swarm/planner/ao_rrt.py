@@ -61,9 +61,10 @@ class SearchConfig:
     def published(cls, **others: Any) -> SearchConfig:
         """Return AO-RRT as in the paper (Algorithm 1, Sec. V-A): random actions alone.
 
-        Samples are uniform, or the goal in a tenth of the iterations; the nearest node holds a
+        Samples are uniform, or the goal in a tenth of the iterations (version 2 of the paper, in
+        fixed intervals there); the nearest node holds a
         random action for one edge; no node is steered to the goal; each outer loop plans all robots
-        anew, below the bound.
+        anew, below the bound, which is the team's cost where the paper has each robot's.
 
         Args:
             **others: options that differ, such as `iterations`.

@@ -1,4 +1,4 @@
-"""Derivatives of the forces by one robot's state: C_k of eq. (16), A_k of eq. (15).
+"""Derivatives of the forces by one robot's state: the parts of A_k and C_k, eqs. (15), (16).
 
 Of a deep set (eq. 10) the derivative is analytic, all knots at once, by backpropagation in numpy:
 the planner needs neither torch nor its start-up time. Other models are differentiated by central
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from swarm_envs.interactions import InteractionModel
-from swarm_envs.interactions.field import LEARNED, ForceField, Numbers
+from swarm_envs.interactions.field import DEEP_SET, ForceField, Numbers
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
@@ -25,7 +25,7 @@ def force_jacobian(
     positions (m) and velocities (m/s) of all robots at K knots. Returned is (K, N, 3, 6), in which
     [k, j] is d f_a(j) / d x(i) for the robot i that moves: N per m and N per m/s.
     """
-    if model.field.kind == LEARNED:
+    if model.field.kind == DEEP_SET:
         field = model.with_precision("float64").field
         return _DeepSet(field, model.type_indices(team), states).jacobian(robot)
     return difference_jacobian(model, team, states, robot)

@@ -7,7 +7,6 @@ import hashlib
 import itertools
 import json
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +20,7 @@ from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck
 from swarm_envs.errors import check_array, check_name, unknown_name
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.files import read_npz, write_json, written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team, Vehicle
@@ -143,7 +142,7 @@ class SwarmPlan:
         for owner, part in itertools.product(_MOTIONS, _PARTS):
             arrays[f"{owner}_{part}"] = getattr(getattr(self, owner), part)
         about["sha256"] = _digest(arrays, about)
-        if file.suffix == ".json":
+        if file.suffix.lower() == ".json":
             write_json(file, {"about": about, **{name: a.tolist() for name, a in arrays.items()}})
             return
         written: dict[str, Any] = {**arrays, "about": np.array(json.dumps(about, allow_nan=False))}
@@ -160,12 +159,10 @@ class SwarmPlan:
         """
         file = _checked(path)
         try:
-            if file.suffix == ".npz":
-                # numpy leaves a file open that it opens itself and cannot read.
-                with file.open("rb") as opened, np.load(opened, allow_pickle=False) as content:
-                    raw = {name: content[name] for name in content.files}
+            if file.suffix.lower() == ".npz":
+                raw: dict[str, Any] = read_npz(file)
                 return _assemble(json.loads(str(raw.pop("about"))), raw)
-            raw = json.loads(file.read_text(encoding="utf-8"))
+            raw = json.loads(file.read_text(encoding="utf-8-sig"))
             return _assemble(raw.pop("about"), raw)
         except _DAMAGE as error:
             what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
@@ -178,12 +175,12 @@ _VERSION = 1  # of the format; a file of another is refused
 _SUFFIXES = (".npz", ".json")
 _PARTS = ("states", "controls", "forces")
 _MOTIONS = ("trajectories", "initial")
-_DAMAGE = (ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile)
+_DAMAGE = (ValueError, TypeError, KeyError, AttributeError)
 
 
 def _checked(path: str | Path) -> Path:
     file = Path(path)
-    if file.suffix not in _SUFFIXES:
+    if file.suffix.lower() not in _SUFFIXES:
         raise ValueError(unknown_name("suffix", file.suffix, _SUFFIXES, f"of {str(file)!r}"))
     return file
 

@@ -274,7 +274,10 @@ def rest_control(scene: Scene, work: WorkingState, control: FloatArray) -> None:
 def hold_at_goal(
     scene: Scene, tree: SearchTree, node: int, bound: float, work: WorkingState, states: FloatArray
 ) -> float:
-    """Stay at the goal from a node to the last knot, while the others fly on.
+    """Stay at the goal from a node to the last knot, while the others fly on: PostProcess.
+
+    Line 17 of Algorithm 1 (Sec. V-A) tracks the goal virtually after the search; here each tree
+    does.
 
     Writes `states` (K + 1, 6) from the node's knot on; returns the cost of the whole flight, all
     robots', m/s, or `INVALID` if it must not be flown or reaches the bound.

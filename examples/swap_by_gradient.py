@@ -1,0 +1,90 @@
+"""Gradient descent through the downwash: better set-points for a swap of a large and a small drone.
+
+    python examples/swap_by_gradient.py
+
+The large drone flies over the small one, whose controller knows no force model: it sinks. Here a
+flight is one function of its set-points (`swarm_envs.reference`, in torch), so its gradient says
+how to change them. What is changed are bumps of the small drone's desired height; how far it is off
+is still counted from the straight line. Needs torch.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from swarm_envs.reference import hovering, learned, step
+from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.state import Setpoint
+
+TEAM = "LS"
+SPEED = 1.0 / 3.2  # m/s of each drone, half way of the swap of Neural-Swarm2, Fig. 8
+GAP, LOWEST = 0.25, 0.8  # m between both, and of the small drone over the ground
+SECONDS, BUMPS = 2.4, 12  # the drones meet after half the time
+
+
+def lines(dt: float) -> tuple[Tensor, Tensor]:
+    """Positions (steps, 2, 3), m, on straight lines across each other, and velocities (2, 3)."""
+    velocity = torch.tensor([[SPEED, 0.0, 0.0], [-SPEED, 0.0, 0.0]], dtype=torch.float64)
+    time = dt * torch.arange(round(SECONDS / dt), dtype=torch.float64) - SECONDS / 2
+    height = torch.tensor([[0.0, 0.0, LOWEST + GAP], [0.0, 0.0, LOWEST]], dtype=torch.float64)
+    return height + time[:, None, None] * velocity, velocity
+
+
+def bumps(dt: float) -> Tensor:
+    """Bumps in time (3, steps, BUMPS): their values, and first and second derivatives."""
+    time = dt * torch.arange(round(SECONDS / dt), dtype=torch.float64)
+    width = SECONDS / BUMPS
+    u = (time[:, None] - width * (0.5 + torch.arange(BUMPS))) / width
+    value = torch.exp(-0.5 * u**2)
+    return torch.stack([value, -u / width * value, (u**2 - 1.0) / width**2 * value])
+
+
+def height_errors(sizes: Tensor, dt: float) -> Tensor:
+    """Height of the small drone over its line (steps,), m, for sizes (BUMPS,) of the bumps, m."""
+    line, speed = lines(dt)
+    body, gains = bodies_of(TEAM, torch), gains_of(dt=dt, xp=torch)
+    air = partial(learned, air=air_of("learned", TEAM, torch))
+    up = torch.zeros(2, 3, dtype=torch.float64)
+    up[1, 2] = 1.0  # of the small drone alone
+    p, v, a = ((bumps(dt) @ sizes)[:, :, None, None] * up).unbind()
+    still, none = torch.zeros(2, 3, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
+    state, heights = hovering(line[0], body)._replace(velocity=speed), []
+    for k in range(len(line)):
+        setpoint = Setpoint._make((line[k] + p[k], speed + v[k], a[k], still, none, none))
+        heights.append(state.position[1, 2])
+        state = step(state, setpoint, body, gains, forces=air, dt=dt)
+    return torch.stack(heights) - LOWEST
+
+
+def worst_cm(sizes: Tensor, dt: float) -> float:
+    """Worst height error, cm."""
+    with torch.no_grad():
+        return float(100.0 * height_errors(sizes, dt).abs().max())
+
+
+def main(rounds: int = 8, dt: float = 1.0 / 120.0) -> tuple[float, float]:
+    """Descend in steps of dt, s; return the worst error, cm, before and after, at 240 Hz."""
+    torch.set_num_threads(1)
+    sizes = torch.zeros(BUMPS, dtype=torch.float64, requires_grad=True)
+    descent = torch.optim.LBFGS([sizes], lr=0.5, max_iter=1)
+
+    def loss() -> Tensor:
+        descent.zero_grad()
+        errors = 100.0 * height_errors(sizes, dt)
+        mean = (errors**2).mean()
+        mean.backward()  # type: ignore[no-untyped-call]
+        print(f"worst height error {errors.abs().max().item():.2f} cm")
+        return mean
+
+    for _ in range(rounds):
+        descent.step(loss)  # type: ignore[no-untyped-call]
+    before, after = (worst_cm(x, 1.0 / 240.0) for x in (torch.zeros_like(sizes), sizes.detach()))
+    print(f"at 240 Hz: {before:.1f} cm before, {after:.1f} cm after")
+    return before, after
+
+
+if __name__ == "__main__":
+    main()

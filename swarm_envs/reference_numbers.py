@@ -1,0 +1,162 @@
+"""The numbers that `swarm_envs.reference` computes with, as arrays of NumPy, torch or JAX.
+
+They are arguments of its functions: to differentiate by one, or to try another, replace it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.control.config import ControllerConfig, gains
+from swarm_envs.interactions.base import InteractionModel, load
+from swarm_envs.interactions.field import COMPOSED, DEEP_SET, NO_LIMIT, ForceField
+from swarm_envs.interactions.packed import layers_of
+from swarm_envs.state import FloatArray, IntArray, Parameters, parameters
+from swarm_envs.vehicles import Vehicle, parse_team
+
+__all__ = ["Numbers", "air_of", "bodies_of", "gains_of"]
+
+Numbers = dict[str, Any]
+"""Parameters by name: arrays, numbers, and layers of networks."""
+
+
+def bodies_of(team: str | Sequence[Vehicle], xp: ModuleType = np) -> Parameters:
+    """Return masses, inertias and so on of a team, (N, ...), as arrays of the library `xp`."""
+    return Parameters(*(xp.asarray(value) for value in parameters(parse_team(team))))
+
+
+def gains_of(
+    config: ControllerConfig | None = None, dt: float = 1.0 / 240.0, xp: ModuleType = np
+) -> Numbers:
+    """Return the numbers of a controller for steps of dt, s, as arrays of the library `xp`.
+
+    | name | |
+    |---|---|
+    | `position`, `velocity`, `integral` | Lambda_p, K_v / m, Gamma_v, 1/s |
+    | `attitude`, `rate`, `rate_integral` | (3,) Lambda_q, K_w / J, 1/s, Gamma_w / J, 1/s^2 |
+    | `lead` | 1 if the rotors' lag is compensated, eq. (22), else 0 |
+    | `thrust_rate_blend`, `desired_rate_blend`, `rate_error_blend` | 1 - exp(-2 pi f dt) |
+    | `velocity_integral_limit`, `rate_integral_limit` | largest integrals, m, rad |
+    | `min_vertical_thrust_fraction` | least vertical part of f_d over the weight |
+
+    Raises:
+        ValueError: the configuration adapts, which the reference does not; or dt is not positive.
+    """
+    chosen = ControllerConfig() if config is None else config
+    if chosen.adaptation is not None:
+        raise ValueError(
+            f"adaptation is {chosen.adaptation}, but the reference has none; leave it out"
+        )
+    found = gains(chosen, dt)
+    return {
+        **{name: found[f"{name}_gain"] for name in ("position", "velocity", "integral")},
+        **{
+            name: xp.asarray(np.array([found[f"{name}_tilt"]] * 2 + [found[f"{name}_yaw"]]))
+            for name in ("attitude", "rate", "rate_integral")
+        },
+        **{name: found[name] for name in _LOW_PASSES_AND_LIMITS},
+    }
+
+
+_LOW_PASSES_AND_LIMITS = (
+    "lead",
+    "thrust_rate_blend",
+    "desired_rate_blend",
+    "rate_error_blend",
+    "velocity_integral_limit",
+    "rate_integral_limit",
+    "min_vertical_thrust_fraction",
+)
+
+
+def air_of(
+    model: str | InteractionModel, team: str | Sequence[Vehicle], xp: ModuleType = np
+) -> Numbers:
+    """Return the numbers of a force model for a team of N drones, as arrays of the library `xp`.
+
+    Those of drones are (N, ...). Those of pairs are (N, N-1, ...): what drone i, the row, feels of
+    each of the others, which `others` lists.
+
+    | name | of | |
+    |---|---|---|
+    | `others` | | (N (N-1),) indices of the others of each drone, row after row |
+    | `strength`, `width`, `spread`, `decay` | pairs | A (N), w0 (m), S, p of a jet |
+    | `delay` | pairs | s/m by which the jet of the other trails behind it |
+    | `combine`, `mitigation` | | q; M and the height over which it fades, m |
+    | `lift`, `cushion` | drones | ground effect at 7 cm, N, and the height over which it fades, m |
+    | `drag` | drones | c (N, 3), N s/m |
+    | `sides`, `depth` | | where the weight of a pair begins to fade, and is 0, m |
+    | `own_range`, `pair_range` | | (2, 4), (2, 6): least and largest measured (-z, -v), x_ij |
+    | `anchor` | | height z_a from which a lone drone feels nothing, m |
+    | `pair`, `own` | pairs, drones | networks of `learned` |
+    | `phi`, `phi_env`, `rho` | pairs, drones, drones | networks of `deep-set` |
+
+    Raises:
+        ValueError: the model is a function or a sum of pairs, or does not know a vehicle's type.
+    """
+    found, drones = load(model), parse_team(team)
+    field, own = found.field, found.type_indices(drones)
+    if found.function is not None or field.kind not in (0, 1, DEEP_SET, COMPOSED):
+        raise ValueError(
+            f"interaction model {found.name!r} has no equations in swarm_envs.reference; give "
+            "'wake', 'learned', 'deep-set', or a file that was fitted as one of these"
+        )
+    count = len(drones)
+    others = np.array([[j for j in range(count) if j != i] for i in range(count)], np.int64)
+    blows = own[others.reshape(count, count - 1)]
+    strength, width, spread, decay = np.moveaxis(field.wake_pair[blows, own[:, None]], -1, 0)
+    arrays = {
+        "others": others.ravel(),
+        "strength": strength,
+        "width": width,
+        "spread": spread,
+        "decay": decay,
+        "delay": field.wake_delay[blows],
+        "lift": field.wake_ground[own, 0],
+        "cushion": field.wake_ground[own, 1],
+        "drag": field.drag[own],
+        "own_range": field.environment_range,
+        "pair_range": field.pair_range,
+    }
+    networks = _networks(field, own, blows)
+    return {
+        **{name: xp.asarray(value) for name, value in arrays.items()},
+        **{
+            name: [(xp.asarray(weight), xp.asarray(bias)) for weight, bias in layers]
+            for name, layers in networks.items()
+        },
+        "combine": field.wake_combine,
+        "mitigation": tuple(field.wake_mitigation.tolist()),
+        "sides": tuple(field.window[:2].tolist()),
+        "depth": tuple(field.window[2:].tolist()),
+        "anchor": field.anchor_height or NO_LIMIT,
+    }
+
+
+Layers = list[tuple[FloatArray, FloatArray]]
+
+
+def _networks(field: ForceField, own: IntArray, blows: IntArray) -> dict[str, Layers]:
+    """Networks by name, for each drone or pair its own."""
+    kinds, none = len(field.drag), np.zeros_like(own)
+
+    def chosen(first: int, number: int, index: IntArray) -> Layers:
+        layers = zip(*(layers_of(field, first + n) for n in range(number)), strict=True)
+        stacked = [[np.stack(parts) for parts in zip(*layer, strict=True)] for layer in layers]
+        return [(weight[index], bias[index]) for weight, bias in stacked]
+
+    if field.kind == COMPOSED:
+        pairs = kinds * kinds
+        felt_by = chosen(0, pairs, blows * kinds + own[:, None])
+        return {"pair": felt_by, "own": chosen(pairs, kinds, own)}
+    if field.kind == DEEP_SET:
+        return {
+            "phi": chosen(0, kinds, blows),
+            "phi_env": chosen(kinds, 1, none),
+            "rho": chosen(kinds + 1, kinds, own),
+        }
+    return {}
