@@ -25,7 +25,7 @@ TESTS_jax := test_jax.py
 TESTS_wrappers := test_agilerl.py test_docs.py test_minari.py test_supersuit.py
 
 .PHONY: help demo test test-all test-compat coverage matrix lint format bench \
-	bench-against docs films clean
+	bench-against docs films papers clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -40,6 +40,7 @@ help:
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
 	@echo 'make docs      this documentation as a site, in build/docs'
 	@echo 'make films     the films of the docs, in docs/films'
+	@echo 'make papers    the quick figures and tables of the papers, and the table of docs/papers.md'
 	@echo 'make clean     remove everything that these made'
 
 $(VENV)/.python:
@@ -135,6 +136,23 @@ docs: $(VENV)/.dev
 # Films of the docs, a minute each: `make films FILMS='swap gates'` for some.
 films: $(VENV)/.dev
 	$(BIN)/python docs/films.py $(FILMS)
+
+# Ten minutes of CPU time; docs/papers.md says which commands take longer.
+PAPERS := build/papers
+NS2 := $(BIN)/python -m examples.papers.neural_swarm2
+DMPC := $(BIN)/python -m examples.papers.dmpc_swarm
+papers: $(VENV)/.dev
+	$(NS2) table-1 --out $(PAPERS)/neural_swarm2
+	$(NS2) figure-5 --out $(PAPERS)/neural_swarm2
+	$(NS2) figure-6 --engine batch --out $(PAPERS)/neural_swarm2
+	$(NS2) as-flown --out $(PAPERS)/neural_swarm2
+	for figure in 1 8 9; do \
+		$(NS2) figure-$$figure --world hall --truth learned --episodes 20 --engine batch \
+			--out $(PAPERS)/neural_swarm2 || exit 1; done
+	for figure in 3a 3b 3c 4; do $(DMPC) figure-$$figure --out $(PAPERS)/dmpc_swarm || exit 1; done
+	$(DMPC) hall --out $(PAPERS)/dmpc_swarm
+	$(BIN)/python -m examples.papers.rth3d figure-11 --out $(PAPERS)/rth3d
+	$(BIN)/python -m examples.papers $(PAPERS)
 
 clean:
 	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

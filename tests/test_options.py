@@ -232,6 +232,7 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (EnvConfig, "world", ["ideal", "hall", Hall()], [1, None]),
     (StackedLayout, "radius_m", [(0.5, 0.5)], [(0.7, 0.5), (0.0, 0.3), (3.0, math.inf)]),
     (RingLayout, "horizontal_m", [(0.5, 0.6)], [(0.0, 1.0), (1.0, math.nan), (1.0,)]),
+    (RingLayout, "upright_speed_m_s", [0.4, None], [0.0, -1.0, math.nan]),
     (RingLayout, "phases_rad", [(-1.0, 9.0)], [(0.0,), (0.0, math.inf)]),
     (RingLayout, "lead_s", [(0.0, 0.0), (0.0, 60.0)], [(3.0, 1.0), (-1.0, 1.0)]),
     (CrowdTask, "reach_m", [(1.0, 1.0)], [(2.0, 1.0), (0.0, 1.0), 2.0]),

@@ -12,9 +12,13 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import tyro
 
 from swarm_envs.errors import check_integer, check_name
+
+Array = npt.NDArray[np.float64]
 
 LEAST = {"seed": 0, "seeds": 1, "episodes": 1, "flights": 1, "trials": 1, "runs": 1, "steps": 1}
 """Least values of numbers, by the option that every command calls them."""
@@ -102,10 +106,13 @@ class Row(NamedTuple):
     explains: tuple[float, float] = (-math.inf, math.inf)  # results that the reason explains
     spread: tuple[float, float] | None = None  # range over which the result scatters
     spread_is: str = ""  # such as "quartiles" or "least and largest"
+    given: bool = False  # the result follows from what was put in: it could not differ
 
     @property
     def difference(self) -> str:
         """The verdict: the result agrees with the paper, or differs; NaN never agrees."""
+        if self.given:
+            return "put in"
         if self.accepted is None:
             return "nothing to compare"
         if self.accepted[0] <= self.result <= self.accepted[1]:
@@ -118,6 +125,13 @@ class Row(NamedTuple):
         result = self.result if math.isfinite(self.result) else None
         kept = {key: getattr(self, key) for key in ("quantity", "paper", "spread", "difference")}
         return kept | {"result": result}
+
+
+def bootstrap(statistic: Callable[[Any], Any], count: int, draws: int = 2000) -> list[float]:
+    """Return the 95 % interval of a statistic of `count` samples, called with drawn indices."""
+    rng = np.random.default_rng(0)
+    found = [float(statistic(rng.integers(count, size=count))) for _ in range(draws)]
+    return [round(float(end), 4) for end in np.quantile(found, (0.025, 0.975))]
 
 
 def within(value: float, share: float) -> tuple[float, float]:

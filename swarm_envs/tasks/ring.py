@@ -35,7 +35,7 @@ from swarm_envs.tasks.motion import ORBITS, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
-__all__ = ["REWARD_WEIGHTS", "RingLayout", "RingTask", "ring_team"]
+__all__ = ["CLOSE_FIVE", "CLOSE_SIXTEEN", "REWARD_WEIGHTS", "RingLayout", "RingTask", "ring_team"]
 
 GROUP_SIZE = 16  # The most drones that share one set of rings
 PER_CIRCLE = 5  # The most drones on one upright circle
@@ -61,6 +61,8 @@ class RingLayout:
     lead_s: tuple[float, float] = (0.0, 60.0)
     """Range of flight time by which the start is ahead of those phases, drawn once an episode for
     all drones together, so that phases stay locked, s; equal ends fix it."""
+    upright_speed_m_s: float | None = None
+    """Mean speed along the upright circles, m/s; None: `speed_m_s`."""
 
     def __post_init__(self) -> None:
         """Refuse values that an option cannot have."""
@@ -69,13 +71,22 @@ class RingLayout:
         for name in ("vertical_m", "height_m"):
             check_number(name, getattr(self, name), above=0.0, unit="m")
         check_number("speed_m_s", self.speed_m_s, above=0.0, unit="m/s")
+        if self.upright_speed_m_s is not None:
+            check_number("upright_speed_m_s", self.upright_speed_m_s, above=0.0, unit="m/s")
         check_interval("lead_s", self.lead_s, at_least=0.0, unit="s")
 
 
 FIVE = RingLayout((0.55, 0.55), 0.55, 0.65)
-"""Two rings, up to 8 drones: Neural-Swarm2, Fig. 9 (radius and speed are not published)."""
+"""Two rings, up to 8 drones: Neural-Swarm2, Fig. 9, wider than there; see `CLOSE_FIVE`."""
 SIXTEEN = RingLayout((1.0, 0.6), 0.5, 0.5)
-"""Three rings, up to 16 drones: Neural-Swarm2, Fig. 1 (sizes and speed are not published)."""
+"""Three rings, up to 16 drones: Neural-Swarm2, Fig. 1, wider than there; see `CLOSE_SIXTEEN`."""
+CLOSE_SIXTEEN = RingLayout((0.5, 0.3), 0.3, 0.51, 0.7, (0.0, 0.32), upright_speed_m_s=0.377)
+"""Sizes, speeds and phases of Fig. 1 as the authors flew it: ellipse, circles and the five seconds
+of a turn are measured on the trajectories in their repository (aerorobotics/neural-swarm, commit
+48b1851, `three_rings16_pps`). References come within 0.26 m of each other, theirs within 0.25 m,
+and 0.24 m as they begin and end."""
+CLOSE_FIVE = RingLayout((0.5, 0.5), 0.3, 0.628, 0.7, upright_speed_m_s=0.377)
+"""Fig. 9 in the sizes of `CLOSE_SIXTEEN`; its own trajectories are not published."""
 
 
 def num_upright(n: int) -> int:
@@ -135,7 +146,8 @@ def _put(
     """Space drones evenly on a ring, in place."""
     a, b = float(np.linalg.norm(first)), float(np.linalg.norm(second))
     orbit.center[members], orbit.first[members], orbit.second[members] = center, first, second
-    orbit.rate[members] = 2 * np.pi * layout.speed_m_s / perimeter(a, b)
+    speed = (layout.upright_speed_m_s or layout.speed_m_s) if kind else layout.speed_m_s
+    orbit.rate[members] = 2 * np.pi * speed / perimeter(a, b)
     spread = 2 * np.pi * np.arange(len(members)) / max(len(members), 1)
     orbit.phase[members] = layout.phases_rad[kind] + spread
 
@@ -243,8 +255,9 @@ class RingTask(Task):
     its lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two
     large and four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical
     circles of 0.5 m at its tips, at 0.5 m/s. Other teams follow the same rule: see
-    `swarm_envs.tasks.ring`. The paper (Neural-Swarm2, Fig. 1 and 9) gives no sizes;
-    `rings=RingLayout(...)` changes them.
+    `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds: `CLOSE_SIXTEEN` there
+    has those of Neural-Swarm2, Fig. 1, whose references come within 0.26 m, and `CLOSE_FIVE` is
+    alike for Fig. 9.
 
     **Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
     ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`

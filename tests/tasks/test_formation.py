@@ -16,7 +16,15 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Placement, TrackingSuccess, world_of
 from swarm_envs.tasks.formation import CLOSEST, FormationTask
-from swarm_envs.tasks.ring import RingLayout, RingTask, num_upright, perimeter, ring_team
+from swarm_envs.tasks.ring import (
+    CLOSE_FIVE,
+    CLOSE_SIXTEEN,
+    RingLayout,
+    RingTask,
+    num_upright,
+    perimeter,
+    ring_team,
+)
 from swarm_envs.tasks.shapes import SHAPES, block_of, shape_points
 from swarm_envs.vehicles import parse_team, team_string
 
@@ -365,3 +373,22 @@ def test_a_goal_is_refused_and_changes_nothing():
     with pytest.raises(ValueError, match=r"in ring goals are where the reference is; leave it out"):
         env.reset(options={"goal": goal})
     assert env.core.generators[0].bit_generator.state == state
+
+
+@pytest.mark.parametrize(("layout", "drones"), [(CLOSE_FIVE, 5), (CLOSE_SIXTEEN, 16)])
+def test_close_rings_are_those_that_the_authors_flew(layout, drones):
+    orbit = RingTask(ring_team(drones), rings=layout).orbit
+    assert 2.0 * np.pi / orbit.rate == pytest.approx(np.full(drones, 5.0), rel=0.01)  # s a turn
+    places = [orbit.at(orbit.phase + orbit.rate * t) for t in np.arange(0.0, 5.0, 0.01)]
+    first, second = np.triu_indices(drones, 1)
+    apart = np.array([np.linalg.norm(p[first] - p[second], axis=-1).min() for p in places])
+    if drones == 16:
+        assert apart.min() == pytest.approx(0.26, abs=0.005)  # theirs: 0.254
+    assert apart.min() > 0.23
+
+
+def test_upright_rings_may_have_a_speed_of_their_own():
+    team = ring_team(5)
+    same = RingTask(team, rings=RingLayout((0.6, 0.6), 0.6, 0.5)).orbit
+    own = RingTask(team, rings=RingLayout((0.6, 0.6), 0.6, 0.5, upright_speed_m_s=0.25)).orbit
+    assert own.rate / same.rate == pytest.approx([0.5, 0.5, 0.5, 1.0, 1.0])

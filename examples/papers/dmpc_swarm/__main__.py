@@ -13,12 +13,14 @@ from collections.abc import Callable, Sequence
 
 from examples.papers.common import run_command
 from examples.papers.dmpc_swarm.figures import figure_3a, figure_3b, figure_3c, figure_4, losses
+from examples.papers.dmpc_swarm.hall import figures_in_hall
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "figure-3a": figure_3a,
     "figure-3b": figure_3b,
     "figure-3c": figure_3c,
     "figure-4": figure_4,
+    "hall": figures_in_hall,
     "losses": losses,
 }
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from examples.papers.dmpc_swarm.flights import CRASH_M, Array, ReferenceFlight, median_total
+from examples.papers.common import Array
+from examples.papers.dmpc_swarm.flights import CRASH_M, ReferenceFlight, median_total
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig
 from swarm_envs.viewing.style import GREY, picture
 

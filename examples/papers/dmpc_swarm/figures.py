@@ -107,10 +107,10 @@ def figure_3a(options: Options) -> None:
     config = MlrDmpcConfig()
     places = {name: formation(name, options.drones) for name in dict.fromkeys(SEQUENCE)}
     least = {n: round(float(scaled_distances(p, config).min()), 4) for n, p in places.items()}
-    rows = [Row("drones in each formation", "16", options.drones, (16.0, 16.0))]
+    rows = [Row("drones in each formation", "16", options.drones, given=True)]
     for name in places:
         quantity = f"{name}: least scaled distance of two places, m"
-        rows.append(Row(quantity, f"at least {APART_M:g}", least[name], (APART_M, math.inf)))
+        rows.append(Row(quantity, f"at least {APART_M:g}", least[name], given=True))
     formations = {
         name: {
             "drones": len(points),

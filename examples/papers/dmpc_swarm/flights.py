@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
+from examples.papers.common import Array
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig, MlrDmpcSwarm
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, circle_swap, formation
-
-Array = npt.NDArray[np.float64]
 
 CRASH_M = 0.12
 """Scaled distance at which the paper counts a crash, m."""
@@ -60,8 +58,13 @@ def fly_sequence(drones: int, **options: Any) -> ReferenceFlight:
 
 def fly_circle(drones: int, **options: Any) -> ReferenceFlight:
     """Fly each drone to the opposite side of a circle; options are those of `MlrDmpcSwarm`."""
-    starts, targets = circle_swap(drones, _RADIUS_M, _HEIGHT_M)
+    starts, targets = circle(drones)
     return fly_references(starts, [targets], _CIRCLE_LIMIT_S, **options)
+
+
+def circle(drones: int) -> tuple[Array, Array]:
+    """Return the starts and targets (N, 3), m, of the circle."""
+    return circle_swap(drones, _RADIUS_M, _HEIGHT_M)
 
 
 def fly_references(
@@ -98,11 +101,11 @@ def fly_references(
         target=np.concatenate(targets),
         arrivals_s=tuple(arrivals),
         wanted=len(formations),
-        scaled_distance=_closest(position, config),
+        scaled_distance=least_scaled(position, config),
     )
 
 
-def _closest(position: Array, config: MlrDmpcConfig) -> Array:
+def least_scaled(position: Array, config: MlrDmpcConfig) -> Array:
     """Return the least scaled distance (T,) of any two of the positions (T, N, 3), m."""
     first, second = np.triu_indices(position.shape[1], 1)
     apart = (position[:, first] - position[:, second]) * config.inverse_scaling

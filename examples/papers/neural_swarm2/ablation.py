@@ -89,12 +89,14 @@ def table_3(
     for cell, s in tqdm(jobs, "Table III", unit="fit"):
         reports[cell, s] = fit_or_read(ablation_fit(data, out, cell, s, steps))
     table = error_table(reports)
+    simulated = (data / "manifest.json").is_file() or (data.parent / "manifest.json").is_file()
+    compared = compare_table(table, simulated)
+    table["comparison"] = [row.as_json() for row in compared]
     write_json(out / "table_3.json", table)
     write_csv(out / "table_3.csv", [flat_row(row) for row in table["rows"]])
     plot_table(out / "table_3.png", table)
     print(markdown(table["rows"], COLUMNS))
-    simulated = (data / "manifest.json").is_file() or (data.parent / "manifest.json").is_file()
-    print(comparison(compare_table(table, simulated)))
+    print(comparison(compared))
 
 
 def ablation_fit(data: Path, out: Path, cell: str, seed: int, steps: int) -> FitConfig:

@@ -6,7 +6,7 @@ import json
 import math
 from pathlib import Path
 
-from examples.papers.common import Row, comparison
+from examples.papers.common import Row, comparison, within, write_json
 from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 from swarm_envs.training.collection.collect import CollectionConfig
 
@@ -34,13 +34,15 @@ def table_2(out: Path = Path("neural_swarm2"), flights: int = 60, seed: int = 0)
             "scenarios that were flown and gave rows",
             "12",
             len(flown) - len(numbers["missing"]),
-            (12.0, 12.0),
+            given=True,
         ),
         Row(
             "flight of the scenario with the least, s",
             "around 1000",
             min(scenario["drone_seconds"] for scenario in flown.values()),
-            (800.0, math.inf),
+            within(1000.0, 0.25),
+            "more is flown here, since a simulated second costs nothing",
+            (1000.0, math.inf),
         ),
         Row(
             "rows of measured force, all scenarios",
@@ -51,4 +53,5 @@ def table_2(out: Path = Path("neural_swarm2"), flights: int = 60, seed: int = 0)
             (1e3, math.inf),
         ),
     )
+    write_json(path, numbers | {"comparison": [row.as_json() for row in rows]})
     print(comparison(rows))

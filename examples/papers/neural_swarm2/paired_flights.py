@@ -4,8 +4,9 @@ Fig. 8: stacked swaps. Its text has the notation (`SL2S`: small and large above 
 of swaps (6), and one median; `S*` is a small drone with stronger motors, flown where the downwash
 was too much for a plain one: here wherever the lowest drone is a small one.
 
-Fig. 9 and 1: rings of 5 and 16. Radii, speeds and phases are not published; they are those of
-`ring_v1` (see `swarm_envs.tasks.ring`), whose phases are locked.
+Fig. 9 and 1: rings of 5 and 16, sizes and speeds of 16 as the authors flew them (`CLOSE_SIXTEEN`),
+those of 5 alike. Gains are `STIFF`, the nearest to theirs: in height they have 10, 5 and 10 for
+position, velocity and integral (`crazyflieTypes.yaml` in their repository), `STIFF` 11, 6 and 6.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from swarm_envs.baselines.neural_swarm.flights import (
     run_flights,
     swap_test,
 )
-from swarm_envs.control.config import ControllerConfig
+from swarm_envs.control.config import MID, STIFF, ControllerConfig, PositionGains
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import TrackingSuccess
-from swarm_envs.tasks.ring import RingTask, ring_team
+from swarm_envs.tasks.ring import CLOSE_FIVE, CLOSE_SIXTEEN, RingTask, ring_team
 from swarm_envs.vehicles import GRAM_FORCE
 
 PLAIN_SWAPS = ("S2S", "L2S", "S2L", "L2L", "SS2S", "SL2S", "LL2S", "SS2L", "SL2L", "LL2L")
@@ -38,7 +39,7 @@ PLAIN_SWAPS = ("S2S", "L2S", "S2L", "L2L", "SS2S", "SL2S", "LL2S", "SS2L", "SL2L
 STRONG_SWAPS = ("S2S*", "L2S*", "SS2S*", "SL2S*", "LL2S*")
 """The same with stronger motors for the small drone that flies lowest."""
 SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)
-RING_SIZES = {9: 5, 1: 16}  # drones of the rings by number of the figure
+RINGS = {9: (5, CLOSE_FIVE), 1: (16, CLOSE_SIXTEEN)}  # drones and sizes by number of the figure
 SIDES = ("without", "compensated")  # the two controllers, in the order of arrays
 SIGNIFICANT = 0.05  # differences with a smaller p are called significant
 
@@ -79,6 +80,7 @@ class FlightCase:
     drone: int | None  # the drone whose error counts; None for the worst one of each flight
     paper_cm: tuple[float, float] | None = None
     """The paper's error without and with compensation, if it gives one."""
+    gains: PositionGains = MID
 
     def errors(self, flown: PairedFlights) -> FloatArray:
         """Return the errors (2, E) that count, cm."""
@@ -95,16 +97,18 @@ def swap_case(name: str, conditions: Conditions, engine: str) -> FlightCase:
 
 def ring_case(figure: int, conditions: Conditions, engine: str) -> FlightCase:
     """Return the rings of Fig. 9 or Fig. 1, where the error of the worst drone counts."""
-    task = RingTask(ring_team(RING_SIZES[figure]))
+    drones, layout = RINGS[figure]
+    task = RingTask(ring_team(drones), rings=layout)
     paper = {9: (10.0, 5.0), 1: (15.0, 10.0)}[figure]  # of one drone on an upright ring
     test = FlightTest(task, load(conditions.truth), engine, world=conditions.world)
-    return FlightCase(f"ring of {len(task.team)}", test, None, paper)
+    return FlightCase(f"ring of {drones}", test, None, paper, STIFF)
 
 
 def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -> PairedFlights:
     """Fly a case without and with a force model fed forward: same seeds, gains and references."""
-    without = run_flights(case.test, ControllerConfig(), seeds)
-    compensated = run_flights(case.test, ControllerConfig(feedforward=belief), seeds)
+    plain = ControllerConfig(gains=case.gains)
+    without = run_flights(case.test, plain, seeds)
+    compensated = run_flights(case.test, replace(plain, feedforward=belief), seeds)
     sides = (without, compensated)
     separation = [[m["minimum_separation_m"] for m in side.metrics] for side in sides]
     flown: PairedFlights = {

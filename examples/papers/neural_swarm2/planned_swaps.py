@@ -22,6 +22,7 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.flights import FlightTest
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G, PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, ControllerConfig, PositionGains
@@ -81,10 +82,17 @@ def figure_6_swap() -> PlannedSwap:
 
 
 def plan_swap(swap: PlannedSwap, model: InteractionModel, planner: str, seed: int) -> SwarmPlan:
-    """Plan a swap in the y-z plane, knowing the model if the planner is `aware`."""
-    known = model if planner == "aware" else None
+    """Plan a swap in the y-z plane, knowing the model unless the planner is `unaware`.
+
+    The planner `published` searches by plain AO-RRT, as in the paper.
+    """
+    known = None if planner == "unaware" else model
+    search = SearchConfig.published() if planner == "published" else None
     return plan_swarm(
-        swap.starts, swap.goals, swap.team, known, BOUNDS, seed, plane="yz", attempts=ATTEMPTS
+        *(swap.starts, swap.goals, swap.team, known, BOUNDS, seed),
+        plane="yz",
+        attempts=ATTEMPTS if search is None else 1,
+        search=search,
     )
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from examples.papers.dmpc_swarm import figures
+from examples.papers.dmpc_swarm import figures, hall
 from examples.papers.dmpc_swarm.__main__ import COMMANDS, main
 from examples.papers.dmpc_swarm.flights import CRASH_M, fly_references, median_total
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig
@@ -19,7 +19,11 @@ CASES = {
     "figure-3c": ["RR", "DT", "HT", "RR, ours", "DT, ours", "HT, ours"],
     "figure-4": ["jam, ours", "jam, paper's", "jam, none"],
 }
-COMMON = [pytest.param(c, marks=[pytest.mark.slow] * (c == "losses"), id=c) for c in COMMANDS]
+COMMON = [
+    pytest.param(c, marks=[pytest.mark.slow] * (c == "losses"), id=c)
+    for c in COMMANDS
+    if c != "hall"
+]
 
 
 def test_formations_fit_the_box_and_keep_their_distance():
@@ -108,3 +112,34 @@ def test_a_distance_outside_is_explained_only_in_its_direction():
 def test_options_that_cannot_be_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         figures.FlightOptions(**options)
+
+
+def test_a_circle_is_flown_in_the_hall_and_errors_are_those_of_drones():
+    config = MlrDmpcConfig()
+    found = hall.fly("circle", 4, 0, config=config)
+    assert found["time_s"] is not None and found["time_s"] < 15.0 and not found["contact"]
+    assert 0.01 < found["error_m"] < 0.2  # noise and wakes, which references do not have
+    assert found["least_scaled_m"] > config.distance_m - 2.0 * found["error_m"]
+
+
+@pytest.mark.slow
+def test_the_hall_writes_its_cases(tmp_path, capsys):
+    main(["hall", "--drones", "4", "--seeds", "1", "--out", str(tmp_path)])
+    numbers = json.loads((tmp_path / "hall.json").read_text())
+    assert len(numbers["cases"]) == 15 and len(numbers["distances"]) == len(hall.DISTANCES_M)
+    assert all(case["flights"] == 1 for case in numbers["cases"].values())
+    assert "| 4, none |" in capsys.readouterr().out
+
+
+def test_distances_of_26_count_both_errors():
+    def case(arrived, errors):
+        return {"arrived": arrived, "flights": 2, "errors_m": errors}
+
+    jams = {f"4, {name}": case(n, [0.1, 0.1]) for name, n in
+            (("ours", 2), ("paper's", 2), ("none", 0))}  # fmt: skip
+    kept = {"0.25": case(2, [0.05, 0.07]), "0.16": case(2, [0.3, 0.3]), "0.12": case(1, [0.3, 0.3])}
+    rows = {row.quantity: row for row in hall.compare({"cases": jams, "distances": kept})}
+    error, asked, least = list(rows.values())[3:]
+    assert error.result == pytest.approx(0.06) and error.spread == (0.05, 0.07)
+    assert asked.result == pytest.approx(0.12 + 2.0 * 0.06) and asked.difference == "agrees"
+    assert least.result == 0.16 and least.difference.startswith("differs: the hall is kinder")

@@ -100,14 +100,31 @@ TINY = {
     "table-2": "--flights 1",
     "table-3": "--steps 3 --seeds 1 --cells H=20,L=4 H=10 --data {rows}",
     "plan": "",
+    "as-flown": "--episodes 2",
     "lag": f"{FEW} 4 --seed 3",
     "ball": "--episodes 1",
     "limits": "--episodes 1",
     "hall": f"{FEW} 2 --truth wake",
     "adaptation": "--episodes 1",
 }
-SLOW = {"figure-1", "figure-6", "figure-7", "table-2", "ball", "adaptation", "plan", "hall"}
-PICTURES = {"figure-5": 3, "figure-7": 3, "table-2": 0, "adaptation": 0}  # others have one
+SLOW = {
+    "figure-1",
+    "as-flown",
+    "figure-6",
+    "figure-7",
+    "table-2",
+    "ball",
+    "adaptation",
+    "plan",
+    "hall",
+}
+PICTURES = {
+    "figure-5": 3,
+    "figure-7": 3,
+    "table-2": 0,
+    "as-flown": 0,
+    "adaptation": 0,
+}  # others have one
 AT_A_TIME = [
     pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW), id=name) for name in TINY
 ]

@@ -1,0 +1,16 @@
+"""Write the tables of docs/papers.md: `python -m examples.papers runs/papers`."""
+
+from typing import Annotated
+
+import tyro
+
+from examples.papers.page import Path, write_pages
+
+
+def main(runs: Annotated[Path | None, tyro.conf.Positional] = None) -> None:
+    """Keep what the JSON files below a folder compare, and write the tables."""
+    write_pages(runs)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
