@@ -1,21 +1,21 @@
 """The equations of the simulator, to be read, differentiated and compiled: NumPy, torch, JAX.
 
-The tests hold both engines against this file, to 1e-9. It computes with whatever arrays it is
-given. Equation numbers are those of Neural-Swarm2 (version 1), and so are most symbols:
+The tests hold both engines to this file, to 1e-9. Equation numbers, and most symbols, are those of
+Neural-Swarm2 (version 1):
 
     p, v    position and velocity, m, m/s, in the world: x and y horizontal, z up
     R, q    attitude, from the body to the world: the rotation, and its quaternion (x, y, z, w)
-    w       angular velocity (omega), rad/s
+    w       angular velocity (omega), rad/s, in the world frame; in `held` in the body frame
     u, u_c  thrust of each rotor, and what it is commanded to give, N
     T, tau  thrust of all rotors, N, and their torque, N m, in the body frame
-    f_a     force of the air on a drone beside its own thrust: downwash, ground effect, drag; N
-    p_ij    push down on drone i by the jet of drone j, N; dz, r: how deep below j, how far beside
-    x~, f^  an error, what is minus what is desired; and a force as a model predicts it
+    lambda  motor rate, 1/s: rotors respond late by 1/lambda, 62.5 ms at 16 1/s
+    f_a     force of the air on a drone apart from its thrust: downwash, ground effect, drag; N
+    p_ij    push down on drone i by the jet of drone j, N, at depth dz and distance r from its axis
+    x_d, x_r, x~, x'  desired, reference, error (actual minus desired), derivative; f^: predicted
 
-Arrays are (..., N, 3) for N drones; whatever stands before counts flights that do not know of each
-other. Numbers of vehicles, air and controller are arguments, see `swarm_envs.reference_numbers`.
-Nothing is changed in place, and no value decides which line runs: a `where` chooses between two
-results. So gradients go through a flight, and it compiles as a whole:
+Arrays are (..., N, 3) for N drones; leading axes count independent flights. Numbers of vehicles,
+air and controller are arguments, see `swarm_envs.reference_numbers`. Nothing is changed in place,
+and no value decides which line runs, so that gradients go through a flight, and it compiles whole:
 
     body, air, gains = bodies_of("LS"), air_of("learned", "LS"), gains_of()
     p = np.array([[[0.0, 0.0, 1.3], [0.0, 0.0, 1.0]]])  # one flight of two drones
@@ -49,7 +49,7 @@ ROTORS = ((1, -1), (-1, -1), (-1, 1), (1, 1))  # places 1 to 4, in rotor offsets
 
 
 class State(NamedTuple):
-    """What one step hands to the next: the drones, then the memory of their controllers."""
+    """The state passed between steps: the drones, then the memory of their controllers."""
 
     position: Array  # p (..., N, 3), m
     velocity: Array  # v (..., N, 3), m/s
@@ -130,14 +130,14 @@ def from_to(a: Array, b: Array) -> Array:
 
 # Rotors and bodies, eq. (1)
 def lagged(thrust: Array, command: Array, body: Parameters, dt: float = DT) -> Array:
-    """Rotors follow their commands late, eq. (1c): u' = lambda (u_c - u), solved over dt."""
+    """Return rotor thrusts after dt, eq. (1c): u' = lambda (u_c - u), solved exactly."""
     xp = array_namespace(thrust)
     reachable = xp.clip(command, 0.0, body.max_rotor_thrust[..., None])
     return reachable + (thrust - reachable) * xp.exp(-body.motor_rate * dt)[..., None]
 
 
 def wrench(rotors: Array, body: Parameters) -> tuple[Array, Array]:
-    """Thrust and torque of the rotors, (T, tau) = B_0 u: tau is the sum of r_k x (0, 0, u_k)."""
+    """Return thrust and torque of the rotors, (T, tau) = B_0 u; tau = sum r_k x (0, 0, u_k)."""
     u1, u2, u3, u4 = components(rotors)
     arm, yaw = body.rotor_offset, body.thrust_to_torque
     tau = [arm * (-u1 - u2 + u3 + u4), arm * (-u1 + u2 + u3 - u4), yaw * (-u1 + u2 - u3 + u4)]
@@ -205,19 +205,19 @@ def fade_in_box(offset: Array, air: Numbers) -> Array:
 
 
 def way_to_axis(offset: Array, velocity: Array, air: Numbers) -> tuple[Array, Array]:
-    """Horizontal way, m, from drone i to the axis of j's jet, which trails behind j.
+    """Return the horizontal offset, m, from drone i to the axis of j's jet, which trails behind j.
 
-    The air at depth dz under j has left it `delay` dz ago, from where j was then.
+    The air at depth dz under j has left it `delay` (s/m) times dz ago, from where j was then.
     """
     late = air["delay"] * array_namespace(offset).maximum(offset[..., 2], 0.0)
     return offset[..., 0] - velocity[..., 0] * late, offset[..., 1] - velocity[..., 1] * late
 
 
 def jet(square: Array, dz: Array, air: Numbers) -> Array:
-    """Push p_ij, N, at depth dz of a jet and r^2 = `square` from its axis, if nobody else blows.
+    """Return the push of one jet alone, N, before its weight, at r^2 = `square` from its axis.
 
-    strength (width / wide)^decay exp(-(r / wide)^2 / 2) s(dz / 3 cm), wide = width + spread dz: it
-    widens and gets weaker. s is the logistic function: above the rotors there is no jet.
+    strength (width / wide)^decay exp(-(r / wide)^2 / 2) s(dz / 3 cm), wide = width + spread dz, in
+    N and m: a jet widens and weakens. s is the logistic function, so it fades above the rotors.
     """
     xp = array_namespace(square)
     wide = air["width"] + air["spread"] * xp.maximum(dz, 0.0)
@@ -227,11 +227,11 @@ def jet(square: Array, dz: Array, air: Numbers) -> Array:
 
 
 def added_up(push: Array, height: Array, air: Numbers) -> Array:
-    """Downwash of all neighbours, N, from the push p_ij of each alone: (sum_j p_ij^q)^(1/q).
+    """Return the downwash of all neighbours, N: (1 - share exp(-h / fading)) (sum_j p_ij^q)^(1/q).
 
-    If q were 1, this would be their sum. It is 1.13 in `wake`, 1.07 in `learned`: two equal jets
-    push 2^(1/q) times as hard as one, 1.85 or 1.91 and not 2, for the second finds air that sinks
-    already. One jet pushes by p_ij whatever q is. At the ground a share of it all is lost.
+    The exponent q is 1.13 in `wake`, 1.07 in `learned` (with 1 it would be a sum): two equal jets
+    push 2^(1/q) times as hard as one, 1.85 or 1.91 and not 2, as their wakes overlap. One jet
+    pushes by p_ij whatever q is. Near the ground, at height h, a share of all is lost.
     """
     xp, q = array_namespace(push), air["combine"]
     together = root(xp.sum(push**q, axis=-1), q)
@@ -240,9 +240,9 @@ def added_up(push: Array, height: Array, air: Numbers) -> Array:
 
 
 def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """f_a of `wake`: jets in closed form, ground effect, drag -c v.
+    """Return f_a of the `wake` model, N: jets in closed form, ground effect and drag -c v.
 
-    `felt`: where it is felt, if not at the centres of drones (`air_torque`); so in all of these.
+    `felt`: where the force is felt, if not at the centres of drones; alike in all force models.
     """
     xp, felt = array_namespace(position), position if felt is None else felt
     p_j, height = of_others(position, air), felt[..., 2]
@@ -256,7 +256,7 @@ def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = No
 
 def network(layers: list[tuple[Array, Array]], x: Array) -> Array:
     """Apply ReLU networks, each drone or pair its own: (..., N, inputs), (..., N, N-1, inputs)."""
-    xp, own = array_namespace(x), layers[0][0].ndim - 1  # how many axes of x are not of flights
+    xp, own = array_namespace(x), layers[0][0].ndim - 1  # number of axes not of flights
     rows = xp.reshape(x, (math.prod(x.shape[:-own]), *x.shape[-own:]))
     rows = xp.moveaxis(rows, 0, -2)  # flights are rows of one matrix product for each network
     for k, (weight, bias) in enumerate(layers):
@@ -265,7 +265,7 @@ def network(layers: list[tuple[Array, Array]], x: Array) -> Array:
 
 
 def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """f_a of `learned`: p_ij = weight max(0, jet + n), n of a network; and a horizontal part.
+    """Return f_a of `learned`: p_ij = weight max(0, jet + n) with a network n, and a lean aside.
 
     Inputs of n stay the same when the swarm is turned about the vertical or mirrored: distance r
     from the jet's axis, depth dz, relative velocity along the way to the axis, across, and upwards.
@@ -286,7 +286,7 @@ def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None =
 
     beside = root(offset[..., 0] ** 2 + offset[..., 1] ** 2)
     weight = fade(beside, *air["sides"]) * fade(xp.abs(offset[..., 2]), *air["depth"])
-    if felt is not None:  # who is near is judged by centres
+    if felt is not None:  # the distance of centres decides which are near
         weight = xp.where(fade_in_box(p_j - position[..., None, :], air) > 0.0, weight, 0.0)
     push = weight * xp.maximum(jet(r * r, dz, air) + GRAM_FORCE * n[..., 0], 0.0)
     down, total = added_up(push, at[..., 2], air), xp.sum(push, axis=-1)
@@ -298,7 +298,7 @@ def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None =
 
 
 def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
-    """Lift of a lone drone in `learned`, N: g(z) - g(z_a), hence none from the height z_a on."""
+    """Return the lift of a lone drone in `learned`, N: g(z) - g(z_a), none above the height z_a."""
     xp, (low, high) = array_namespace(height), air["own_range"]
     speed = xp.minimum(root(velocity[..., 0] ** 2 + velocity[..., 1] ** 2), high[1])
     sinking = xp.clip(-velocity[..., 2], low[3], high[3])
@@ -312,7 +312,7 @@ def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
 
 
 def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), minus it alone aloft.
+    """Return f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), 0 alone aloft.
 
     Neighbours are added up as codes, not as forces: rho has learned what several do together. A sum
     knows no order, so drones of one type may change places (Theorem 4).
@@ -334,12 +334,12 @@ def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None 
 
 
 def still_air(position: Array, velocity: Array, felt: Array | None = None) -> Array:
-    """f_a = 0: `none`."""
+    """Return f_a = 0, of the model `none`."""
     return 0.0 * velocity
 
 
 def air_torque(forces: Forces, state: State, body: Parameters) -> Array:
-    """Torque of the air in the body frame, N m: an assumption, not a measurement.
+    """Return the torque of the air in the body frame, N m: an assumption, not a measurement.
 
     Each rotor feels a quarter of the vertical force at its place: sum_k r_k x R^T (0, 0, f_z / 4).
     """
@@ -354,13 +354,13 @@ def air_torque(forces: Forces, state: State, body: Parameters) -> Array:
 
 # Contacts
 def clearances(position: Array, body: Parameters) -> Array:
-    """Distance of each pair (..., N, N) over the sum of their radii: below 1 two drones touch."""
+    """Return distances (..., N, N) over sums of radii: below 1 a pair touches, diagonal aside."""
     apart = position[..., None, :, :] - position[..., :, None, :]
     return root(dot(apart, apart)) / (body.radius[..., None, :] + body.radius[..., :, None])
 
 
 def wall_gaps(position: Array, body: Parameters, low: Array, high: Array) -> Array:
-    """Distances (..., N, 6), m, to walls, floor (z of `low`) and ceiling: below 0 they touch."""
+    """Return distances (..., N, 6), m, to walls, floor and ceiling: below 0 a drone touches."""
     gaps = [position - low - body.radius[..., None], high - position - body.radius[..., None]]
     return array_namespace(position).concat(gaps, axis=-1)
 
@@ -369,10 +369,10 @@ def wall_gaps(position: Array, body: Parameters, low: Array, high: Array) -> Arr
 def desired_force(
     state: State, setpoint: Setpoint, predicted: Array, body: Parameters, k: Numbers, dt: float
 ) -> tuple[Array, Array]:
-    """f_d of eqs. (18) and (19), N, and the integral of v~, m.
+    """Return f_d of eqs. (18) and (19), N, with a least vertical part, and the integral of v~, m.
 
     v_r leads back to the desired path, the faster the farther. A force that a model predicts, f^_a,
-    is taken off at once; the integral finds slowly what is left.
+    is compensated at once; the integral slowly finds the rest.
     """
     p_error = state.position - setpoint.position  # p~
     v_r = setpoint.velocity - k["position"] * p_error  # (18)
@@ -390,11 +390,11 @@ def desired_force(
 def followed(
     state: State, setpoint: Setpoint, predicted: Array, body: Parameters, k: Numbers, dt: float = DT
 ) -> tuple[State, tuple[Array, Array, Array]]:
-    """Position and attitude loop: new memory; thrust, body rates w_r and w_r' to be asked for."""
+    """Return the new memory of the position and attitude loops; commanded thrust, w_r and w_r'."""
     xp, q = array_namespace(state.position), state.quaternion
     f_d, integral = desired_force(state, setpoint, predicted, body, k, dt)
-    # T_d = f_d . R e_z. Rotors lag by 1 / lambda, and so would the thrust: eq. (22) looks ahead as
-    # far. By (1c), u' = lambda (u_c - u), they give T_d in time if told T_d + T_d' / lambda now.
+    # T_d = f_d . R e_z. Delay compensation, eq. (22): rotors respond late by 1 / lambda, (1c), so
+    # T_d + T_d' / lambda is commanded. T_d' is low-passed, as a difference amplifies noise.
     thrust = dot(f_d, rotate(q, along_z(1.0 + 0.0 * f_d[..., 2])))
     change = (thrust - state.thrust) / dt - state.thrust_rate
     thrust_rate = state.thrust_rate + k["thrust_rate_blend"] * state.started * change  # low-passed
@@ -413,7 +413,7 @@ def followed(
     error = from_to(multiply(tilt, yaw), q)  # q~, of R~ = R_d^T R
     vector, fed = error[..., :3], rotate(inverse(error), w_d)
     w_r = fed - k["attitude"] * vector  # (20)
-    # Its derivative, as far as the error's is: that of w_d would differentiate v thrice.
+    # Only the error is differentiated, not w_d, which would need a third derivative of v.
     relative = rotate(inverse(q), state.angular_velocity) - fed
     w_r_rate = -0.5 * k["attitude"] * (error[..., 3:] * relative + cross(vector, relative))
     memory = (integral, thrust, thrust_rate, tilt, tilt_rate)
@@ -423,7 +423,7 @@ def followed(
 def held(
     state: State, asked: tuple[Array, Array, Array], body: Parameters, k: Numbers, dt: float = DT
 ) -> tuple[State, Array]:
-    """Rate loop, eq. (21), that looks ahead by eq. (22): new memory, and commands u_c, N."""
+    """Return the memory and rotor commands u_c, N, of the rate loop (21), ahead of the lag (22)."""
     thrust, w_r, w_r_rate = asked
     w, limit = rotate(inverse(state.quaternion), state.angular_velocity), k["rate_integral_limit"]
     error = w - w_r  # w~
@@ -443,7 +443,7 @@ def mixed(thrust: Array, torque: Array, body: Parameters) -> Array:
     Only where roll and pitch alone ask for more than there is are they made smaller, both alike.
     """
     xp, most, (x, y, z) = array_namespace(thrust), body.max_rotor_thrust, components(torque)
-    diagonal_1 = -0.25 * (x + y) / body.rotor_offset  # what rotor 1 gets and rotor 3 loses
+    diagonal_1 = -0.25 * (x + y) / body.rotor_offset  # added to rotor 1, taken from rotor 3
     diagonal_2 = 0.25 * (y - x) / body.rotor_offset  # rotors 2 and 4
     largest = xp.maximum(xp.abs(diagonal_1), xp.abs(diagonal_2))
     scale = xp.minimum(0.5 * most / xp.maximum(largest, 1e-30), 1.0)
@@ -472,10 +472,10 @@ def step(
     predicted: Forces = still_air,
     dt: float = DT,
 ) -> State:
-    """One step: the controller reads the state, the air pushes, rotors and bodies move.
+    """Return the state after dt: the controller reads it, the air pushes, rotors and bodies move.
 
-    `forces` are those of the air, f_a; `predicted` what the controller believes them to be, f^_a.
-    A force that turns bodies too has `air_torque` for the torque in `moved`.
+    `forces` are those of the air, f_a; `predicted` those that the controller compensates, f^_a.
+    The air turns no bodies here: for that, call `moved` with the torque of `air_torque`.
     """
     believed = predicted(state.position, state.velocity)
     memory, asked = followed(state, setpoint, believed, body, gains, dt)
@@ -496,5 +496,5 @@ def hovering(position: Array, body: Parameters) -> State:
     xp, zero = array_namespace(position), 0.0 * position
     level, none = xp.concat([zero, 1.0 + zero[..., :1]], axis=-1), zero[..., 0]
     hover = (body.mass * GRAVITY / 4.0)[..., None] + 0.0 * level
-    bodies = (position, zero, level, zero, hover)
-    return State(*bodies, zero, none, none, level, zero, zero, zero, zero, none)
+    memory = (zero, none, none, level, zero, zero, zero, zero, none)
+    return State(position, zero, level, zero, hover, *memory)

@@ -45,13 +45,15 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
         hint = hints[field.name]
         marks: tuple[str, ...] = ()
         aliases: list[str] = []
+        typed = field.name
         if get_origin(hint) is Annotated:
             hint, *rest = get_args(hint)
             marks = tuple(str(mark) for mark in rest)
             aliases = [alias for mark in rest for alias in getattr(mark, "aliases", None) or ()]
+            typed = next((m.name for m in rest if getattr(m, "name", None)), typed)
         if any("suppress" in mark.lower() for mark in marks):
             continue
-        name = prefix + field.name.replace("_", "-")
+        name = prefix + typed.replace("_", "-")
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
             yield from options_of(hint, prefixes, f"{name}." if prefixes else "")
             continue
