@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = [
     "GAINS",
     "MID",
+    "STIFF",
     "ControllerConfig",
     "Indi",
     "MomentumObserver",

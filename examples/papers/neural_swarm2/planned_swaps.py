@@ -20,9 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
+from swarm_envs.baselines.neural_swarm import SearchConfig, SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.flights import FlightTest
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G, PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, ControllerConfig, PositionGains
