@@ -55,7 +55,7 @@ def figures_in_hall(options: FlightOptions) -> None:
     jam = LossModel(jams=(Jam(first_round=0, last_round=last, receivers="units"),))
     jams = {f"4, {name}": {**way, "loss": jam} for name, way in RECOVERIES.items()}
     kept = {f"{d:g}": {"config": MlrDmpcConfig(distance_m=d)} for d in DISTANCES_M}
-    found = {
+    found: dict[str, Any] = {
         "cases": fly_all("sequence", cases, options) | fly_all("circle", jams, options),
         "distances": fly_all("circle", kept, options),
     }

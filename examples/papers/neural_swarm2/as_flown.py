@@ -53,7 +53,8 @@ def as_flown(out: Path = Path("neural_swarm2"), episodes: int = 20, seed: int = 
     cases = [ring(figure, radius, gains) for gains in ("stiff", "mid") for figure in RINGS
              for radius in RADII_M]  # fmt: skip
     cases += [swap(team, gap) for team, gap in GAPS_M.items()]
-    rows = [fly_row(*case, seeds) for case in tqdm(cases, "as flown", unit="case")]
+    bar = tqdm(cases, "as flown", unit="case")
+    rows = [fly_row(case, gap, gains, seeds) for case, gap, gains in bar]
     compared = compare(rows)
     numbers = {"episodes": episodes, "rows": rows}
     numbers["comparison"] = [row.as_json() for row in compared]

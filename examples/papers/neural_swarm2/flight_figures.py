@@ -146,7 +146,7 @@ def fly_figure(
         for conditions, case in bar:
             bar.set_postfix_str(f"{case.name}, {conditions.name}")
             flown[conditions].append(fly_case(case, options.model(conditions.truth), seeds))
-    report = {
+    report: dict[str, Any] = {
         "figure": figure,
         "what": "worst height error against the reference, cm; p of Wilcoxon's signed-rank test, "
         "two-sided, pairs of flights with the same seed",

@@ -68,7 +68,7 @@ def figure_5(
     name = Path(forces.name).name
     maps = [force_map(forces, case) for case in tqdm(MAP_CASES, "Fig. 5")]
     swarms = all_swarms(forces)
-    others = {"deep-set": load("deep-set")}
+    others: dict[str, Any] = {"deep-set": load("deep-set")}
     if clone is not None:
         others["published"] = PublishedWeights(clone)
     read = {other: readings([force_map(m, c) for c in MAP_CASES]) for other, m in others.items()}

@@ -326,7 +326,7 @@ def join(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def report(out: Path, rows: Mapping[str, Any], flown: Mapping[str, float], logged: int) -> None:
     """Write and print the seconds and rows of each scenario."""
     counts = np.bincount(rows["scenario"], minlength=len(NAMES))
-    table = [
+    table: list[dict[str, Any]] = [
         {"scenario": name, "seconds": round(flown[name], 2), "rows": int(count)}
         for name, count in zip(NAMES, counts, strict=True)
     ]

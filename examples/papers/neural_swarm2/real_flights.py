@@ -125,7 +125,9 @@ def examine_log(path: Path) -> dict[str, Any]:
     felt, dt = log["acc.z"][flying].astype(np.float64), 1e-3
     fits = {}
     for voltage in VOLTAGES:
-        late = lagged(rotor_force_g(SMALL, signals, voltage), SMALL.motor_rate, dt).sum(axis=1)
+        late = lagged(np.asarray(rotor_force_g(SMALL, signals, voltage)), SMALL.motor_rate, dt).sum(
+            axis=1
+        )
         fits[float(abs(late[flying].mean() - ARPLAB_MASS_G * felt.mean()))] = voltage
     thrust = np.asarray(rotor_force_g(SMALL, signals, fits[min(fits)])).sum(axis=1)
     rate, mass, residual = fit_lag(thrust, felt, flying, dt)
