@@ -100,10 +100,11 @@ def part(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
 
 
 def equation(function: F) -> F:
-    """A function of numbers that kernels call in their loops; from Python it stays as it is.
+    """A function that becomes part of the kernel that calls it; from Python it stays as it is.
 
-    It becomes part of the loop that calls it before LLVM looks for operations that several lanes
-    can do at once. A call that remained would prevent that.
+    That is for what loops over lanes call, before LLVM looks for operations that several lanes can
+    do at once: a call that remained would prevent that. And for what takes tuples of many arrays,
+    which a call would copy.
     """
     return _within_kernels(function, forceinline=True)
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import kernel, part
+from swarm_envs.compiled import equation, kernel, part
 from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
@@ -232,7 +232,7 @@ def spread(count: int, drones: int, environments: Records, work: Work, scratch: 
                 b.force[k, lane] = felt["force"][k] * scale
 
 
-@part
+@equation
 def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, work: Work) -> None:
     """Write the forces that the controllers of the first `count` members compensate.
 
@@ -253,7 +253,7 @@ def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, wor
             b.feedforward_force[k, lane] = scratch.drones[at]["force"][k]
 
 
-@part
+@equation
 def find_due(count: int, hold: int, environments: Records, work: Work) -> int:
     """Write places of members whose force is due to `work.due`, and count their physics step."""
     due: Any = np.int64(0)  # a literal would compile what takes it twice
@@ -266,7 +266,7 @@ def find_due(count: int, hold: int, environments: Records, work: Work) -> int:
     return due
 
 
-@part
+@equation
 def control(
     count: int,
     full: int,
@@ -293,7 +293,7 @@ def control(
     hold_rates(work.blocks, full, settings, hall)
 
 
-@part
+@equation
 def push(
     phases: int,
     count: int,
@@ -331,7 +331,7 @@ def push(
         empty_batteries(count, flight.drones, settings, flight.open_circuit, work)
 
 
-@part
+@equation
 def find_contacts(
     count: int, full: int, flight: Flight, varied: bool | None, hall: bool | None, work: Work
 ) -> None:
