@@ -141,7 +141,7 @@ def _best_first(row: Mapping[str, Any], num_drones: int) -> dict[str, Mapping[st
 
 
 def _flies(name: str, task: Task) -> bool:
-    """Whether an agent flies such a task and team, by its own check."""
+    """Return whether an agent flies such a task and team, by its own check."""
     try:
         check_task(load_agent(name), task)
     except ValueError:

@@ -152,7 +152,7 @@ class SafetyFilter:
 
     @property
     def avoids_obstacles(self) -> bool:
-        """Whether it flies around obstacles that it observes, and is not only kept from them."""
+        """True if it flies around obstacles that it observes, and is not only kept from them."""
         return getattr(self.agent, "avoids_obstacles", False)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:

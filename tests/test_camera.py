@@ -99,7 +99,7 @@ def rgb(color: str) -> np.ndarray:
 
 
 def is_color_of(drone: int, found: np.ndarray, team=LS) -> bool:
-    """Whether it is the drone's colour, in the light or in the shade."""
+    """Return whether it is the drone's colour, in the light or in the shade."""
     wanted = rgb(drone_colors(team)[drone])
     return any(np.abs(found - shade * wanted).max() < 5 for shade in np.linspace(0.8, 1.0, 21))
 
@@ -160,7 +160,7 @@ def test_a_nearer_drone_hides_one_behind_it(front):
 
 
 def crossed(solid: Solid, a: np.ndarray, b: np.ndarray) -> tuple[bool, float]:
-    """Whether the straight way from a to b enters a solid, and how clearly, m."""
+    """Return whether the straight way from a to b enters a solid, and by how much, m."""
     points = a + np.linspace(0.0, 1.0, 4001)[:, None] * (b - a)
     low, high = np.array(solid.low), np.array(solid.high)
     inside = np.minimum(points - low, high - points)

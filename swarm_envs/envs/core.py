@@ -65,7 +65,7 @@ class Snapshot:
     """
 
     kind: dict[str, object]
-    """What it fits: task, team, engine, options, and numbers of environments and stages."""
+    """The options that it fits: task, team, engine, numbers of environments and stages, ..."""
     world: World  # The tables of drones and environments, and the goals
     observations: Float32Array  # (E, N, width) the last rows
     generators: tuple[Any, ...]  # State of each environment's random generator

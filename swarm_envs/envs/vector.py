@@ -269,7 +269,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
 
 class Pictures(Sequence[npt.NDArray[np.uint8]]):
-    """What `render()` gives of a batch: a picture for each row, drawn when it is read.
+    """The pictures of a batch, as `render()` returns them: one a row, drawn when it is read.
 
     Args:
         core: the environments.

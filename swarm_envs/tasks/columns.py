@@ -27,7 +27,7 @@ __all__ = ["COLUMN_LAYOUTS", "ColumnsTask"]
 
 
 class ColumnLayout(NamedTuple):
-    """What columns are drawn from; by default those of `stack`."""
+    """The ranges from which columns are drawn; by default those of `stack`."""
 
     gap_m: tuple[float, float] = (0.36, 0.42)
     """Range of the vertical distance between places, m."""
@@ -163,7 +163,7 @@ class ColumnsTask(Task):
 
     @cached_property
     def ranges(self) -> ColumnLayout:
-        """What columns are drawn from: the layout, and what was given."""
+        """The ranges from which columns are drawn: those of the layout, and what was given."""
         given = {"gap_m": self.gap_m, "payload_kg": self.payload_kg}
         own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         return COLUMN_LAYOUTS[self.layout]._replace(**own)

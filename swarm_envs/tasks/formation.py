@@ -41,12 +41,12 @@ SHAPES = ("plane", "pyramid", "cube", "sphere", "plane")
 
 
 class Mission(NamedTuple):
-    """What is flown; by default the tour of all shapes."""
+    """The mission that is flown; by default the tour of all shapes."""
 
     shapes: tuple[str, ...] = SHAPES
     """Names of the shapes, in order; `letter:A` and the like write."""
     labels: str = "nearest"
-    """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
+    """The assignment to places: `nearest`, `random`, `mirror` or `blocks`."""
     shape_s: float = 6.0
     """Time for each shape, s."""
 
@@ -116,7 +116,7 @@ class FormationTask(Task):
     letters: str | None = None
     """A text such as `"ARC"` to write, letter by letter, instead of `shapes`."""
     labels: str | None = None
-    """Who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
+    """The assignment to places: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
     start: str = "shape"
     """Where drones start: on the first `shape`, or on the `ground`."""
     spacing_m: float | None = None
@@ -175,7 +175,7 @@ class FormationTask(Task):
 
     @cached_property
     def mission(self) -> Mission:
-        """What is flown: a layout, or what is given.
+        """The mission that is flown: a layout, or what is given.
 
         Raises:
             ValueError: more than one of layout, shapes and letters says so.

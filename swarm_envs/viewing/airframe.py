@@ -42,7 +42,7 @@ class Airframes:
         quaternion: FloatArray,
         inks: Sequence[Sequence[int]],
     ) -> list[list[Face]]:
-        """What is seen of each drone, in the order in which it is drawn.
+        """Return the visible faces of each drone, in the order in which they are drawn.
 
         Args:
             lens: of the canvas.

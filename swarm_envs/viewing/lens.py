@@ -28,7 +28,7 @@ class Lens:
     forward: FloatArray  # (3,) unit vector into it
 
     def depth(self, points: npt.ArrayLike) -> FloatArray:
-        """How far (...) before the camera points (..., 3) lie, m."""
+        """Return the distances (...) of points (..., 3) before the camera, m."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.eye) @ self.forward)
 
     def project(self, points: npt.ArrayLike) -> FloatArray:
@@ -40,7 +40,7 @@ class Lens:
         return np.stack([column, row], axis=-1)
 
     def sees(self, points: npt.ArrayLike) -> BoolArray:
-        """Whether each of the points (..., 3) lies in the picture."""
+        """Return whether each of the points (..., 3) lies in the picture."""
         p = np.asarray(points, dtype=np.float64)
         before = self.depth(p) > 0.0
         with np.errstate(divide="ignore", invalid="ignore"):

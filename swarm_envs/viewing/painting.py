@@ -42,7 +42,7 @@ _TRAIL, _MARK, _DRONE = range(3)  # Layers: drones are over marks, and both over
 
 
 class Overlay(NamedTuple):
-    """What a picture shows of N drones besides themselves; world frame, m."""
+    """The marks of N drones in a picture, besides themselves; world frame, m."""
 
     goals: FloatArray | None = None  # (N, 3), drawn as diamonds
     references: FloatArray | None = None  # (N, 3), drawn as circles

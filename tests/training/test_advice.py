@@ -1,4 +1,4 @@
-"""What `swarm-envs train` suggests at its end: it follows from what was measured."""
+"""The suggestions at the end of `swarm-envs train` follow from what was measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to try next with a policy that does not succeed yet, from what its run measured."""
+"""Suggestions for a policy that does not succeed yet, from what its run measured."""
 
 from __future__ import annotations
 

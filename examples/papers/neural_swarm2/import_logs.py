@@ -107,7 +107,7 @@ NEAR_M, LOWEST_M = 0.35, {"S": 0.07, "L": 0.085}
 
 
 class Track(NamedTuple):
-    """What a drone logged, at K steps a hundredth of a second apart."""
+    """The log of a drone, at K steps a hundredth of a second apart."""
 
     vehicle: int
     motion: Array  # (K, 6) position, m, and velocity, m/s
