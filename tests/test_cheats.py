@@ -749,8 +749,8 @@ def test_a_force_model_is_no_memory_and_no_copy_with_a_sine(tmp_path):
     names = ("Again", "Beside", "Sine", "Larger", "Small")
     found = graded(ASSIGNMENTS["force-model"], *(f"{file}:{name}" for name in names))
     assert [grade.points for grade in found] == [0.0] * 5, found
-    assert not any(grade.error for grade in found)
-    assert [grade.copied for grade in found] == ["", "", *["learned"] * 3]
+    for grade in found:  # the weights that it loads are hidden from it, or known
+        assert grade.copied == "learned" or "learned" in grade.error, grade
 
 
 def test_a_shipped_force_model_is_known_by_what_it_predicts():

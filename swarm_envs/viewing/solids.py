@@ -95,7 +95,7 @@ def _visible_faces(solid: Solid, eye: FloatArray) -> FloatArray:
 
 
 def _beyond(faces: FloatArray, points: FloatArray) -> BoolArray:
-    """Return (T,) whether one of the planes (F, 4) has all points of a thing (T, K, 3) beyond it."""
+    """Return (T,) whether a plane (F, 4) has all points of a thing (T, K, 3) beyond it."""
     beyond: BoolArray = points @ faces[:, :3].T >= faces[:, 3] - 1e-9
     return np.asarray(np.any(np.all(beyond, axis=1), axis=1))
 
