@@ -334,7 +334,7 @@ def running() -> set[str]:
 
 
 def left_behind(before: set[str]) -> set[str]:
-    """What runs since then, but for the works of tests on other workers: these have parents."""
+    """Return what began since then, but for works of other workers' tests: these have parents."""
     beside = os.getppid() if "PYTEST_XDIST_WORKER" in os.environ else -1
     found = {place: ancestors(place) for place in running() - before}
     return {place for place, up in found.items() if os.getpid() in up or beside not in up}

@@ -27,6 +27,7 @@ from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
+from swarm_envs.physics.base import without_ended
 from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray
@@ -71,9 +72,6 @@ class Snapshot:
     generators: tuple[Any, ...]  # State of each environment's random generator
     teams: tuple[Team, ...]
     """The team of each environment: the constructor's, or that of its last reset."""
-
-
-_AWAY_M = 1e4  # Drones so far apart put no force on each other
 
 
 class _Part(NamedTuple):
@@ -373,9 +371,8 @@ class SwarmCore:
             sense(first, last, drones, environments, self.settings, where, self._seen)
         if self._force_model is not None:
             here, seen = slice(first, last), self._seen[first:last]
-            motion = (seen["position"].copy(), seen["velocity"].copy())
-            ended = self.world.drones["active"][here] == 0.0  # these push nobody any more
-            motion[0][ended] = _AWAY_M * np.arange(1, ended.sum() + 1)[:, None]
+            position = without_ended(seen["position"], self.world.drones["active"][here])
+            motion = position, seen["velocity"].copy()
             types, out = self._force_types[here], self._predicted[here]
             all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])

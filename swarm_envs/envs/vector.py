@@ -159,10 +159,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self._check_running()
         again = self._ended.copy()
         result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
-        decisions = np.rint(self.core.time * self.core.config.decision_rate)
         if again.any():  # only where the next step resets
             self.core.reset(mask=again)
-        cut = result.truncated | (decisions >= (self._most_steps or np.inf))
+        cut = result.truncated
+        if self._most_steps is not None:
+            cut = cut | (self.core.world.environments["decisions"] >= self._most_steps)
         over = (result.terminated | cut) & ~again
         self._ended[:] = over
         infos: Infos = {"active": result.active.copy()}

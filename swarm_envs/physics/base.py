@@ -372,9 +372,7 @@ class Physics:
         due = np.flatnonzero(flown & (since == 0))
         if len(due):
             drones = self.world.drones[due]
-            ended = np.flatnonzero(drones["active"].ravel() == 0.0)
-            position = drones["position"].copy()
-            position.reshape(-1, 3)[ended] = FAR * (1.0 + ended[:, None])
+            position = without_ended(drones["position"], drones["active"])
             types = np.array([interaction_types(self.teams[e]) for e in due.tolist()])
             for model, field in self._functions:
                 force = model.call(position.copy(), drones["velocity"].copy(), types.copy())
@@ -473,6 +471,15 @@ class BatchPhysics(Physics):
     """
 
     name = "batch"
+
+
+def without_ended(position: FloatArray, active: FloatArray) -> FloatArray:
+    """Return positions (E, N, 3), m, at which drones that have ended push nobody.
+
+    They are far from all others, as in `fly`; `active` (E, N) is 0 for them.
+    """
+    place = FAR * np.arange(1.0, active.size + 1.0).reshape(*active.shape, 1)
+    return np.where(active[..., None] > 0.0, position, place)
 
 
 _NOMINAL = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
