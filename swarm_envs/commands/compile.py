@@ -10,9 +10,10 @@ from typing import Any
 
 from tqdm import tqdm
 
-from swarm_envs import TASKS, make, task_family
+from swarm_envs import TASKS, make
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.recommendation import benchmark_rows
+from swarm_envs.commands.fly import find_task
 from swarm_envs.physics import bullet_available
 
 WORLDS = ("ideal", "hall")  # Each has kernels of its own
@@ -46,7 +47,7 @@ def run_compile(options: CompileOptions) -> None:
             agent = load(name)
             given = {"num_drones": row["drones"], "physics": "batch", "horizon_s": 0.1}
             given |= {} if row["layout"] is None else {"layout": row["layout"]}
-            with closing(make(_newest(row["task"]), **{**given, **agent.requires})) as env:
+            with closing(make(find_task(row["task"]), **{**given, **agent.requires})) as env:
                 fly_episode(env, agent, 0)
             bar.update()
     print(f"compiled the kernels of {len(TASKS)} tasks and {len(agents)} agents")
@@ -56,7 +57,3 @@ def _flown_by_agents() -> dict[str, Mapping[str, Any]]:
     """The smallest task of the benchmark that each shipped agent flies, by its name."""
     rows = sorted(benchmark_rows(), key=lambda row: int(row["drones"]), reverse=True)
     return {name: row for row in rows for name in row["agents"]}
-
-
-def _newest(family: str) -> str:
-    return next(task for task in TASKS if task_family(task) == family)

@@ -45,11 +45,11 @@ def remote_agent(
     if made.get("privileged") is True:
         raise WorkFailed("it asks for the true state (privileged = True), which no work is shown")
     try:
-        agent = RemoteAgent(work, made, flown, rate)
+        every = _repeats(_checked(made.get("requires")).get("decision_rate"), rate)
+        batched = made.get("batched") is True and every == 1
+        return (RemoteBatchAgent if batched else RemoteAgent)(work, made, flown, rate)
     except (ValueError, TypeError) as error:
         raise WorkFailed(printable(f"cannot be flown: {error}")) from error
-    batched = made.get("batched") is True and agent.every == 1
-    return RemoteBatchAgent(work, made, flown) if batched else agent
 
 
 class RemoteAgent:

@@ -130,7 +130,6 @@ def _add_legend(figure: Figure, axis: Axes, flights: int) -> None:
 WIDTH, HEIGHT = 1280, 720
 """Size of a picture, pixels."""
 _HEADER, _CHART = 56, 184
-_SMOOTH = ZOOM  # Everything is drawn at this many times the size and then averaged
 _PALE, _PAPER = "#7A8088", "#FFFFFF"
 _ARROW_M_PER_G = 0.012
 _CAPTIONS = ("Without compensation", "With compensation")
@@ -182,42 +181,42 @@ class SideBySide:
         """The frame (720, 1280, 3) at a time, s."""
         from PIL import Image, ImageDraw
 
-        canvas = Image.new("RGB", (_SMOOTH * WIDTH, _SMOOTH * HEIGHT), _PAPER)
+        canvas = Image.new("RGB", (ZOOM * WIDTH, ZOOM * HEIGHT), _PAPER)
         for side, flight in enumerate(self.flights):
             index = min(int(np.searchsorted(flight.time, time + 1e-9)), len(flight.time)) - 1
             half = self._camera.canvas(flight.state(index))
             self._annotate(ImageDraw.Draw(half), side, index)
-            canvas.paste(half, (side * _SMOOTH * WIDTH // 2, _SMOOTH * _HEADER))
+            canvas.paste(half, (side * ZOOM * WIDTH // 2, ZOOM * _HEADER))
         pen = ImageDraw.Draw(canvas)
-        middle = _SMOOTH * WIDTH // 2
+        middle = ZOOM * WIDTH // 2
         pen.line(
-            [(middle, _SMOOTH * _HEADER), (middle, _SMOOTH * (HEIGHT - _CHART))],
+            [(middle, ZOOM * _HEADER), (middle, ZOOM * (HEIGHT - _CHART))],
             fill=_PAPER,
-            width=4 * _SMOOTH,
+            width=4 * ZOOM,
         )
         _write(pen, (20, 15), self.title, 22, bold=True)
         _write(pen, (WIDTH - 20, 17), f"{time:.1f} s", 20, anchor="ra")
         self._chart(pen, time)
-        return np.asarray(canvas.reduce(_SMOOTH))
+        return np.asarray(canvas.reduce(ZOOM))
 
     def _annotate(self, pen: ImageDraw, side: int, index: int) -> None:
         flight, color = self.flights[side], _COLORS[side]
         _dash(pen, self._project(flight.reference[:, -1]), _PALE)
         flown = self._project(flight.position[: index + 1, -1])
         if index:
-            pen.line(_points(flown), fill=color, width=3 * _SMOOTH, joint="curve")
+            pen.line(_points(flown), fill=color, width=3 * ZOOM, joint="curve")
         force = float(flight.vertical_force_g()[index])
         foot = flight.position[index, -1]
         tip = foot + np.array([0.0, 0.0, _ARROW_M_PER_G * force])
         foot, tip = self._project(np.stack([foot, tip]))
-        draw_arrow(pen, foot, tip, INK, width=3 * _SMOOTH, head=9.0 * _SMOOTH)
+        draw_arrow(pen, foot, tip, INK, width=3 * ZOOM, head=9.0 * ZOOM)
         error = float(flight.height_error_cm()[index])
         _write(pen, (20, 14), _CAPTIONS[side], 21, bold=True, color=color)
         _write(pen, (20, 44), f"height error {_signed(error)} cm", 18)
         _write(pen, (20, 68), f"force of the air {_signed(force)} g", 18)
 
     def _project(self, points: FloatArray) -> FloatArray:
-        return _SMOOTH * self._camera.lens.project(points)
+        return ZOOM * self._camera.lens.project(points)
 
     def _chart(self, pen: ImageDraw, time: float) -> None:
         left, right, top, bottom = 84, WIDTH - 24, HEIGHT - _CHART + 34, HEIGHT - 30
@@ -227,23 +226,23 @@ class SideBySide:
         def place(t: FloatArray, error: FloatArray) -> FloatArray:
             x = left + (right - left) * t / last
             y = bottom - (bottom - top) * (error - low) / (high - low)
-            return np.stack([x, y], axis=-1) * _SMOOTH
+            return np.stack([x, y], axis=-1) * ZOOM
 
         _write(pen, (20, HEIGHT - _CHART + 8), "Height error of the lowest drone (cm)", 16)
         for tick in np.arange(math.ceil(low / 5.0) * 5.0, high, 5.0):
             ends = place(np.array([0.0, last]), np.array([tick, tick]))
-            pen.line(_points(ends), fill="#C9CED4" if tick else _PALE, width=_SMOOTH)
-            _write(pen, (left - 10, ends[0, 1] / _SMOOTH), _signed(tick, 0), 14, anchor="rm")
+            pen.line(_points(ends), fill="#C9CED4" if tick else _PALE, width=ZOOM)
+            _write(pen, (left - 10, ends[0, 1] / ZOOM), _signed(tick, 0), 14, anchor="rm")
         for tick in range(math.floor(last) + 1):
-            x = place(np.array([float(tick)]), np.zeros(1))[0, 0] / _SMOOTH
+            x = place(np.array([float(tick)]), np.zeros(1))[0, 0] / ZOOM
             _write(pen, (x, bottom + 6), f"{tick} s", 14, anchor="ma", color=_PALE)
         for flight, color in zip(self.flights, _COLORS, strict=True):
             past = flight.time <= time + 1e-9
             line = place(flight.time[past], flight.height_error_cm()[past])
             if len(line) > 1:
-                pen.line(_points(line), fill=color, width=3 * _SMOOTH, joint="curve")
+                pen.line(_points(line), fill=color, width=3 * ZOOM, joint="curve")
             x, y = line[-1]
-            r = 5 * _SMOOTH
+            r = 5 * ZOOM
             pen.ellipse((x - r, y - r, x + r, y + r), fill=color)
 
 
@@ -264,13 +263,13 @@ def _points(pixels: FloatArray) -> list[tuple[float, float]]:
 
 def _dash(pen: ImageDraw, pixels: FloatArray, color: str) -> None:
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
-    step = 9.0 * _SMOOTH
+    step = 9.0 * ZOOM
     for start in np.arange(0.0, along[-1] - step / 2, 2 * step):
         ends = [
             [np.interp(s, along, pixels[:, 0]), np.interp(s, along, pixels[:, 1])]
             for s in (start, min(start + step, along[-1]))
         ]
-        pen.line(_points(np.array(ends)), fill=color, width=2 * _SMOOTH)
+        pen.line(_points(np.array(ends)), fill=color, width=2 * ZOOM)
 
 
 def _write(
@@ -283,5 +282,5 @@ def _write(
     anchor: str = "la",
     color: str = INK,
 ) -> None:
-    place = (at[0] * _SMOOTH, at[1] * _SMOOTH)
-    pen.text(place, text, fill=color, font=font(size * _SMOOTH, bold), anchor=anchor)
+    place = (at[0] * ZOOM, at[1] * ZOOM)
+    pen.text(place, text, fill=color, font=font(size * ZOOM, bold), anchor=anchor)

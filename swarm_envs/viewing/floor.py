@@ -53,7 +53,7 @@ class Backdrop:
         angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
         rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(16)], axis=1) * 1.05 * radius
         foot = np.array([position[0], position[1], 0.0])
-        if ((foot + rim - self.lens.eye) @ self.lens.forward <= 0.1).any():
+        if (self.lens.depth(foot + rim) <= 0.1).any():
             return
         corners = self.lens.project(foot + rim)
         (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0) + 1

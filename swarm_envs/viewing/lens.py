@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from swarm_envs.state import BoolArray, FloatArray
 
-__all__ = ["Lens", "aim"]
+__all__ = ["NEAREST", "Lens", "aim"]
 
-_NEAREST = 0.5  # No point is nearer to the eye than this, m
+NEAREST = 0.05
+"""Nothing nearer to the eye is drawn, m."""
+_LEAST_WAY = 0.5  # The eye of a view is placed no nearer to a point than this, m
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,11 @@ class Lens:
     up: FloatArray  # (3,) unit vector to its top
     forward: FloatArray  # (3,) unit vector into it
 
+    @property
+    def focal(self) -> float:
+        """Pixels that a length of 1 m has at a distance of 1 m."""
+        return self.height / (2.0 * self.tangent)
+
     def depth(self, points: npt.ArrayLike) -> FloatArray:
         """Return the distances (...) of points (..., 3) before the camera, m."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.eye) @ self.forward)
@@ -34,7 +41,7 @@ class Lens:
     def project(self, points: npt.ArrayLike) -> FloatArray:
         """Pixels (..., 2), as (column, row), of points (..., 3) before the camera."""
         ray = np.asarray(points, dtype=np.float64) - self.eye
-        scale = self.height / (2.0 * self.tangent) / (ray @ self.forward)
+        scale = self.focal / (ray @ self.forward)
         column = self.width / 2 + scale * (ray @ self.right)
         row = self.height / 2 - scale * (ray @ self.up)
         return np.stack([column, row], axis=-1)
@@ -83,5 +90,5 @@ def aim(
     # A point p is inside if |p . up| + margin <= tangent (distance - p . back), same to the side.
     beside = (np.abs(offset @ right) + margin_m) / (tangent * width / height)
     above = (np.abs(offset @ up) + margin_m) / tangent
-    distance = float((np.maximum(np.maximum(beside, above), _NEAREST) + offset @ back).max())
+    distance = float((np.maximum(np.maximum(beside, above), _LEAST_WAY) + offset @ back).max())
     return Lens(width, height, tangent, target + distance * back, right, up, -back)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import Team
 from swarm_envs.viewing.airframe import Airframes
-from swarm_envs.viewing.lens import Lens
+from swarm_envs.viewing.lens import NEAREST, Lens
 from swarm_envs.viewing.record import Solid
 from swarm_envs.viewing.solids import SeenSolids
 from swarm_envs.viewing.style import drone_colors
@@ -36,7 +36,6 @@ _EDGE: Color = (160, 167, 176, 255)
 _SOLID_FACE: Color = (110, 120, 132, 130)
 _SOLID_EDGE: Color = (80, 88, 98, 220)
 _FORCE: Color = (176, 20, 155, 255)
-_NEAREST = 0.05  # Nothing nearer to the eye is drawn, m
 _PIECE = 8  # Points of a trail that are before or behind an obstacle together
 _TRAIL, _MARK, _DRONE = range(3)  # Layers: drones are over marks, and both over trails
 
@@ -160,7 +159,7 @@ class _Pen:
         self._canvas, self._lens = canvas, lens
 
     def line(self, path: FloatArray, ink: Color, width: int) -> None:
-        if self._lens.depth(path).min() > _NEAREST:
+        if self._lens.depth(path).min() > NEAREST:
             pieces = [path]
         else:
             pieces = list(visible_parts(self._lens, path))
@@ -196,7 +195,7 @@ class _Pen:
 
     def _pixels(self, points: FloatArray) -> list[tuple[float, float]]:
         """Places on the canvas of the points that lie before the camera."""
-        before = points[self._lens.depth(points) > 0.5 * _NEAREST]
+        before = points[self._lens.depth(points) > 0.5 * NEAREST]
         return [(x, y) for x, y in self._lens.project(before).tolist()]
 
 
@@ -212,7 +211,7 @@ def arena_edges(arena: npt.ArrayLike) -> FloatArray:
 
 def visible_parts(lens: Lens, path: FloatArray) -> Iterator[FloatArray]:
     """Pieces (2, 3) of a path (K, 3) that lie before the camera, cut where it passes the eye."""
-    depth = lens.depth(path) - _NEAREST
+    depth = lens.depth(path) - NEAREST
     for (a, da), (b, db) in pairwise(zip(path, depth, strict=True)):
         if da <= 0.0 and db <= 0.0:
             continue

@@ -8,12 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.viewing.lens import Lens
+from swarm_envs.viewing.lens import NEAREST, Lens
 from swarm_envs.viewing.record import Solid
 
 __all__ = ["SeenSolids"]
-
-_NEAREST = 0.05  # The face of a solid that comes nearer to the eye is not drawn, m
 
 
 class SeenPart(NamedTuple):
@@ -52,8 +50,8 @@ class SeenSolids:
         Around a point is a ball of radius (T,), m, which overlaps the solid or does not.
         """
         first = np.full(len(points), len(self.parts), dtype=np.int64)
-        depth = np.maximum(self._lens.depth(points), _NEAREST)
-        size = (self._lens.height / (2.0 * self._lens.tangent) * radii / depth)[:, None]
+        depth = np.maximum(self._lens.depth(points), NEAREST)
+        size = (self._lens.focal * radii / depth)[:, None]
         pixels = self._lens.project(points)
         for s in reversed(range(len(self.parts))):
             low, high = self._boxes[s]
@@ -102,7 +100,7 @@ def _beyond(faces: FloatArray, points: FloatArray) -> BoolArray:
 
 def _box_of(lens: Lens, points: FloatArray) -> FloatArray:
     """Lowest and highest pixel (2, 2) of a solid, all of the plane where it passes the eye."""
-    if lens.depth(points).min() <= _NEAREST:
+    if lens.depth(points).min() <= NEAREST:
         return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
     pixels = lens.project(points)
     return np.stack([pixels.min(axis=0), pixels.max(axis=0)])
@@ -111,7 +109,7 @@ def _box_of(lens: Lens, points: FloatArray) -> FloatArray:
 def _outline(lens: Lens, points: FloatArray) -> list[tuple[float, float]]:
     from scipy.spatial import ConvexHull
 
-    if lens.depth(points).min() <= _NEAREST:
+    if lens.depth(points).min() <= NEAREST:
         return []
     pixels = lens.project(points)
     return [(x, y) for x, y in pixels[ConvexHull(pixels).vertices].tolist()]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from swarm_envs.files import written_whole
 from swarm_envs.vehicles import GRAM_FORCE
-from swarm_envs.viewing.camera import Camera
+from swarm_envs.viewing.camera import Camera, Picture
 from swarm_envs.viewing.painting import Overlay
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.style import font
@@ -92,8 +92,6 @@ def _overlay(recording: Recording, index: int) -> Overlay:
     )
 
 
-Frame = npt.NDArray[np.uint8]  # (height, width, 3) red, green, blue
-
 _GIF_SKIP = 2  # A GIF has every second frame, at half the size: it is ten times as large otherwise
 
 
@@ -101,7 +99,7 @@ class VideoError(RuntimeError):
     """ffmpeg is missing, or did not encode."""
 
 
-def write_video(path: Path, frames: Iterable[Frame], fps: int) -> None:
+def write_video(path: Path, frames: Iterable[Picture], fps: int) -> None:
     """Write an mp4: H.264, 4:2:0, playable everywhere. Whole or not at all.
 
     Args:
@@ -119,7 +117,7 @@ def write_video(path: Path, frames: Iterable[Frame], fps: int) -> None:
         _encode(partial, frames, fps)
 
 
-def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Frame]], fps: int) -> Path:
+def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Picture]], fps: int) -> Path:
     """Write an mp4, or a small GIF where ffmpeg does not work."""
     try:
         write_video(path, frames(), fps)
@@ -129,7 +127,7 @@ def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Frame]], fps: i
     return path
 
 
-def write_gif(path: Path, frames: Iterable[Frame], fps: int) -> None:
+def write_gif(path: Path, frames: Iterable[Picture], fps: int) -> None:
     """Write a GIF with every second frame at half the size. Whole or not at all."""
     from PIL import Image
 
@@ -145,7 +143,7 @@ def write_gif(path: Path, frames: Iterable[Frame], fps: int) -> None:
         half[0].save(partial, save_all=True, append_images=half[1:], duration=duration, loop=0)
 
 
-def _encode(path: Path, frames: Iterable[Frame], fps: int) -> None:
+def _encode(path: Path, frames: Iterable[Picture], fps: int) -> None:
     stream = iter(frames)
     first = next(stream, None)
     if first is None:
@@ -170,7 +168,7 @@ def _encode(path: Path, frames: Iterable[Frame], fps: int) -> None:
         raise VideoError(f"ffmpeg ended with code {process.returncode}: {message}")
 
 
-def _send(process: subprocess.Popen[bytes], frame: Frame) -> bool:
+def _send(process: subprocess.Popen[bytes], frame: Picture) -> bool:
     """Give ffmpeg a frame; False if it has already ended."""
     assert process.stdin is not None
     try:
