@@ -341,7 +341,7 @@ class PolicyAgent(RowAgent):
         # The note too: it says which tasks are refused, and episodes are kept by this digest.
         self.digest = hashlib.sha256(f"{policy.digest} {note}".encode()).hexdigest()
         self.requires: Mapping[str, Any] = note.requires
-        self.avoids_obstacles = bool(note.num_obstacles)
+        self.avoids_obstacles = bool(note.num_obstacles)  # it observes them, and was trained so
 
     @classmethod
     def load(cls, path: Path) -> PolicyAgent:

@@ -1,10 +1,11 @@
 """Write the tables of docs/papers.md: `python -m examples.papers runs/papers`."""
 
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from examples.papers.page import Path, write_pages
+from examples.papers.page import write_pages
 
 
 def main(runs: Annotated[Path | None, tyro.conf.Positional] = None) -> None:

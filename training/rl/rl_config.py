@@ -34,8 +34,11 @@ _COUNTS = (
 ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # those that need no import path
 
 
+_TYPED = {"num_neighbors": "neighbors"}  # Fields that the command line calls otherwise
+
+
 def _option(name: str) -> str:
-    return f"--{name.replace('num_neighbors', 'neighbors').replace('_', '-')}"
+    return f"--{_TYPED.get(name, name).replace('_', '-')}"
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,7 @@ class RlConfig(AirOptions, RunOptions):
     """decisions per second, in training and in flight"""
     force_rate: tyro.conf.Suppress[int] = 48
     """evaluations of the interaction force per second in training"""
-    num_neighbors: Annotated[int, tyro.conf.arg(name="neighbors")] = 3
+    num_neighbors: Annotated[int, tyro.conf.arg(name=_TYPED["num_neighbors"])] = 3
     """K, the number of observed neighbors"""
     num_obstacles: int | None = None
     """M, the number of observed obstacles; default: 3 where there are any"""

@@ -95,7 +95,7 @@ LONGER = "every drone of a kind counts; a scenario was flown for 942 s (SS2L) to
 SAME = ("flight", "cf", "scenario")  # equal in all rows of a drone in a flight
 BLOCK_STEPS, KEPT = 500, 3  # steps of a block; every third step is kept
 MASS_G = {"S": 32.0, "L": 67.0}
-PSI_1 = {  # Table I, with the digits of the authors' program
+PSI_1 = {  # Table I, with the digits of the authors' program: rows must be theirs to the last bit
     "S": (11.093358483549203, -39.08104165843915, -9.525647087583181, 20.573302305476638,
           38.42885066644033),
     "L": (44.10386631845999, -122.51151800146272, -36.18484254283743, 53.10772568607133,

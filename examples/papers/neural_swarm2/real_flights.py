@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
@@ -98,11 +99,11 @@ def fit_lag(thrust: Array, felt: Array, used: Any, dt: float) -> tuple[float, fl
 
 
 def lagged(values: Array, rate: float, dt: float) -> Array:
-    """Return values (K, ...) behind a first-order lag, 1/s."""
-    found, blend = values.copy(), 1.0 - np.exp(-rate * dt)
-    for k in range(1, len(values)):
-        found[k] = found[k - 1] + blend * (values[k - 1] - found[k - 1])
-    return found
+    """Return values (K, ...) behind a first-order lag, 1/s; each is held until the next."""
+    keep = np.exp(-rate * dt)
+    held = np.concatenate([values[:1], values[:-1]])
+    found, _ = lfilter([1.0 - keep], [1.0, -keep], held, axis=0, zi=keep * held[:1])
+    return np.asarray(found)
 
 
 def read_fixed_frequency(path: Path) -> Any:
@@ -123,13 +124,15 @@ def examine_log(path: Path) -> dict[str, Any]:
     signals = np.stack([log[f"motor.m{k}"] for k in (1, 2, 3, 4)], axis=1) / 65536.0
     flying = np.flatnonzero(signals.mean(axis=1) > 0.3)[500:-500]
     felt, dt = log["acc.z"][flying].astype(np.float64), 1e-3
-    fits = {}
-    for voltage in VOLTAGES:
-        late = lagged(np.asarray(rotor_force_g(SMALL, signals, voltage)), SMALL.motor_rate, dt).sum(
-            axis=1
-        )
-        fits[float(abs(late[flying].mean() - ARPLAB_MASS_G * felt.mean()))] = voltage
-    thrust = np.asarray(rotor_force_g(SMALL, signals, fits[min(fits)])).sum(axis=1)
+
+    def thrust_at(voltage: float) -> Array:
+        return np.asarray(rotor_force_g(SMALL, signals, voltage)).sum(axis=1)
+
+    def misfit(voltage: float) -> float:
+        late = lagged(thrust_at(voltage), SMALL.motor_rate, dt)
+        return abs(float(late[flying].mean()) - ARPLAB_MASS_G * float(felt.mean()))
+
+    thrust = thrust_at(min(VOLTAGES, key=misfit))
     rate, mass, residual = fit_lag(thrust, felt, flying, dt)
     return {"name": path.name, "motor_rate": rate, "residual_g": mass * residual}
 
