@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -61,10 +61,21 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
             raise ValueError(unknown_name("option", name, valid, f"required by {agent!r:.60}"))
         have = getattr(env.core.config, name)
         if have is not wanted and have != wanted:
+            place, mine, theirs = _difference(name, wanted, have)
             raise ValueError(
-                f"{type(agent).__name__} requires {name}={wanted!r:.80}, but the environment has "
-                f"{have!r:.80}; make it with parallel_env(..., **agent.requires)"
+                f"{type(agent).__name__} requires {place}={mine!r:.80}, but the environment has "
+                f"{theirs!r:.80}; make it with parallel_env(..., **agent.requires)"
             )
+
+
+def _difference(name: str, wanted: Any, have: Any) -> tuple[str, Any, Any]:
+    """Return the first field in which two options of a name differ, or the options themselves."""
+    if is_dataclass(wanted) and type(have) is type(wanted):
+        for field in fields(wanted):
+            mine, theirs = getattr(wanted, field.name), getattr(have, field.name)
+            if mine != theirs:
+                return f"{name}.{field.name}", mine, theirs
+    return name, wanted, have
 
 
 def check_task(agent: Agent, task: Task) -> None:

@@ -1,6 +1,6 @@
 """A network of one's own in PPO of Stable-Baselines3: the same layers encode each neighbor.
 
-Train it, fly it from Python, and evaluate it on the command line (pip install 'swarm-envs[sb3]'):
+Train it, fly it from Python, and evaluate it on the command line (pip install 'swarm-envs[train]'):
 
     python examples/own_network.py --steps 1000000
     swarm-envs evaluate --agent examples/own_network.py:Trained roundabout --episodes 64

@@ -46,9 +46,10 @@ class LineTask(Task):
         return Placement(circle if start is None else start, (line if goal is None else goal)[None])
 
     def reward_terms(self, world: World) -> dict[str, Array]:
-        """Return the cosine of each drone's tilt (E, N), times the time that a decision lasts."""
+        """Return the cosine of each drone's tilt (E, N), times the seconds of a decision."""
+        decision_s = world.environments["time"] / world.environments["decisions"]
         x, y = np.moveaxis(world.drones["quaternion"], -1, 0)[:2]
-        return {"upright": 0.1 * (1.0 - 2.0 * (x**2 + y**2))}
+        return {"upright": decision_s[:, None] * (1.0 - 2.0 * (x**2 + y**2))}
 
 
 def main() -> None:

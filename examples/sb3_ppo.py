@@ -1,6 +1,6 @@
 """Stable-Baselines3: PPO with one policy for all drones, over teams that fly in one batch.
 
-pip install 'swarm-envs[sb3]'
+pip install 'swarm-envs[train]'
 python examples/sb3_ppo.py --steps 200000
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,21 @@ def test_an_agent_is_not_flown_with_another_controller() -> None:
     env = swap_v1.parallel_env(team="LS", layout="stacked", physics="batch", action="rotors")
     with pytest.raises(ValueError, match=r"requires action='setpoint', but .* 'rotors'"):
         fly_episode(env, plain, seed=0)
+
+
+def no_force(position: Any, velocity: Any, types: Any) -> Any:
+    """A force of one's own."""
+    return 0.0 * position
+
+
+def test_a_refusal_names_the_field_in_which_controllers_differ() -> None:
+    agent = TrackingAgent()
+    controller = replace(agent.requires["controller"], feedforward=no_force)
+    options = {**agent.requires, "controller": controller}
+    env = swap_v1.parallel_env(team="LS", layout="stacked", physics="batch", **options)
+    with pytest.raises(ValueError, match=r"controller\.feedforward=None, but .*no_force"):
+        fly_episode(env, agent, seed=0)
+    env.close()
 
 
 def test_two_agents_of_one_kind_may_share_an_environment() -> None:

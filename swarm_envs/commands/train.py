@@ -90,6 +90,8 @@ def setting(config: RlConfig) -> list[str]:
     for name in ("layout", "obstacles", "world"):
         if value := getattr(config, name):
             words += [f"--{name}", value]
+    if config.interactions != "learned":
+        words += ["--interactions", config.interactions]
     largest = max(config.team_sizes)
     if config.team:
         return [*words, "--team", config.team[config.team_sizes.index(largest)]]
