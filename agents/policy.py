@@ -93,7 +93,7 @@ class PolicyNote:
     observe_setpoint: bool = False
     """whether it observes velocity and acceleration of its set-point"""
     controller: str = ""
-    """the shipped agent whose tracking controller it needs, such as `air-aware`; the default
+    """the shipped agent whose tracking controller it needs, such as `downwash-aware`; the default
     controller if empty"""
     safety: Safety | None = None
     """the safety filter that `+filter` puts around it; None for the default"""

@@ -45,10 +45,10 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "detour": "swarm_envs.agents.scripted:DetourAgent",
         "detour+compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         **dict.fromkeys(POLICIES, "swarm_envs.agents.policy:shipped_policy"),
-        "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",
-        "air-blind+adaptive": "swarm_envs.baselines.neural_swarm.air:air_blind_adaptive",
-        "air-aware": "swarm_envs.baselines.neural_swarm.air:air_aware",
-        "air-on-top": "swarm_envs.baselines.neural_swarm.air:air_on_top",
+        "pid": "swarm_envs.baselines.neural_swarm.downwash:pid",
+        "pid+adaptive": "swarm_envs.baselines.neural_swarm.downwash:pid_adaptive",
+        "downwash-aware": "swarm_envs.baselines.neural_swarm.downwash:downwash_aware",
+        "heavy-on-top": "swarm_envs.baselines.neural_swarm.downwash:heavy_on_top",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent",
         "mlr-dmpc+compensated": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent.compensated",
@@ -132,7 +132,7 @@ def _load_filtered(name: str) -> Agent:
 
 
 def controller_of(name: str) -> ControllerConfig:
-    """The tracking controller that a shipped agent requires, such as `air-aware`.
+    """The tracking controller that a shipped agent requires, such as `downwash-aware`.
 
     Raises:
         ValueError: no shipped agent has this name, or it requires no controller.
@@ -144,7 +144,7 @@ def controller_of(name: str) -> ControllerConfig:
         hint = f"; did you mean {near!r}?" if near else ""
         raise ValueError(
             f"controller is {name!r}, but must be a shipped agent with a controller of its own, "
-            f"such as 'air-aware' or 'tracking+compensated'{hint}"
+            f"such as 'downwash-aware' or 'tracking+compensated'{hint}"
         )
     return found
 

@@ -1,13 +1,13 @@
 """Tune scripted agents on seeds that no benchmark flies.
 
     python -m examples.tune_agents --agent roundabout --trials 60 --out tune.jsonl
-    python -m examples.tune_agents --agent air-aware --task air-sprint-8-v3 --out sprint.jsonl
+    python -m examples.tune_agents --agent downwash-aware --task air-sprint-8-v3 --out sprint.jsonl
 
 Each trial changes some numbers of the best candidate so far and flies it, every candidate on the
 same seeds; the better one stays. `fast-line`, `orca` and `roundabout` fly random and circular swaps
-of 4 to 32 drones, the others the benchmark's tasks of air. A trial is a line of the file. Killed,
+of 4 to 32 drones, the others the benchmark's family *air*. A trial is a line of the file. Killed,
 the same command resumes, with the same result. What is found is printed; to use it in the shipped
-agent, write it into `TUNED` of `swarm_envs.agents.avoiding`, or of the module `air` beside the
+agent, write it into `TUNED` of `swarm_envs.agents.avoiding`, or of the module `downwash` beside the
 tracking agents.
 """
 
@@ -27,12 +27,12 @@ from tqdm import tqdm
 
 from swarm_envs.agents import avoiding
 from swarm_envs.agents.evaluation import AgentRefused, evaluate_agent, frozen_seeds
-from swarm_envs.baselines.neural_swarm import air
+from swarm_envs.baselines.neural_swarm import downwash
 from swarm_envs.errors import check_integer
 from swarm_envs.training.scoreboard.tasks import choose_tasks, make_scored
 
-Candidate = avoiding.Avoidance | air.AirNumbers
-TUNED: Mapping[str, Candidate] = {**avoiding.TUNED, **air.TUNED}
+Candidate = avoiding.Avoidance | downwash.DownwashSettings
+TUNED: Mapping[str, Candidate] = {**avoiding.TUNED, **downwash.TUNED}
 """What can be tuned, by the agent's name."""
 
 
@@ -61,8 +61,8 @@ class TuneOptions:
     """Tune an agent's numbers by trying others near the best that is known."""
 
     agent: str
-    """one of `fast-line`, `orca`, `roundabout`, `air-blind`, `air-blind+adaptive`, `air-aware`,
-    `air-on-top`"""
+    """one of `fast-line`, `orca`, `roundabout`, `pid`, `pid+adaptive`, `downwash-aware`,
+    `heavy-on-top`"""
     out: Path
     """file of the trials, a line of JSON each"""
     task: list[str] = field(default_factory=list)
@@ -83,8 +83,8 @@ class TuneOptions:
 
 def cases_of(agent: str, tasks: Sequence[str] = ()) -> list[Case]:
     """What an agent is tuned on: tasks of the benchmark, or swaps of 4 to 32 drones."""
-    if agent in air.TUNED or tasks:
-        usual = ["air-stack-*"] if agent == "air-on-top" else ["air-sprint-*", "air-delivery-*"]
+    if agent in downwash.TUNED or tasks:
+        usual = ["air-stack-*"] if agent == "heavy-on-top" else ["air-sprint-*", "air-delivery-*"]
         chosen = choose_tasks(tasks or usual)
         return [Case(task.id, task.environment, task.setting) for task in chosen]
     common = {"physics": "batch", "horizon_s": _CLOCK_S}

@@ -185,7 +185,7 @@ _EPISODE = (
     Field("crashed", (), "", 0.0, "1 if it collided, left the arena or tumbled in this decision."),
     Field("active", (), "", 1.0, "1 while the drone flies, 0 once its own episode has ended."),
     Field("touching", (), "", 0.0, "Sum of the codes of what was touched in this decision."),
-    Field("hurt", (), "", 0.0, "The same of the whole episode; see `swarm_envs.envs.judge`."),
+    Field("hurt", (), "", 0.0, "The same of the whole episode; see `swarm_envs.envs.evaluation`."),
     Field("least_separation", (), "m", np.inf, "Smallest distance to another drone so far."),
     Field("least_clearance", (), "", np.inf, "The same over the sum of radii."),
     Field("least_obstacle_clearance", (), "", np.inf, "The same of obstacles, over the radius."),

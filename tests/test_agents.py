@@ -93,9 +93,9 @@ def test_an_unsupported_suffix_is_refused_with_the_supported_ones(name, message)
 @pytest.mark.parametrize(
     ("policy", "agent"),
     [
-        ("delivery-dagger", "air-blind+adaptive"),
+        ("delivery-dagger", "pid+adaptive"),
         ("ring-dagger", "tracking+compensated+adaptive"),
-        ("stack-dagger", "air-on-top"),
+        ("stack-dagger", "heavy-on-top"),
     ],
 )
 def test_shipped_policies_fly_with_the_controllers_that_their_files_name(policy, agent) -> None:

@@ -263,7 +263,7 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
 
 def test_the_table_of_recommended_agents_has_each_task_of_the_benchmark():
     table = recommendation_table()
-    best, seeing = "`air-blind+adaptive`", "`delivery-dagger`"
+    best, seeing = "`pid+adaptive`", "`delivery-dagger`"
     assert f"| delivery |  | 7 | ideal | {best} | {seeing} | {seeing} | {best} |" in table
     assert "| ring |  | 5 | hall | `ring-dagger`" in table
 

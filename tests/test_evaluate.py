@@ -294,7 +294,7 @@ def test_the_best_agent_succeeds(task, drones):
     ("swap_v1", "random", 4, "crowd-dagger+filter"),
     ("swap_v1", "random", 64, "crowd-dagger+filter"), ("swap_v1", "circle", 4, "orca"),
     ("formation_v1", "shuffle", 8, "crowd-dagger+filter"),
-    ("pursuit_v0", "swap-goals", 8, "crowd-dagger+filter"), ("ring_v1", None, 4, "air-aware"),
+    ("pursuit_v0", "swap-goals", 8, "crowd-dagger+filter"), ("ring_v1", None, 4, "downwash-aware"),
     ("crowd_v0", "forest", 16, "crowd-dagger+filter"),
 ])  # fmt: skip
 def test_the_best_agent_among_obstacles_succeeds(task, layout, drones, best):
@@ -319,7 +319,7 @@ def test_it_is_as_it_was_asked_for():
     assert recommended("swap", num_drones=129, privileged=False) == "roundabout"
     assert recommended("swap", num_drones=128, layout="random") == "roundabout"
     assert recommended("swap", num_drones=8, layout="circle", obstacles=True) == "roundabout"
-    assert recommended("ring", num_drones=5) == "air-aware"
+    assert recommended("ring", num_drones=5) == "downwash-aware"
     assert recommended("ring", num_drones=4, world="hall") == "ring-dagger"
     assert recommended("swap", num_drones=8, layout="circle", world="hall") == recommended(
         "swap", num_drones=8, layout="circle"
@@ -335,7 +335,9 @@ def test_it_is_as_it_was_asked_for():
 def test_it_flies_the_team_that_the_task_has():
     assert recommended("delivery", privileged=False) == "delivery-dagger"  # of large and small ones
     assert recommended("columns", num_drones=8, privileged=False) == "stack-dagger"
-    with pytest.raises(ValueError, match=r"privileged=False flies 'columns' with 4.*: air-on-top$"):
+    with pytest.raises(
+        ValueError, match=r"privileged=False flies 'columns' with 4.*: heavy-on-top$"
+    ):
         recommended("columns", num_drones=4, privileged=False)
     with pytest.raises(ValueError, match="unknown layout 'spiral'"):
         recommended("swap", layout="spiral")

@@ -124,7 +124,7 @@ def test_the_best_agent_among_obstacles_sees_them(capsys):
     assert "try --agent crowd-dagger+filter" in capsys.readouterr().err
     short = ["--task", "ring", "--horizon-s", "0.2"]
     assert main(["fly", *short, *column]) == 0
-    assert "air-aware was measured without obstacles" in capsys.readouterr().out
+    assert "downwash-aware was measured without obstacles" in capsys.readouterr().out
 
 
 def test_out_takes_everything(tmp_path, monkeypatch):

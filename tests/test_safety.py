@@ -404,8 +404,8 @@ def test_a_candidate_is_measured_by_flights():
     value = tune_agents.value_of(line, seeds, circle(2))
     assert 0.7 < value < 1.0  # all succeed, in two or three seconds; some may be near misses
     assert tune_agents.value_of(line, [1], circle(16)) == pytest.approx(-0.24)  # refused
-    (sprint,) = tune_agents.cases_of("air-aware", ["air-sprint-8-v3"])
-    assert 0.9 < tune_agents.value_of(TUNED["air-aware"], [1], [sprint]) < 1.0
+    (sprint,) = tune_agents.cases_of("downwash-aware", ["air-sprint-8-v3"])
+    assert 0.9 < tune_agents.value_of(TUNED["downwash-aware"], [1], [sprint]) < 1.0
 
 
 @pytest.mark.parametrize("name", TUNED)

@@ -135,7 +135,7 @@ class Flights:
     crashed: BoolArray
     """(E,) ended by a collision or a tumble: its errors are not its worst."""
     metrics: tuple[dict[str, Any], ...]
-    """(E,) see `swarm_envs.envs.judge.metrics`."""
+    """(E,) see `swarm_envs.envs.evaluation.metrics`."""
 
     def record(self, e: int) -> FlightRecord:
         """Flight `e` as plots and films take it."""

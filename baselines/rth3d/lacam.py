@@ -206,7 +206,7 @@ def _load(terrain: Terrain, robots: Robots, nodes: _Nodes, before: int, node: in
             terrain.cells[nodes.at[before, i]]["now"] = -1
     for i in range(at.shape[0]):
         terrain.cells[at[i]]["now"] = i
-        robots.crew[i]["urgency"] = top - min(nodes.away[node, i], top)
+        robots.records[i]["urgency"] = top - min(nodes.away[node, i], top)
     line_up(robots, 0)
 
 
@@ -219,9 +219,9 @@ def _constrain(terrain: Terrain, robots: Robots, pools: _Pools, at: Array, const
         other = terrain.cells[to]["now"]
         if terrain.cells[to]["taken"] >= 0:
             return False
-        if other >= 0 and other != who and robots.crew[other]["next"] == at[who]:
+        if other >= 0 and other != who and robots.records[other]["next"] == at[who]:
             return False  # they would swap
-        take(terrain.cells, robots.crew, who, to)
+        take(terrain.cells, robots.records, who, to)
         constraint = entry[_PARENT]
     return True
 
@@ -232,9 +232,9 @@ def _branch(
 ) -> None:
     """Constrain one robot more, in each way there is, in random order."""
     depth = pools.constraints[constraint, _DEPTH]
-    if depth >= robots.crew.shape[0]:
+    if depth >= robots.records.shape[0]:
         return
-    who, choices, kept = robots.crew[depth]["queue"], robots.asked[0], 0
+    who, choices, kept = robots.records[depth]["queue"], robots.asked[0], 0
     here = nodes.at[node, who]
     for k in range(7):
         vertex = neighbor(terrain.grid, terrain.cells[here], here, k)
@@ -277,14 +277,14 @@ def _make(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: 
     nodes.first[node] = pools.constraints[constraint, _NEXT]
     pools.state[_MADE] += 1
     for i in range(count):
-        robots.crew[i]["next"] = -1
+        robots.records[i]["next"] = -1
     made = _constrain(terrain, robots, pools, at, constraint)
     if made:
         _branch(terrain, robots, nodes, pools, node, constraint)
         made = settle_rest(terrain, robots, at, False)
     new = nodes.at[pools.state[_NODES]]
     for i in range(count):
-        new[i] = robots.crew[i]["next"]
+        new[i] = robots.records[i]["next"]
         if new[i] >= 0:
             terrain.cells[new[i]]["taken"] = -1
     if made:
@@ -347,7 +347,7 @@ class Lacam:
         self._robots = new_robots(instance, instance.lower_bound + _SLACK)
         order = generator.permutation(count)
         far_first = np.argsort(-instance.lengths[order], kind="stable")
-        self._robots.crew["order"] = order[far_first]
+        self._robots.records["order"] = order[far_first]
         self._robots.random[0] = generator.integers(2**62)
         room = max(16, min(1024, 4 * _MORE_ENTRIES // count))
         self._nodes = _new_nodes(room, count)

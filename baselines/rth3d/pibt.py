@@ -40,7 +40,7 @@ _MOST_AWAY = 10_000  # steps away from the goal that count for the urgency, or e
 class Robots(NamedTuple):
     """The robots, and memory for their decisions."""
 
-    crew: Array  # (n,) of `_ROBOT`
+    records: Array  # (n,) of `_ROBOT`
     # (n, 18) robots that wait for an answer: who, number of vertices tried, of all, these, who is
     # pulled along or -1, and the keys by which the vertices are sorted
     asked: Ints
@@ -69,7 +69,7 @@ def _manhattan(cell: Array, goal: Array) -> int:
 
 @kernel
 def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
-    cells, cell, goal = terrain.cells, terrain.cells[vertex], robots.crew[robot]
+    cells, cell, goal = terrain.cells, terrain.cells[vertex], robots.records[robot]
     if terrain.grid.obstacles == ANY:
         return int(terrain.ways[robot, cell["column"]])
     x, y, _, m2, m3 = cell["x"], cell["y"], *terrain.grid[1:]
@@ -86,7 +86,7 @@ def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> in
 def way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
     """Return the length of a robot's shortest way from a vertex."""
     if terrain.grid.obstacles == OPEN:
-        return _manhattan(terrain.cells[vertex], robots.crew[robot])
+        return _manhattan(terrain.cells[vertex], robots.records[robot])
     return _way_around(terrain, robots, robot, vertex)
 
 
@@ -101,7 +101,7 @@ def _ask(
     the robots is lost, one choice in four is at random, but of those who are at their goals.
     """
     bits, kept, asked = draw(robots.random), 0, robots.asked
-    grid, cells, crew = terrain.grid, terrain.cells, robots.crew
+    grid, cells, records = terrain.grid, terrain.cells, robots.records
     cell, is_open = cells[here], grid.obstacles == OPEN
     wander = lost and bits >> 28 == 0 and way(terrain, robots, robot, here) > 0
     ahead = 0 if first == robot else way(terrain, robots, first, here)
@@ -113,14 +113,14 @@ def _ask(
         if not wander:
             # A call with arrays takes as long as all else together.
             left = (
-                _manhattan(to, crew[robot])
+                _manhattan(to, records[robot])
                 if is_open
                 else _way_around(terrain, robots, robot, vertex)
             )
             key += 64 * left
         if ahead > 0:
             left = (
-                _manhattan(to, crew[first])
+                _manhattan(to, records[first])
                 if is_open
                 else _way_around(terrain, robots, first, vertex)
             )
@@ -222,7 +222,7 @@ def _to_pull(terrain: Terrain, robots: Robots, here: int, robot: int, aim: int) 
     if not _may_swap(terrain, robots, aim, here):
         return -1
     other = terrain.cells[aim]["now"]
-    ask = other >= 0 and robots.crew[other]["next"] < 0
+    ask = other >= 0 and robots.records[other]["next"] < 0
     if ask and _must_swap(terrain, robots, robot, other, here, aim):
         return int(other)
     for k in range(6):
@@ -243,14 +243,14 @@ def _pull(terrain: Terrain, robots: Robots, at: Array, depth: int) -> None:
         here, other = at[entry[0]], entry[10]
         if other < 0 or entry[1] != 1:
             continue
-        if robots.crew[other]["next"] < 0 and terrain.cells[here]["taken"] < 0:
-            take(terrain.cells, robots.crew, other, here)
+        if robots.records[other]["next"] < 0 and terrain.cells[here]["taken"] < 0:
+            take(terrain.cells, robots.records, other, here)
 
 
 @equation
-def take(cells: Array, crew: Array, robot: int, vertex: int) -> None:
+def take(cells: Array, records: Array, robot: int, vertex: int) -> None:
     """Let a robot be at a vertex in the next step."""
-    crew[robot]["next"] = vertex
+    records[robot]["next"] = vertex
     cells[vertex]["taken"] = robot
 
 
@@ -260,7 +260,7 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
 
     It always does if none of them had its vertex settled before by others.
     """
-    depth, asked, cells, crew = 0, robots.asked, terrain.cells, robots.crew
+    depth, asked, cells, records = 0, robots.asked, terrain.cells, robots.records
     _ask(terrain, robots, at[robot], robot, robot, 0, lost)
     while depth >= 0:
         who = asked[depth, 0]
@@ -272,17 +272,17 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
             other = cells[vertex]["now"]
             if cells[vertex]["taken"] >= 0:
                 continue
-            if other >= 0 and other != who and crew[other]["next"] == here:
+            if other >= 0 and other != who and records[other]["next"] == here:
                 continue  # they would swap
-            take(cells, crew, who, vertex)
-            if other >= 0 and other != who and crew[other]["next"] < 0:
+            take(cells, records, who, vertex)
+            if other >= 0 and other != who and records[other]["next"] < 0:
                 depth += 1
                 _ask(terrain, robots, at[other], other, robot, depth, lost)
             else:
                 settled = True
             break
         else:
-            take(cells, crew, who, here)  # nowhere to go: the one who asked must look elsewhere
+            take(cells, records, who, here)  # nowhere to go: the one who asked must look elsewhere
             depth -= 1
             continue
         if settled:
@@ -298,13 +298,13 @@ def settle_rest(terrain: Terrain, robots: Robots, at: Array, lost: bool) -> bool
 
     It never goes wrong if none was settled before.
     """
-    cells, crew, top = terrain.cells, robots.crew, robots.counts.shape[0] - 1
+    cells, records, top = terrain.cells, robots.records, robots.counts.shape[0] - 1
     for k in range(at.shape[0]):
-        i = crew[k]["queue"]
-        if crew[i]["next"] >= 0:
+        i = records[k]["queue"]
+        if records[i]["next"] >= 0:
             continue
-        if crew[i]["urgency"] == top and cells[at[i]]["taken"] < 0:  # at its goal, and may stay
-            take(cells, crew, i, at[i])
+        if records[i]["urgency"] == top and cells[at[i]]["taken"] < 0:  # at its goal, and may stay
+            take(cells, records, i, at[i])
         elif not settle_next(terrain, robots, at, i, lost):
             return False
     return True
@@ -313,16 +313,16 @@ def settle_rest(terrain: Terrain, robots: Robots, at: Array, lost: bool) -> bool
 @kernel
 def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
     """Queue the robots by urgency; return the longest way that is left."""
-    cells, crew, count = terrain.cells, robots.crew, at.shape[0]
+    cells, records, count = terrain.cells, robots.records, at.shape[0]
     longest, top, is_open = 0, robots.counts.shape[0] - 1, terrain.grid.obstacles == OPEN
     for i in range(count):
         if is_open:
-            left = _manhattan(cells[at[i]], crew[i])
+            left = _manhattan(cells[at[i]], records[i])
         else:
             left = _way_around(terrain, robots, i, at[i])
-        crew[i]["away"] = crew[i]["away"] // 2 if left == 0 else crew[i]["away"] + 1
+        records[i]["away"] = records[i]["away"] // 2 if left == 0 else records[i]["away"] + 1
         longest = max(longest, left)
-        crew[i]["urgency"] = top - min(left + crew[i]["away"], top)
+        records[i]["urgency"] = top - min(left + records[i]["away"], top)
     line_up(robots, draw(robots.random) % count)
     return longest
 
@@ -330,18 +330,18 @@ def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
 @kernel
 def line_up(robots: Robots, begin: int) -> None:
     """Queue the robots by urgency; of equals, `order` decides, from its place `begin` on."""
-    crew, counts = robots.crew, robots.counts
-    count, total = crew.shape[0], 0
+    records, counts = robots.records, robots.counts
+    count, total = records.shape[0], 0
     counts[:] = 0
     for i in range(count):
-        counts[crew[i]["urgency"]] += 1
+        counts[records[i]["urgency"]] += 1
     for k in range(counts.shape[0]):
         total += counts[k]
         counts[k] = total - counts[k]
     for k in range(count):
-        i = crew[k + begin - count if k + begin >= count else k + begin]["order"]
-        crew[counts[crew[i]["urgency"]]]["queue"] = i
-        counts[crew[i]["urgency"]] += 1
+        i = records[k + begin - count if k + begin >= count else k + begin]["order"]
+        records[counts[records[i]["urgency"]]]["queue"] = i
+        counts[records[i]["urgency"]] += 1
 
 
 @kernel
@@ -360,7 +360,7 @@ def _run_pibt(
     `left` is what the call that planned step `begin` has returned; -1 if there was none. Returns
     the last planned step, and the longest way that is left to anyone then.
     """
-    cells, crew, count, longest = terrain.cells, robots.crew, paths.shape[1], left
+    cells, records, count, longest = terrain.cells, robots.records, paths.shape[1], left
     for t in range(begin, end + 1):
         at = paths[t]
         if t > begin or left < 0:
@@ -369,13 +369,13 @@ def _run_pibt(
             return t, longest
         for i in range(count):
             cells[at[i]]["now"] = i
-            crew[i]["next"] = -1
+            records[i]["next"] = -1
         settle_rest(terrain, robots, at, lost)
         for i in range(count):
             cells[at[i]]["now"] = -1
         for i in range(count):
-            paths[t + 1, i] = crew[i]["next"]
-            cells[crew[i]["next"]]["taken"] = -1
+            paths[t + 1, i] = records[i]["next"]
+            cells[records[i]["next"]]["taken"] = -1
     return end, longest
 
 
@@ -391,7 +391,7 @@ class Pibt:
 
     def reseed(self, generator: np.random.Generator) -> None:
         """Draw another order and other random choices from here on."""
-        self.robots.crew["order"] = generator.permutation(len(self.robots.crew))
+        self.robots.records["order"] = generator.permutation(len(self.robots.records))
         self.robots.random[0] = generator.integers(2**62)
 
     def run(self, begin: int, end: int, limit: int, left: int, lost: bool) -> tuple[int, int]:
@@ -402,7 +402,7 @@ class Pibt:
     def rewind(self, begin: int) -> None:
         """Forget all after step `begin`."""
         goal = numbers(self.instance.goals, self.instance.shape)
-        away = self.robots.crew["away"]
+        away = self.robots.records["away"]
         away[:] = 0
         for t in range(begin):  # how long each has been away, as if it had just walked here
             away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
@@ -411,10 +411,10 @@ class Pibt:
 def new_robots(instance: GridInstance, most_steps: int) -> Robots:
     """Return the robots of an instance at their starts, with up to `most_steps` of urgency."""
     count = len(instance.starts)
-    crew = np.zeros(count, dtype=_ROBOT)
-    crew["x"], crew["y"], crew["z"] = instance.goals.T
+    records = np.zeros(count, dtype=_ROBOT)
+    records["x"], records["y"], records["z"] = instance.goals.T
     return Robots(
-        crew=crew,
+        records=records,
         asked=np.empty((count, 18), dtype=np.int32),
         counts=np.zeros(min(most_steps, _MOST_AWAY) + sum(instance.shape) + 3, dtype=np.int32),
         random=np.zeros(1, dtype=np.int64),

@@ -19,7 +19,7 @@ from swarm_envs.commands.checks import (
     output_files,
 )
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, AirOptions
+from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.tasks.obstacles import parse_obstacles
@@ -61,7 +61,7 @@ class EpisodeFields:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions(AirOptions, EpisodeFields):
+class EpisodeOptions(WorldOptions, EpisodeFields):
     """Options of the episodes of `fly` and `evaluate`."""
 
     team: str | None = None
@@ -99,7 +99,9 @@ class EpisodeOptions(AirOptions, EpisodeFields):
         names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
         given = {**team, **{name: getattr(self, name, None) for name in names}}
         given |= {"team": self.team, "num_neighbors": self.neighbors}
-        return {name: value for name, value in given.items() if value is not None} | self.air()
+        return {
+            name: value for name, value in given.items() if value is not None
+        } | self.world_options()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +116,7 @@ class FlyOptions(EpisodeOptions):
     straight-line. Scripts that avoid other drones: fast-line, orca, roundabout. Planners: detour,
     mlr-dmpc, rth3d (each also with +compensated), neural-swarm-planner. Tracking of moving
     references: tracking (also with +compensated, +adaptive or both, in this order). Precise flight
-    in downwash: air-blind (also with +adaptive), air-aware, air-on-top. Policies: swap-dagger,
+    in downwash: pid (also with +adaptive), downwash-aware, heavy-on-top. Policies: swap-dagger,
     gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger,
     delivery-dagger, ring-dagger, swap-ppo. Also the folder of a trained policy,
     path/to/file.py:Class, or path/to/file.py:function, which maps observation rows to actions. The

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from swarm_envs.compiled import compilation, entry_point
 from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_actions
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
-from swarm_envs.envs.judge import judge, metrics, success_rules
+from swarm_envs.envs.evaluation import evaluate, metrics, success_rules
 from swarm_envs.envs.observation import Float32Array, observation_width, sense, write_observations
 from swarm_envs.envs.own_rules import apply_own_rules, has_own_rules, write_own_terms
 from swarm_envs.envs.randomization import draw_vehicles, scale_hall
@@ -89,7 +89,7 @@ class _Kernels(NamedTuple):
 
     apply: Callable[..., bool]  # `apply_actions`
     refer: Callable[..., None]  # The task's `write_reference`
-    judge: Callable[..., None]  # `judge`
+    evaluate: Callable[..., None]  # `evaluate`
     advance: Callable[..., None] | None  # The task's `advance`, where it has one
     write_terms: Callable[..., None]  # The task's `write_reward_terms`
     weigh: Callable[..., None]  # `weigh`
@@ -209,7 +209,7 @@ class SwarmCore:
             return _Kernels(
                 entry_point(apply_actions, 0, *asked),
                 entry_point(task.write_reference, *part.state),
-                entry_point(judge, self._actions, *part.state),
+                entry_point(evaluate, self._actions, *part.state),
                 None if advance is None else entry_point(advance, self._flown, *part.state),
                 entry_point(task.write_reward_terms, drones, environments, settings, terms),
                 entry_point(weigh, terms, *part.scored[1:]),
@@ -306,7 +306,7 @@ class SwarmCore:
         kernels, (actions, state, flown, terms, scored) = self._kernels, self._parts[first, last]
         drones, environments, _, settings = state
         kernels.refer(*state)
-        kernels.judge(actions, *state)
+        kernels.evaluate(actions, *state)
         if kernels.advance is not None:
             kernels.advance(flown, *state)
         if self._own_rules:
@@ -331,7 +331,7 @@ class SwarmCore:
             self._weights[self.task.reward_names.index(name)] = weight
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
-        """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.judge`."""
+        """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.evaluation`."""
         return self.metrics_of([e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:

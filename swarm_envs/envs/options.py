@@ -67,7 +67,7 @@ class TaskOptions(EnvConfig):
     """`rgb_array` (pictures), `human` (a page in the browser) or None."""
     controller: ControllerConfig | str | None = None  # type: ignore[assignment]  # or its name
     """The tracking controller between actions and rotors, or the shipped agent that requires it,
-    such as `air-aware`; None for the default."""
+    such as `downwash-aware`; None for the default."""
 
     task_type: ClassVar[type[Task]]
     """The class of the task."""

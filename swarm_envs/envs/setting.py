@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
-__all__ = ["MOST_DRONES", "MOST_OBSERVED", "AirOptions"]
+__all__ = ["MOST_DRONES", "MOST_OBSERVED", "WorldOptions"]
 
 MOST_DRONES = 100_000
 """The largest number of drones: a batch of environments shares the memory."""
@@ -14,7 +14,7 @@ MOST_OBSERVED = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class AirOptions:
+class WorldOptions:
     """Options of the world; those that are not given are the task's."""
 
     world: Literal["ideal", "hall"] | None = None
@@ -28,7 +28,7 @@ class AirOptions:
     on_contact: Literal["end_team", "end_pair", "bounce"] | None = None
     """effect of a contact: ends the episode of the team or of the pair, or drones bounce off"""
 
-    def air(self) -> dict[str, Any]:
+    def world_options(self) -> dict[str, Any]:
         """Those options of the environment that were given, ready for JSON."""
-        names = [field.name for field in fields(AirOptions)]
+        names = [field.name for field in fields(WorldOptions)]
         return {name: value for name in names if (value := getattr(self, name)) is not None}

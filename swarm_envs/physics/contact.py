@@ -180,7 +180,7 @@ def touch_obstacles(blocks: Records, slots: int, obstacles: FloatArray) -> None:
 
 
 @part
-def meet(blocks: Records, count: int, drones: int, spots: Records) -> None:
+def find_pairs(blocks: Records, count: int, drones: int, spots: Records) -> None:
     """Add how near the drones of `count` environments of few drones come to each other now.
 
     Every pair of one environment is looked at, side by side with the same pair of the others: at
@@ -240,8 +240,8 @@ def nearest_of(spots: Records, drones: int, i: int, place: int) -> int:
 
 
 @part
-def meet_many(blocks: Records, first: int, position: FloatArray, order: IntArray) -> None:
-    """Do what `meet` does in one environment of many drones: look along x only as far as needed.
+def find_pairs_sorted(blocks: Records, first: int, position: FloatArray, order: IntArray) -> None:
+    """Do as `find_pairs` in one environment of many drones: look along x only as far as needed.
 
     Its first drone is in the slot `first`; `position` (N, 3) is scratch, and `order` (N,), any
     permutation of the drones, is sorted along x.

@@ -27,8 +27,8 @@ from swarm_envs.physics.contact import (
     PLACES,
     SPOT_TYPE,
     bounce,
-    meet,
-    meet_many,
+    find_pairs,
+    find_pairs_sorted,
     touch,
     touch_obstacles,
 )
@@ -97,8 +97,8 @@ class Work(NamedTuple):
     tile: FloatArray  # (blocks, rows, LANES) the same memory as plain numbers
     members: IntArray  # (C,) the environments of the tile
     due: IntArray  # (C,) places of those whose force is due
-    spots: Records  # (N,) for `meet`
-    position: FloatArray  # (N, 3) for `meet_many`
+    spots: Records  # (N,) for `find_pairs`
+    position: FloatArray  # (N, 3) for `find_pairs_sorted`
     stopped: BoolArray
     """(drones of the tile,) who tumbled in this decision, or ended with its team by that."""
 
@@ -343,9 +343,9 @@ def find_contacts(
     if varied is not None and size > FEW:
         for place in range(count):
             sorted_drones = flight.order[work.members[place]]
-            meet_many(work.blocks, place * size, work.position, sorted_drones)
+            find_pairs_sorted(work.blocks, place * size, work.position, sorted_drones)
     else:
-        meet(work.blocks, count, size, work.spots)
+        find_pairs(work.blocks, count, size, work.spots)
     if varied is not None and len(obstacles) > 0:
         touch_obstacles(work.blocks, count * size, obstacles)
     if varied is not None and settings[0].bounces:

@@ -62,6 +62,6 @@ def test_every_example_is_run():
     elsewhere |= {"rllib_ppo", "benchmarl_grid"}  # tests/compat/test_rllib.py, test_benchmarl.py
     elsewhere |= {"tune_agents"}  # tests/test_safety.py
     elsewhere |= {"own_task"}  # tests/tasks/test_own_task.py
-    elsewhere |= {"knowing_air"}  # tests/training/test_knowing_air.py
+    elsewhere |= {"force_knowledge"}  # tests/training/test_force_knowledge.py
     elsewhere |= {"crazyflow_downwash"}  # tests/compat/test_jax.py
     assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"} | elsewhere

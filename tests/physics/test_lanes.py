@@ -15,7 +15,7 @@ from swarm_envs.control.loop import hold_rates, track
 from swarm_envs.interactions import load
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import scratch_for
-from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
+from swarm_envs.physics.contact import SPOT_TYPE, find_pairs, touch
 from swarm_envs.physics.hall_lanes import disturb, estimate, see
 from swarm_envs.physics.rigid_body import integrate, spin_rotors
 from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
@@ -76,7 +76,7 @@ def test_loops_over_lanes_are_vector_instructions(part, given, least, scalar_sha
 
 
 def test_pairs_of_environments_are_compared_side_by_side():
-    packed, _ = instructions(meet, blocks(), 4, 4, aligned(4, SPOT_TYPE))
+    packed, _ = instructions(find_pairs, blocks(), 4, 4, aligned(4, SPOT_TYPE))
     assert packed >= 8  # scalar ones do the environments that are left over
 
 

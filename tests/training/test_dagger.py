@@ -64,7 +64,11 @@ def test_a_teacher_of_nothing_is_named(idle):
     ("name", "given", "why"),
     [
         ("tracking", {}, "'tracking' decides 48 times a second .* give --decision-rate 48"),
-        ("air-aware", {"decision_rate": 48}, "needs another controller .* --controller air-aware"),
+        (
+            "downwash-aware",
+            {"decision_rate": 48},
+            "needs another controller .* --controller downwash-aware",
+        ),
         ("detour", {"action": "ctbr"}, "cannot teach actions of 'ctbr': its own are 'setpoint'"),
         ("roundabout", {"action": "rotors"}, "actions of 'rotors': its own are 'acceleration'"),
         ("pursuit-dagger", {}, "flies pursuit"),

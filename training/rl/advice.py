@@ -112,7 +112,7 @@ def _success(config: RlConfig, task: str, agent: Agent) -> float | None:
     """Success of a teacher on episodes for choosing; None if it does not fly many at once."""
     learning = learning_of(task)
     given: dict[str, Any] = {**learning.layouts[str(config.layout)], **config.teams[-1]}
-    given |= {"interactions": config.interactions, "physics": "batch", **config.air()}
+    given |= {"interactions": config.interactions, "physics": "batch", **config.world_options()}
     try:
         with closing(swarm_envs.make(task, **{**given, **agent.requires})) as env:
             if not flies_batches(env, agent):

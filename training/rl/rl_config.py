@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
-from swarm_envs.envs.setting import AirOptions
+from swarm_envs.envs.setting import WorldOptions
 from swarm_envs.errors import (
     check_bool,
     check_divisor,
@@ -120,7 +120,7 @@ class RunOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RlConfig(AirOptions, RunOptions):
+class RlConfig(WorldOptions, RunOptions):
     """Train one policy for all drones by Stable-Baselines3, or by DAgger from a teacher.
 
     Interrupted or killed at any moment, the same command resumes from the last checkpoint. A
@@ -163,7 +163,7 @@ class RlConfig(AirOptions, RunOptions):
     velocity is noisy"""
     controller: str | None = None
     """the shipped agent whose tracking controller flies the policy's set-points, such as
-    `air-aware`; the default controller if not given"""
+    `downwash-aware`; the default controller if not given"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, a weights file or path/to/file.py:function"""
     proximity: tyro.conf.Suppress[tuple[float, float]] = (4.0, 2.0)

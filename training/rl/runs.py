@@ -90,7 +90,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         horizon_s=config.horizon_s,
         threads=config.threads,
         **senses(*senses_of(config), config.controller),
-        **config.air(),
+        **config.world_options(),
     )
     flown = learning.curriculum(found.task, str(config.layout))
     clock = config.horizon_s or flown.episode_s
@@ -127,7 +127,11 @@ class Evaluation:
             task,
             learning.evaluation_layouts(str(config.layout)),
             choosing_seeds(config.evaluation_episodes),
-            {"interactions": config.interactions, "force_rate": config.force_rate, **config.air()},
+            {
+                "interactions": config.interactions,
+                "force_rate": config.force_rate,
+                **config.world_options(),
+            },
             config.teams,
         )
         before = [learning.quality(result) for result in self.results]

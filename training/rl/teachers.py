@@ -17,7 +17,7 @@ from swarm_envs.agents import Actions, Observations, Safety, SafetyFilter
 from swarm_envs.agents.avoiding import TUNED, Cruise, RoundaboutAgent
 from swarm_envs.agents.registry import controller_of
 from swarm_envs.baselines.neural_swarm import TrackingAgent
-from swarm_envs.baselines.neural_swarm.air import heavy_on_top
+from swarm_envs.baselines.neural_swarm.downwash import place_heavy_on_top
 from swarm_envs.envs.actions import ACCELERATION_LAG
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
@@ -70,13 +70,13 @@ class CoreAgent(ABC):
         """Actions (E, N, width) in the present state."""
 
 
-class AirLine(CoreAgent):
+class SetpointTeacher(CoreAgent):
     """Leads set-points along the reference, or straight to goals at rest as fast as they can brake.
 
-    Where any drone may take any place, the heavy go on top, as with `air-aware`.
+    Where any drone may take any place, the heavy go on top, as with `downwash-aware`.
     """
 
-    controller = "air-aware"
+    controller = "downwash-aware"
     compensates = False
     """Whether set-points are moved by what the true force would displace the drones."""
     slope, braking_mps2, speed_mps = 6.0, 3.0, 1.9
@@ -117,7 +117,7 @@ class AirLine(CoreAgent):
             self._places = np.array(core.world.drones["goal"])
         for e in np.flatnonzero(core.world.environments["decisions"] == 0):
             goals = np.array(core.world.drones["goal"][e])
-            self._places[e] = heavy_on_top(goals, core.tasks[e].team)
+            self._places[e] = place_heavy_on_top(goals, core.tasks[e].team)
         return self._places + self._shift(core)
 
     def _shift(self, core: SwarmCore) -> FloatArray | float:
@@ -146,20 +146,20 @@ def _all_force(core: SwarmCore) -> FloatArray:
     return force
 
 
-class RingLine(AirLine):
+class RingLine(SetpointTeacher):
     """The same with the gains of `tracking`, which the errors of the hall disturb less."""
 
     controller = "tracking+compensated+adaptive"
 
 
-class AirInTime(AirLine):
+class TimedTeacher(SetpointTeacher):
     """Leads set-points to places by minimum-jerk ways that take a time, and holds them there.
 
     The velocity is a multiple of the distance left, which depends on the time since the stage
     began: a student learns it from those two.
     """
 
-    controller, travel_s = "air-on-top", 1.6
+    controller, travel_s = "heavy-on-top", 1.6
     latest = 0.7  # Share of that time from which on the multiple stays the same
 
     def teach(self, core: SwarmCore) -> FloatArray:
@@ -177,22 +177,22 @@ class AirInTime(AirLine):
         return np.asarray(gain * (places - drones["setpoint_position"]) / SPEED_LIMIT)
 
 
-class SprintInTime(AirInTime):
+class SprintInTime(TimedTeacher):
     """The same in the time that `sprint` leaves."""
 
-    controller, travel_s, latest = "air-aware", 0.85, 0.55
+    controller, travel_s, latest = "downwash-aware", 0.85, 0.55
 
 
-class DeliveryInTime(AirInTime):
+class DeliveryInTime(TimedTeacher):
     """The same in the time that `delivery` leaves, with an estimate of the force."""
 
-    controller, travel_s, latest = "air-blind+adaptive", 1.5, 0.8
+    controller, travel_s, latest = "pid+adaptive", 1.5, 0.8
 
 
-class AirOracle(AirLine):
+class OracleTeacher(SetpointTeacher):
     """The same with a controller that knows no force model; it reads the true force instead."""
 
-    controller, compensates = "air-blind", True
+    controller, compensates = "pid", True
 
 
 class Carousel(CoreAgent):
@@ -230,7 +230,7 @@ class Carousel(CoreAgent):
         return np.asarray(asked / ACCELERATION_LIMIT / np.maximum(size, 1.0))
 
 
-class StackOracle(AirOracle, AirInTime):
+class StackOracle(OracleTeacher, TimedTeacher):
     """The same in time, for `stack`; where there are no forces, to the nearest places."""
 
     def _chosen(self, core: SwarmCore) -> FloatArray:
@@ -239,11 +239,11 @@ class StackOracle(AirOracle, AirInTime):
         return super()._chosen(core)
 
 
-class SprintOracle(AirOracle, SprintInTime):
+class SprintOracle(OracleTeacher, SprintInTime):
     """The same in the time that `sprint` leaves."""
 
 
-class DeliveryOracle(AirOracle, DeliveryInTime):
+class DeliveryOracle(OracleTeacher, DeliveryInTime):
     """The same in the time that `delivery` leaves."""
 
 

@@ -193,7 +193,7 @@ def score_of(task: ScoredTask, metrics: Mapping[str, Any], fastest_s: float | No
 
     Args:
         task: what was flown.
-        metrics: of the episode, as of `swarm_envs.envs.judge.metrics`.
+        metrics: of the episode, as of `swarm_envs.envs.evaluation.metrics`.
         fastest_s: of its seed, where the score is of time.
     """
     if task.score == "shapes":

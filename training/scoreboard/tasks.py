@@ -120,7 +120,7 @@ def _force_model(name: str) -> str:
 
 _DETOUR, _ROUND, _TRACKING = "detour+compensated", "roundabout", "tracking+compensated"
 _ADAPTIVE = "tracking+compensated+adaptive"
-_AWARE, _TOP, _LINE = "air-aware", "air-on-top", "fast-line"
+_AWARE, _TOP, _LINE = "downwash-aware", "heavy-on-top", "fast-line"
 
 _KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
     {
@@ -259,7 +259,7 @@ _NEW = (
     _of_own("air-sprint-8", "columns_v0", f"{_AWARE}@2", 128, 3, layout="sprint",
             num_drones=8, horizon_s=1.8),
     # Couriers dock above the floor, at two of three docks below others.
-    _of_own("air-delivery-7", "delivery_v0", "air-blind+adaptive", 128, num_drones=7),
+    _of_own("air-delivery-7", "delivery_v0", "pid+adaptive", 128, num_drones=7),
     # A slalom in vertical formation, in 12 s.
     _of_own("air-gates-4", "gates_v0", _AWARE, 64, num_drones=4, horizon_s=12.0),
     # A reached goal gives another, 1 to 3 m away; in the forest between trees.
@@ -272,7 +272,7 @@ _NEW = (
     # Goals are a formation that flies an ellipse; another's every 5 s; beside other drones.
     _of_own("crowd-moving-8", "pursuit_v0", _TRACKING, 64, layout="moving", num_drones=8),
     _of_own("crowd-swaps-8", "pursuit_v0", _ROUND, 64, layout="swap-goals", num_drones=8),
-    _of_own("crowd-chase-8", "pursuit_v0", "air-blind", 64, layout="chase", num_drones=8),
+    _of_own("crowd-chase-8", "pursuit_v0", "pid", 64, layout="chase", num_drones=8),
     _new("crowd-random-32", "swap-random-16", _ROUND, 64, num_drones=32),
     _new("crowd-random-64", "swap-random-16", _DETOUR, 32, num_drones=64),
     _new("crowd-circle-32", "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),

@@ -22,14 +22,14 @@ from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference, rest_to_rest
 from swarm_envs.vehicles import Team
 
-__all__ = ["TUNED", "AirNumbers", "heavy_on_top"]
+__all__ = ["TUNED", "DownwashSettings", "place_heavy_on_top"]
 
 _INTEGRAL_LIMIT = 3.0  # Holds the largest force of these tasks, m
 _PEAK = 7.5132  # Largest acceleration from rest to rest over a distance of 1 m in 1 s, m/s^2
 
 
 @dataclass(frozen=True, kw_only=True)
-class AirNumbers:
+class DownwashSettings:
     """Every number of an agent of these tasks, and what it knows."""
 
     position: float
@@ -73,19 +73,19 @@ class AirNumbers:
             velocity_integral_limit=_INTEGRAL_LIMIT,
         )
 
-    def agent(self) -> AirAgent:
+    def agent(self) -> RestToRestAgent:
         """An agent with these numbers."""
-        return AirAgent(self)
+        return RestToRestAgent(self)
 
 
-class AirAgent(TrackingAgent):
+class RestToRestAgent(TrackingAgent):
     """Flies from rest to rest to its goals, or follows the reference where goals move.
 
     Args:
         numbers: of its controller and its ways, and what it knows.
     """
 
-    def __init__(self, numbers: AirNumbers) -> None:
+    def __init__(self, numbers: DownwashSettings) -> None:
         super().__init__(numbers.controller())
         self._numbers = numbers
         self._named = self._follows = True
@@ -112,7 +112,7 @@ class AirAgent(TrackingAgent):
         """The way from the set-points of this moment to the goals, or to better places."""
         places = self._goals = np.array(view.goals)
         if self._numbers.chooses and not self._named:
-            places = heavy_on_top(places, view.team)
+            places = place_heavy_on_top(places, view.team)
         start, duration = np.array(view.setpoint.position), self._numbers.travel_s
         if self._named:
             longest = float(np.linalg.norm(places - start, axis=1).max())
@@ -120,15 +120,15 @@ class AirAgent(TrackingAgent):
         self._way = start, places, duration, view.time
 
 
-_PRECISE = AirNumbers(
+_PRECISE = DownwashSettings(
     position=6.0, velocity=10.0, integral=1.5, attitude=16.0, rate=16.5, cutoff_hz=4.8
 )
-TUNED: Mapping[str, AirNumbers] = MappingProxyType(
+TUNED: Mapping[str, DownwashSettings] = MappingProxyType(
     {
-        "air-blind": AirNumbers(position=5.0, velocity=7.5, integral=2.5),
-        "air-blind+adaptive": _PRECISE,
-        "air-aware": replace(_PRECISE, believes=True, chooses=True),
-        "air-on-top": AirNumbers(
+        "pid": DownwashSettings(position=5.0, velocity=7.5, integral=2.5),
+        "pid+adaptive": _PRECISE,
+        "downwash-aware": replace(_PRECISE, believes=True, chooses=True),
+        "heavy-on-top": DownwashSettings(
             position=0.87, velocity=4.6, integral=1.4, attitude=11.0, rate=4.8, cutoff_hz=2.9,
             believes=True, chooses=True,
         ),
@@ -137,11 +137,11 @@ TUNED: Mapping[str, AirNumbers] = MappingProxyType(
 """Numbers of the shipped agents, by name."""
 
 
-air_blind, air_blind_adaptive, air_aware, air_on_top = (numbers.agent for numbers in TUNED.values())
+pid, pid_adaptive, downwash_aware, heavy_on_top = (numbers.agent for numbers in TUNED.values())
 """Factories of the shipped agents."""
 
 
-def heavy_on_top(places: FloatArray, team: Team) -> FloatArray:
+def place_heavy_on_top(places: FloatArray, team: Team) -> FloatArray:
     """(N, 3) the same places, changed within each column: who has little thrust to spare goes up.
 
     Args:

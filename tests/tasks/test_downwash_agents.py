@@ -9,7 +9,7 @@ import pytest
 
 import swarm_envs
 from swarm_envs.agents import fly_episode, load
-from swarm_envs.baselines.neural_swarm.air import heavy_on_top
+from swarm_envs.baselines.neural_swarm.downwash import place_heavy_on_top
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import make_joint
@@ -117,7 +117,7 @@ def stand(env: SwarmParallelEnv, places: np.ndarray, steps: int) -> dict[str, An
 @pytest.mark.parametrize(("crash", "reached"), [(False, 3), (True, 1)])
 def test_stages_are_of_the_whole_team(crash, reached):
     """One courier is flown into the floor after the first stage; the two others do all three."""
-    agent, plain = load("air-blind"), {"interactions": "none", "world": "ideal"}
+    agent, plain = load("pid"), {"interactions": "none", "world": "ideal"}
     env = make("delivery_v0", num_drones=3, **plain, **agent.requires)
     observations, _ = env.reset(seed=1)
     agent.reset(env, 1)
@@ -175,7 +175,9 @@ def test_a_drone_that_stands_at_its_goal_keeps_it():
 
 def test_the_heavy_go_on_top():
     places = np.array([[0, 0, z] for z in (0.4, 0.8, 1.2)] + [[1, 0, z] for z in (0.8, 0.4)])
-    chosen = heavy_on_top(places.astype(float), parse_team("LSS*SS*"))  # spare 78 31 54 31 54 g
+    chosen = place_heavy_on_top(
+        places.astype(float), parse_team("LSS*SS*")
+    )  # spare 78 31 54 31 54 g
     assert chosen[:, 2].tolist() == [0.4, 1.2, 0.8, 0.8, 0.4]
     assert chosen[:, 0].tolist() == [0, 0, 0, 1, 1]
 
@@ -214,9 +216,9 @@ def test_the_air_decides(name):
         env = make_scored(task.environment, setting)
         return float(np.mean([fly_episode(env, flown, seed)["success"] for seed in range(8)]))
 
-    aware = "air-on-top" if "stack" in name else "air-aware"
-    assert rate("air-blind", "none") >= 0.75
-    assert rate("air-blind", "learned") <= 0.5
+    aware = "heavy-on-top" if "stack" in name else "downwash-aware"
+    assert rate("pid", "none") >= 0.75
+    assert rate("pid", "learned") <= 0.5
     assert rate(aware, "learned") >= 0.75
 
 

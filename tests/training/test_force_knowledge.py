@@ -1,4 +1,4 @@
-"""The study of what knowing the air is worth: it resumes, and its teachers know the true force."""
+"""The study of experience with forces: it resumes, and its teachers know the true force."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from examples import knowing_air
-from examples.knowing_air import AIRS, AirStudy, run_study, summary_of, table_of
+from examples import force_knowledge
+from examples.force_knowledge import CONDITIONS, ForceStudy, run_study, summary_of, table_of
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
 from swarm_envs.training.rl.teachers import SprintOracle, StackOracle
@@ -20,11 +20,13 @@ from tests.helpers.interrupts import calls_of
 
 
 def test_an_interrupted_study_resumes_with_the_same_results(tmp_path, monkeypatch):
-    monkeypatch.setattr(knowing_air, "AIRS", {name: AIRS[name] for name in ("none", "hall")})
+    monkeypatch.setattr(
+        force_knowledge, "CONDITIONS", {name: CONDITIONS[name] for name in ("none", "hall")}
+    )
     small = {"environments": 2, "evaluation_episodes": 1, "hidden": (8,), "set_hidden": (8,)}
-    monkeypatch.setattr(knowing_air, "RECIPE", {**knowing_air.RECIPE, **small})
-    study = AirStudy(out=tmp_path / "study", task=["sprint"], seeds=[0], steps=120, episodes=2)
-    with calls_of(knowing_air, "train_policy", killed_at=3), pytest.raises(KeyboardInterrupt):
+    monkeypatch.setattr(force_knowledge, "RECIPE", {**force_knowledge.RECIPE, **small})
+    study = ForceStudy(out=tmp_path / "study", task=["sprint"], seeds=[0], steps=120, episodes=2)
+    with calls_of(force_knowledge, "train_policy", killed_at=3), pytest.raises(KeyboardInterrupt):
         run_study(study)
     flown = {path: path.read_bytes() for path in study.out.rglob("flown-*.jsonl")}
     assert len(flown) == 4
@@ -44,17 +46,17 @@ def test_an_interval_counts_training_seeds():
     assert found["each"] == [1.0, 1.0, 0.0]
 
 
-@pytest.mark.parametrize("air", AIRS)
-def test_teachers_compensate_the_force_of_their_air(air):
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_teachers_compensate_the_force_of_their_air(condition):
     teacher = SprintOracle()
-    requires = {**teacher.requires, **AIRS[air], "threads": 1}
+    requires = {**teacher.requires, **CONDITIONS[condition], "threads": 1}
     blueprint = batch_of("columns_v0", layout="sprint", **requires)
     core = SwarmCore(blueprint.task, blueprint.config, 32)
     core.reset(list(range(32)))
     while core.running.all():
         core.step(np.clip(teacher.teach(core), -1.0, 1.0))
     away = np.linalg.norm(teacher._shift(core), axis=-1)
-    if air == "none":
+    if condition == "none":
         assert away.max() < 2e-3  # what the integrator has gathered on the way
     else:
         assert away.max() > 0.01
@@ -64,11 +66,11 @@ def test_teachers_compensate_the_force_of_their_air(air):
 
 def test_only_a_teacher_in_air_with_forces_puts_the_heavy_on_top():
     teacher, places = StackOracle(), {}
-    for air in ("none", "learned"):
-        blueprint = batch_of("columns_v0", **teacher.requires, **AIRS[air])
+    for condition in ("none", "learned"):
+        blueprint = batch_of("columns_v0", **teacher.requires, **CONDITIONS[condition])
         core = SwarmCore(blueprint.task, blueprint.config, 1)
         core.reset([3])
-        places[air] = teacher._chosen(core) - teacher._shift(core)
+        places[condition] = teacher._chosen(core) - teacher._shift(core)
         goals = np.array(core.world.drones["goal"])
     assert np.array_equal(places["none"], goals)
     assert not np.allclose(places["learned"], goals)

@@ -91,7 +91,7 @@ def survives(d: Record, ends_team: bool, bounces: bool) -> bool:
 
 
 @kernel
-def judge(  # noqa: C901  # one decision, on one screen
+def evaluate(  # noqa: C901  # one decision, on one screen
     actions: FloatArray,
     drones: Records,
     environments: Records,

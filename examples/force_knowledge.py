@@ -1,13 +1,13 @@
-"""Measure what knowing the air is worth to a policy: train it in one air, fly it in another.
+"""Measure how much a policy gains from experience with interaction forces.
 
-    python -m examples.knowing_air --out runs/air
-    python -m examples.knowing_air --task sprint --seeds 0 --steps 300000 --out runs/sprint
+    python -m examples.force_knowledge --out runs/forces
+    python -m examples.force_knowledge --task sprint --seeds 0 --steps 300000 --out runs/sprint
 
-Policies learn by imitation (DAgger) in three airs: without interaction forces (`none`), with them
-(`learned`), and with them in the hall (`hall`); without and with the predicted force as an
-observation. Each flies in all three. The tracking controller is that of `air-blind`, which knows no
-force model and estimates no force; the teachers move set-points by what the true force of the air
-in which they teach would displace the drones. In air without forces they move nothing.
+Policies learn by imitation (DAgger) under three conditions: without interaction forces (`none`),
+with them (`learned`), and with them in the hall (`hall`); without and with the predicted force as
+an observation. Each policy flies under all three. The tracking controller is that of `pid`, which
+has no force model and estimates no force; the teachers shift set-points by the displacement that
+the true force would cause. Where there are no forces they shift nothing.
 
 The table has means over training seeds and episodes. Intervals are 95 % bootstrap intervals in
 which both are drawn again: seeds, and episodes of each. Killed, the same command resumes.
@@ -37,15 +37,15 @@ from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import finished_report, train_policy
 from swarm_envs.training.scoreboard.summary import align_columns
 
-AIRS: Mapping[str, Mapping[str, Any]] = {
+CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "none": {"interactions": "none", "world": "ideal"},
     "learned": {"interactions": "learned", "world": "ideal"},
     "hall": {"interactions": "learned", "world": "hall"},
 }
-"""In what policies train and fly: options of the environment."""
+"""The conditions under which policies train and fly: options of the environment."""
 RECIPE: Mapping[str, Any] = {
     **{"algo": "dagger", "environments": 96, "threads": 1},
-    **{"action": "velocity", "decision_rate": 48, "controller": "air-blind"},
+    **{"action": "velocity", "decision_rate": 48, "controller": "pid"},
     "encoder": "deep-set",
     **{"set_hidden": (48, 48), "hidden": (96, 96)},
     **{"checkpoint_rollouts": 100, "evaluations": 1, "evaluation_episodes": 64},
@@ -76,14 +76,14 @@ CASES: Mapping[str, Case] = {
     "stack": Case("columns_v0", 8, "StackOracle", {"layout": "stack"}),
     "sprint": Case("columns_v0", 6, "SprintOracle", {"layout": "sprint"}),
     "delivery": Case("delivery_v0", 7, "DeliveryOracle"),
-    "gates": Case("gates_v0", 4, "AirOracle", _GATES, "gates_per_min"),
+    "gates": Case("gates_v0", 4, "OracleTeacher", _GATES, "gates_per_min"),
 }
-"""The tasks of the family *air*, by name."""
+"""The tasks of the benchmark's family *air*, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class AirStudy:
-    """Train policies in air of three kinds, and fly each in all of them."""
+class ForceStudy:
+    """Train policies under three conditions, and fly each under all of them."""
 
     out: Path
     """folder of the runs, the episodes and results.json"""
@@ -94,7 +94,7 @@ class AirStudy:
     steps: int = 1_000_000
     """of each run: decisions of single drones"""
     episodes: int = 128
-    """of each policy in each air"""
+    """of each policy under each condition"""
 
     def __post_init__(self) -> None:
         """Refuse tasks that there are not."""
@@ -106,13 +106,19 @@ class AirStudy:
             check_name("--task", name, CASES)
 
 
-def training_of(study: AirStudy, task: str, air: str, force: bool, seed: int) -> RlConfig:
+def training_of(study: ForceStudy, task: str, condition: str, force: bool, seed: int) -> RlConfig:
     """The options of a training run."""
     case = CASES[task]
-    given = {**RECIPE, **case.options, **AIRS[air], "task": case.task, "drones": case.drones}
+    given = {
+        **RECIPE,
+        **case.options,
+        **CONDITIONS[condition],
+        "task": case.task,
+        "drones": case.drones,
+    }
     return RlConfig(
         **given,
-        out=study.out / task / (f"{air}-force" if force else air) / f"seed-{seed}",
+        out=study.out / task / (f"{condition}-force" if force else condition) / f"seed-{seed}",
         dagger=replace(RlConfig.dagger, teacher=(f"{TEACHERS}:{case.teacher}",)),
         num_neighbors=case.drones - 1,
         observe_force=force,
@@ -121,13 +127,18 @@ def training_of(study: AirStudy, task: str, air: str, force: bool, seed: int) ->
     )
 
 
-def fly_in(study: AirStudy, config: RlConfig, task: str, air: str) -> list[float]:
-    """What a trained policy reaches in each episode in an air; episodes are flown once."""
+def fly_in(study: ForceStudy, config: RlConfig, task: str, condition: str) -> list[float]:
+    """What a trained policy reaches in each episode under a condition; episodes are flown once."""
     agent, case = load_agent(config.out), CASES[task]
     assert isinstance(agent, PolicyAgent)
-    setting = {**case.options, **AIRS[air], "num_drones": case.drones, "physics": "batch"}
+    setting = {
+        **case.options,
+        **CONDITIONS[condition],
+        "num_drones": case.drones,
+        "physics": "batch",
+    }
     about = {**setting, "task": case.task, "policy": agent.digest, "version": __version__}
-    file = EpisodeFile(config.out, f"flown-in-{air}", about)
+    file = EpisodeFile(config.out, f"flown-in-{condition}", about)
     env = make(case.task, **{**setting, **agent.requires, "threads": 1})
     try:
         seeds = frozen_seeds(EPISODE_SEED, study.episodes)
@@ -148,41 +159,43 @@ def summary_of(values: FloatArray) -> dict[str, Any]:
     return {"mean": float(values.mean()), "interval": ends, "each": values.mean(axis=1).tolist()}
 
 
-def run_study(study: AirStudy) -> list[dict[str, Any]]:
+def run_study(study: ForceStudy) -> list[dict[str, Any]]:
     """Train and fly what has not been yet; the results, which are also written."""
-    students, results = list(product(study.task, AIRS, (False, True))), []
+    students, results = list(product(study.task, CONDITIONS, (False, True))), []
     with (
         claimed(study.out),
-        tqdm(total=len(students) * len(study.seeds), unit="policy", desc="air") as bar,
+        tqdm(total=len(students) * len(study.seeds), unit="policy", desc="study") as bar,
     ):
-        for task, air, force in students:
-            flown: dict[str, list[list[float]]] = {name: [] for name in AIRS}
+        for task, condition, force in students:
+            flown: dict[str, list[list[float]]] = {name: [] for name in CONDITIONS}
             for seed in study.seeds:
-                config = training_of(study, task, air, force, seed)
-                bar.set_postfix_str(f"{task}, {air}")
+                config = training_of(study, task, condition, force, seed)
+                bar.set_postfix_str(f"{task}, {condition}")
                 if finished_report(config, config.task) is None:
                     train_policy(config, config.task)
                 for name, episodes in flown.items():
                     episodes.append(fly_in(study, config, task, name))
                 bar.update()
             entry = {name: summary_of(np.array(values)) for name, values in flown.items()}
-            results.append({"task": task, "air": air, "force": force, "flown_in": entry})
+            results.append(
+                {"task": task, "condition": condition, "force": force, "flown_in": entry}
+            )
         write_json(study.out / "results.json", results)
     return results
 
 
 def table_of(results: list[dict[str, Any]]) -> str:
-    """A line for each kind of student: what it reaches in each air."""
-    rows = [["task", "trained in", "observes force", *(f"in {name}" for name in AIRS)]]
+    """A line for each kind of student: the result under each condition."""
+    rows = [["task", "trained in", "observes force", *(f"in {name}" for name in CONDITIONS)]]
     for entry in results:
         scale = 100.0 if CASES[entry["task"]].measure == "success" else 1.0
         cells = []
         for found in entry["flown_in"].values():
             mean, low, high = (scale * x for x in (found["mean"], *found["interval"]))
             cells.append(f"{mean:.1f} ({low:.1f}-{high:.1f})")
-        rows.append([entry["task"], entry["air"], "yes" if entry["force"] else "no", *cells])
+        rows.append([entry["task"], entry["condition"], "yes" if entry["force"] else "no", *cells])
     return "\n".join(align_columns(rows))
 
 
 if __name__ == "__main__":
-    sys.stdout.write(table_of(run_study(tyro.cli(AirStudy))) + "\n")
+    sys.stdout.write(table_of(run_study(tyro.cli(ForceStudy))) + "\n")
