@@ -54,7 +54,6 @@ def task_page(task: str, folder: Path) -> str:
     found = [film] if (folder / film).exists() else []
     return "\n\n".join(
         [
-            f"# {title.partition(',')[0]}",
             *(f"![{title.partition(',')[0]}: {summary}]({name})" for name in found),
             _facts(task, env),
             f"## Description\n\n{summary[0].upper()}{summary[1:]}",
