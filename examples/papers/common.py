@@ -1,4 +1,4 @@
-"""Shared parts of the papers' scripts: command line, JSON and CSV files, and tables."""
+"""Shared parts of the scripts of all papers: command line, JSON and CSV files, and tables."""
 
 from __future__ import annotations
 

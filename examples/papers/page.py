@@ -1,8 +1,8 @@
-"""The tables of docs/papers.md, from `items.csv` and what the commands wrote.
+"""Tables of docs/papers.md, from `items.csv` and the results of the commands.
 
     python -m examples.papers runs/papers
 
-reads the JSON files below a folder with a folder for each paper, keeps what they compare in
+reads the JSON files below a folder with one folder for each paper, stores the compared numbers in
 docs/papers/results.json, and writes the tables into docs/generated.
 """
 

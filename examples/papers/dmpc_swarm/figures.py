@@ -1,7 +1,7 @@
 """Figs. 3a to 4 of DMPC-Swarm, and a sweep of message loss.
 
-The paper prints no times. Those in brackets are of the authors' public simulation, on formations of
-its own (https://github.com/Data-Science-in-Mechanical-Engineering/DMPC-Swarm, commit ad30d51,
+The paper prints no times. Those in brackets are of the authors' public simulation, on other
+formations (https://github.com/Data-Science-in-Mechanical-Engineering/DMPC-Swarm, commit ad30d51,
 settings of `batch_simulation_local_pc.yaml`).
 """
 

@@ -1,4 +1,4 @@
-"""Flights of references: the set-points of MLR-DMPC, as if drones followed them without error."""
+"""Simulations of the references of MLR-DMPC, without drones and tracking errors."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Figs. 3 and 4 of DMPC-Swarm flown in the hall, and the distance of (26) that it needs.
+"""Figs. 3 and 4 of DMPC-Swarm with drones in the hall, and the distance that (26) requires.
 
-The other commands fly references, as if drones followed them exactly. Here sixteen small drones fly
-them by the tracking controller, with its force model, in `world="hall"`.
+The other commands simulate references only. Here sixteen small drones track them with compensation
+in `world="hall"`.
 """
 
 from __future__ import annotations

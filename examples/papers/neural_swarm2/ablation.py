@@ -1,6 +1,6 @@
 """Table III: the validation error by H, L, velocities and spectral clip.
 
-Every fit takes minutes and keeps its report in a folder of its own: a fit that is there is read.
+Every fit takes minutes and stores its report in a folder of its own; existing reports are reused.
 """
 
 from __future__ import annotations

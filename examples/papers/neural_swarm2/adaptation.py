@@ -1,7 +1,7 @@
-"""Adaptive controllers beside compensation: the table of docs/adaptation.md.
+"""Adaptive control and compensation compared: the table of docs/adaptation.md.
 
-A small drone passes below a large one (L2S) in the forces `learned`, in those of `wake`, which are
-other ones than its force model was fitted to, and there with a wrong mass or noisy velocities.
+A small drone passes below a large one (L2S) with the forces `learned`, to which its force model was
+fitted, with those of `wake`, and with those of `wake` and a wrong mass or noisy velocities.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Swaps and rings with the sizes, speeds and gains that the authors' repository contains.
+"""Swaps and rings with the sizes, speeds and gains of the authors' repository.
 
 `three_rings16_pps`, `validation_swap.py` and `crazyflieTypes.yaml` of aerorobotics/neural-swarm
 (commit 48b1851): rings as `CLOSE_SIXTEEN`; swaps of 0.5 m in 4 s, a large drone 0.5 m above a small

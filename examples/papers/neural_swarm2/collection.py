@@ -1,4 +1,4 @@
-"""Table II: flights of the twelve scenarios, and the rows of measured force that they give."""
+"""Table II: flights of the twelve scenarios, and their rows of measured force."""
 
 from __future__ import annotations
 

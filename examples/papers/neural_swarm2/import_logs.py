@@ -1,7 +1,7 @@
 """Rows of measured force from the public flight logs of Neural-Swarm2's authors.
 
 The logs (github.com/aerorobotics/neural-swarm, folder `data/training`) state no license, so neither
-they nor these rows are part of this project: they are read from a clone of yours. Scenarios,
+they nor these rows are part of this project; they are read from a clone. Scenarios,
 flights and filter are the authors' (`learning/training.py`).
 """
 

@@ -1,7 +1,7 @@
-"""Compensation of the motors' lag, eq. (22), on and off, with an exact force model.
+"""Lag compensation of the motors, eq. (22), on and off, with an exact force model.
 
-The controller alone is measured: it feeds forward the environment's own force model, an oracle that
-no real controller has, so that the lag causes what is left of the error.
+The controller compensates the force model of the environment (an oracle), so that the remaining
+error is due to the lag.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Fig. 6 and 7: swaps planned knowing the forces and not, and flown.
+"""Fig. 6 and 7: swaps planned with and without a force model, and simulated.
 
-Fig. 6 shows one swap of three after stage 1, after stage 2, and planned without the forces; Fig. 7
-the worst errors and forces of random swaps of two and three.
+Fig. 6 shows one swap of three drones after stage 1, after stage 2, and planned without forces; Fig.
+7 the worst errors and forces of random swaps of two and three drones.
 """
 
 from __future__ import annotations

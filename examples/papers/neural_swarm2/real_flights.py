@@ -1,11 +1,11 @@
-"""The small vehicle against public logs of single Crazyflies that others have flown.
+"""The small vehicle compared with public logs of single Crazyflies.
 
 - NanoBench (github.com/syediu/nanobench-iros2026, BSD-3): a Crazyflie 2.1, CSV files at 100 Hz.
 - arplaboratory/data-driven-system-identification (MIT): a Crazyflie of 27 g, three logs at 1 kHz.
 
-They are read from clones and not part of this project. Neither gives a thrust: it is what the
-accelerometer measures along the body's axis, times the mass. NanoBench does not say its mass, and
-the other logs no voltage, so the first gives the mass at which psi1 is right, the second a voltage.
+They are read from clones and not part of this project. Thrust is the acceleration along the body
+axis times the mass. NanoBench states no mass, and the other logs no voltage, so psi1 gives the mass
+of the first and the voltage of the second.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Table I: both quadrotors identified again, on simulated vehicles and a simulated load cell.
+"""Table I: identification of both quadrotors, on simulated vehicles and a simulated load cell.
 
 Mass, largest thrust and motor rate come from the motion of `BatchPhysics`; psi1 comes from noisy
 readings of the force at random signals and voltages, as the authors measured theirs (Sec. VII-A).
 psi2 is then fitted to the same readings and compared with the printed psi2: the authors identified
-both from one set of measurements, so that each checks the other.
+both from one set of measurements.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Figs. 5 to 9: time and makespan of the planners over the size of the grid.
 
 A command measures the curves of its figure, writes all runs and points as JSON, the points as CSV
-and a picture, and prints what the paper says beside what was measured.
+and a picture, and prints the numbers beside those of the paper.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fig. 11: ten drones write A-R-C-R-U, planned on a grid and flown in learned downwash."""
+"""Fig. 11: ten drones write A-R-C-R-U, planned on a grid and simulated with learned downwash."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs of the planners on growing grids: instances are drawn, planned, timed and put together."""
+"""Runs of the planners on growing grids: sample instances, plan, measure times and summarize."""
 
 from __future__ import annotations
 
