@@ -28,6 +28,13 @@ class WorldOptions:
     on_contact: Literal["end_team", "end_pair", "bounce"] | None = None
     """effect of a contact: ends the episode of the team or of the pair, or drones bounce off"""
 
+    observe_range_m: float | None = None
+    """communication range, m: neighbors farther away are not observed"""
+    observe_delay_s: float | None = None
+    """communication delay, s: neighbors are observed as they were this long ago"""
+    observe_loss: float | None = None
+    """packet loss: probability that a neighbor is not observed in a decision"""
+
     def world_options(self) -> dict[str, Any]:
         """Those options of the environment that were given, ready for JSON."""
         names = [field.name for field in fields(WorldOptions)]
