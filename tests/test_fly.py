@@ -12,6 +12,7 @@ from swarm_envs.cli import main
 from swarm_envs.viewing import video as films
 from swarm_envs.viewing.trajectory import read_trajectory
 
+OWN_TASK = Path(__file__).parents[1] / "examples" / "own_task.py"
 STACKED = ["fly", "--layout", "stacked", "--team", "L2S", "--physics", "batch", "--seed", "1"]
 
 
@@ -92,6 +93,7 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
         (["--video", "a.avi"], "--video is 'a.avi', but must end in .mp4 or .gif"),
         (["--trajectory", "a.csv"], "must end in .parquet or .npz"),
         (["--replay", "a.htm"], "must end in .html"),
+        (["--task", f"{OWN_TASK}:LinTask"], "error: unknown class or function 'LinTask'"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_first(arguments, said, capsys, tmp_path, monkeypatch):

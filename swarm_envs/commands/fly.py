@@ -19,6 +19,7 @@ from swarm_envs.commands.checks import (
     as_misuse,
     output_files,
 )
+from swarm_envs.envs.options import task_class
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
@@ -217,6 +218,7 @@ def check_flies(
 def find_task(name: str) -> str:
     """The versioned name of a task; of the newest version if the name has none."""
     if ".py:" in name:  # a task of one's own
+        task_class(name)
         return name
     families = _newest()
     return families.get(name) or check_name("task", name, (*families, *TASKS))
@@ -229,8 +231,6 @@ def _newest() -> dict[str, str]:
 
 def check_layout(task: str, layout: str) -> None:
     """Refuse a layout that a task does not have, and name the tasks that have it."""
-    from swarm_envs.envs.options import task_class
-
     valid, family = task_class(task).layouts, task_family(task)
     if layout in valid:
         return
