@@ -142,12 +142,12 @@ def write_rows(path: Path, header: tuple[str, ...], rows: np.ndarray) -> None:
         writer.writerows([[repr(float(value)) for value in row] for row in rows])
 
 
-def write_setpoints(path: Path, flown: CubicHermiteSpline, rate: float) -> None:
+def write_setpoints(path: Path, track: CubicHermiteSpline, rate: float) -> None:
     """Write time, position, velocity, acceleration and yaw at a rate, 1/s, up to the end."""
-    duration = flown.x[-1] - flown.x[0]
+    duration = track.x[-1] - track.x[0]
     time = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
-    at = flown.x[0] + time
-    states = [flown(at)[:, :3], flown(at, nu=1)[:, :3], flown(at, nu=2)[:, :3], flown(at)[:, 3:]]
+    at = track.x[0] + time
+    states = [track(at)[:, :3], track(at, nu=1)[:, :3], track(at, nu=2)[:, :3], track(at)[:, 3:]]
     write_rows(path, ("t", *STATE), np.column_stack([time, *states]))
 
 
@@ -173,9 +173,9 @@ def fit_all(
     """
     found = []
     for drone in tqdm(range(len(flight.team)), unit="drone", delay=1.0):
-        flown = curve(flight, drone)
+        track = curve(flight, drone)
         try:
-            found.append((flown, *fit(flown, tolerance_m)))
+            found.append((track, *fit(track, tolerance_m)))
         except ValueError as failure:
             raise ValueError(f"drone_{drone}: {failure}") from failure
     return found
@@ -200,11 +200,11 @@ def main(options: Options) -> float:
     flight = read_trajectory(options.flight)
     fitted = fit_all(flight, options.tolerance_m)
     options.out.mkdir(parents=True, exist_ok=True)
-    for drone, (flown, pieces, error) in enumerate(fitted):
+    for drone, (track, pieces, error) in enumerate(fitted):
         name = f"drone_{drone}"
         rows = np.column_stack([pieces.duration, pieces.coefficients.reshape(-1, 32)])
         write_rows(options.out / f"{name}.csv", HEADER, rows)
-        write_setpoints(options.out / f"{name}_setpoints.csv", flown, options.rate)
+        write_setpoints(options.out / f"{name}_setpoints.csv", track, options.rate)
         report(f"{name} ({flight.team[drone].token})", pieces, error)
     clearance = least_clearance(flight, [pieces for _, pieces, _ in fitted])
     if np.isfinite(clearance):

@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> None:
     model = PPO("MlpPolicy", env, policy_kwargs=NETWORK, seed=0, device="cpu", **fast)
     model.learn(given.steps)
     model.save(FILE)
-    flown = swarm_envs.make("swap_v1", physics="batch", **Trained.requires)
-    print("success:", fly_episode(flown, Trained(), seed=0)["success"])
+    eval_env = swarm_envs.make("swap_v1", physics="batch", **Trained.requires)
+    print("success:", fly_episode(eval_env, Trained(), seed=0)["success"])
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ class Teams:
         )
         self.drones = drones
         self.seen = self._features(self.env.reset(seed=seed)[0])
-        self.flown = torch.ones(len(self.seen), dtype=torch.bool)
+        self.used = torch.ones(len(self.seen), dtype=torch.bool)
 
     def _features(self, rows: np.ndarray) -> Tensor:
         flat = rows.reshape(rows.shape[0] * self.drones, -1)
@@ -101,10 +101,10 @@ def collect(teams: Teams, net: ActorCritic) -> tuple[Tensor, ...]:
         error = rewards[t] + GAMMA * going * following[t] - values[t]
         last = error + GAMMA * LAMBDA * going * (~cut[t]) * last
         advantages[t] = last
-    flown = torch.cat([teams.flown[None], ~(ended | cut)[:-1]])  # where the action was used
-    teams.flown = ~(ended | cut)[-1]
+    used = torch.cat([teams.used[None], ~(ended | cut)[:-1]])  # where the action was used
+    teams.used = ~(ended | cut)[-1]
     parts = (seen, actions, log_probs, advantages, advantages + values, rewards)
-    return tuple(part[flown] for part in parts)
+    return tuple(part[used] for part in parts)
 
 
 def update(net: ActorCritic, adam: torch.optim.Optimizer, rollout: tuple[Tensor, ...]) -> None:

@@ -134,12 +134,12 @@ def algorithm_config(config: RllibConfig) -> Any:
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
-    flown = {"num_drones": config.drones, "layout": config.layout, "horizon_s": config.horizon_s}
-    flown |= {"interactions": config.interactions, "num_neighbors": config.num_neighbors}
-    flown |= {"action": "acceleration", "decision_rate": 10, "force_rate": 48, "physics": "batch"}
+    options = {"num_drones": config.drones, "layout": config.layout, "horizon_s": config.horizon_s}
+    options |= {"interactions": config.interactions, "num_neighbors": config.num_neighbors}
+    options |= {"action": "acceleration", "decision_rate": 10, "force_rate": 48, "physics": "batch"}
     return (
         PPOConfig()
-        .environment(ENVIRONMENT, env_config=flown)
+        .environment(ENVIRONMENT, env_config=options)
         .env_runners(num_env_runners=config.runners)
         .learners(num_learners=0)
         .training(
@@ -217,9 +217,9 @@ def _learn(config: RllibConfig, algorithm: Any) -> Policy:
     steps, options = 0, {**asdict(config), "out": str(config.out), "trainer": "rllib-ppo"}
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc="train") as bar:
         while steps < config.steps:
-            flown = algorithm.train()["env_runners"]
-            steps = config.drones * int(flown["num_env_steps_sampled_lifetime"])
-            bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
+            result = algorithm.train()["env_runners"]
+            steps = config.drones * int(result["num_env_steps_sampled_lifetime"])
+            bar.set_postfix_str(f"return {result['episode_return_mean']:.2f}", refresh=False)
             bar.update(steps - bar.n)
             about = {"config": options, "steps": steps, "version": __version__}
             network = Network(actor(algorithm.get_module(SHARED), 3))

@@ -22,14 +22,14 @@ GROUP = "drone"
 OBSERVATION, ACTION, VALUE = (GROUP, "observation"), (GROUP, "action"), (GROUP, "state_value")
 
 
-def network(env: PettingZooWrapper, outputs: int, centralised: bool) -> MultiAgentMLP:
+def network(env: PettingZooWrapper, outputs: int, centralized: bool) -> MultiAgentMLP:
     """Return an MLP for every drone, with shared weights."""
     drones, width = env.observation_spec[OBSERVATION].shape
     return MultiAgentMLP(
         width,
         outputs,
         n_agents=drones,
-        centralized=centralised,
+        centralized=centralized,
         share_params=True,
         depth=2,
         num_cells=64,

@@ -103,15 +103,15 @@ def _value(candidate: Candidate, seeds: Sequence[int], case: Case) -> float:
     agent = candidate.agent()
     env = make_scored(case.environment, {**case.setting, **agent.requires})
     try:
-        flown = [each["metrics"] for each in evaluate_agent(env, agent, seeds, timed=0)]
+        metrics = [each["metrics"] for each in evaluate_agent(env, agent, seeds, timed=0)]
     except AgentRefused:
         return -_OF_TIME * env.view.horizon_s
     finally:
         env.close()
-    won = [m["time_to_goal_s"] or m["length_s"] for m in flown if m["success"]]
-    near = sum(m["near_misses"] > 0 for m in flown)
+    won = [m["time_to_goal_s"] or m["length_s"] for m in metrics if m["success"]]
+    near = sum(m["near_misses"] > 0 for m in metrics)
     took = float(np.mean(won)) if won else env.view.horizon_s
-    return (len(won) - _OF_NEAR_MISSES * near) / len(flown) - _OF_TIME * took
+    return (len(won) - _OF_NEAR_MISSES * near) / len(metrics) - _OF_TIME * took
 
 
 def numbers_of(candidate: Any) -> dict[str, Any]:

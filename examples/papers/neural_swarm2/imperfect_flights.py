@@ -38,7 +38,7 @@ class Imperfection:
     noise_g: float = 0.0
     """Root mean square of noise below 5 Hz on its vertical part, gram-force, each drone's own."""
     delay_s: float = 0.0
-    """How late the predicted force comes, s; rounded to steps of 1/240 s."""
+    """Delay of the predicted force, s; rounded to steps of 1/240 s."""
     position_noise_m: float = 0.0
     """Standard deviation of measured positions, each component, white from step to step, m."""
     velocity_noise: float = 0.0

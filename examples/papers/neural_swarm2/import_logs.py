@@ -23,7 +23,7 @@ from examples.papers.neural_swarm2.tables import markdown
 WITHOUT_FORCE = 100  # a drone whose inertial sensor is too noisy, says its readme
 COMMIT = "48b185118edde247f46ab76ee821ec23fc1b98ed"
 LOGS_SHA256 = "b54004ffd798eff8c2d16d20498f81947d5d6d77bd68268cc91c792ee5a61e49"
-"""Of the 483 logs that are read, one after another in the order of `GROUPS`."""
+"""SHA-256 of the 483 logs, one after another in the order of `GROUPS`."""
 FILE = "neural_swarm_flights_33hz.npz"
 NAMES = ("Ge2L", "Ge2S", "L2L", "S2S", "L2S", "S2L", "SS2L", "SL2L", "LL2S", "SL2S", "SS2S", "LL2L")
 

@@ -37,7 +37,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 PLAIN_SWAPS = ("S2S", "L2S", "S2L", "L2L", "SS2S", "SL2S", "LL2S", "SS2L", "SL2L", "LL2L")
 """Teams of Fig. 8, the lowest drone last."""
 STRONG_SWAPS = ("S2S*", "L2S*", "SS2S*", "SL2S*", "LL2S*")
-"""The same with stronger motors for the small drone that flies lowest."""
+"""Teams with stronger motors for a small drone at the bottom."""
 SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)
 RINGS = {9: (5, CLOSE_FIVE), 1: (16, CLOSE_SIXTEEN)}  # drones and sizes by number of the figure
 SIDES = ("without", "compensated")  # the two controllers, in the order of arrays
