@@ -14,6 +14,7 @@ from examples.papers.rth3d.__main__ import COMMANDS, main
 from examples.papers.rth3d.letters import snapshots
 from examples.papers.rth3d.runs import Options, Setting, gather_point, growth, measure_run
 from swarm_envs.baselines.rth3d import PlanNotFound, make_instance, plan
+from swarm_envs.vehicles import SMALL
 
 ALL = {
     "5": figures.FIGURE_5,
@@ -104,6 +105,8 @@ def test_each_command_writes_its_numbers(command, tmp_path, capsys):
     )
     if command == "figure-11":
         assert numbers["letters_reached"] == 5 and numbers["collisions"] == 0
+        assert numbers["success"] and len(numbers["makespans"]) == 4
+        assert numbers["least_distance_m"] >= 1.5 * SMALL.diameter  # no near miss
         assert np.shape(numbers["places_m"]) == (5, 10, 3)
         return
     with (tmp_path / f"{name}.csv").open(newline="") as file:
