@@ -212,16 +212,6 @@ def test_an_agent_that_flies_many_at_once_is_asked_for_each_episode():
     env.close()
 
 
-def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
-    arguments = ["evaluate", *QUICK, "--agent", f"{mine}:Fine", "--out", str(tmp_path / "run")]
-    for expected in (False, True):
-        assert main(arguments) == 0
-        assert ("flown before" in capsys.readouterr().out) is expected
-    mine.write_text(MINE.replace("zeros", "ones"), encoding="utf-8")
-    assert main(arguments) == 0
-    assert "flown before" not in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("name", ["straight-line", "swap-dagger"])
 def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
