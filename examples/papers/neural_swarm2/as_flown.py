@@ -23,6 +23,7 @@ from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import FlightTest, swap_test
 from swarm_envs.control.config import GAINS
 from swarm_envs.interactions import load
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.swap import StackedLayout
 
@@ -78,10 +79,12 @@ def fly_row(case: FlightCase, gap_m: float, gains: str, seeds: Sequence[int]) ->
     """Fly a case both ways, and return its numbers."""
     flown = fly_case(case, load_belief("learned"), seeds)
     before, after = case.errors(flown)
-    pairs = np.arange(len(before))
-    ratios = bootstrap_interval(
-        pairs, lambda pick, axis: np.median(after[pick], axis) / np.median(before[pick], axis)
-    )
+
+    def ratio(flights: FloatArray, axis: int) -> FloatArray:
+        drawn = flights.astype(np.int64)
+        return np.asarray(np.median(after[drawn], axis) / np.median(before[drawn], axis))
+
+    ratios = bootstrap_interval(np.arange(len(before), dtype=np.float64), ratio)
     return {
         "case": case.name,
         "gains": gains,
