@@ -264,6 +264,7 @@ def test_statistics_against_what_is_known():
     low, high = bootstrap_interval(sample, lambda x, axis: x.mean(axis=axis))
     half = 1.96 * sample.std() / 20  # of a mean, by the central limit theorem
     assert (low, high) == pytest.approx((sample.mean() - half, sample.mean() + half), abs=0.02)
+    assert bootstrap_interval(np.array([3.0]), lambda x, axis: 2.0 * x.mean(axis)) == [6.0, 6.0]
     assert rate_interval(0, 100) == pytest.approx([0.0, 0.0370], abs=1e-4)  # 3.84 / 103.84
     with pytest.raises(ValueError, match="no episode"):
         score_episodes([])
