@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from examples.papers.common import write_json
+from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2 import theorem
-from examples.papers.neural_swarm2.tables import draw_bars, markdown
+from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import run_flights, swap_test

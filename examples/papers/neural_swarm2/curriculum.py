@@ -19,10 +19,9 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from examples.papers.common import write_json
+from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2.curriculum_plots import plot_curriculum
 from examples.papers.neural_swarm2.explained import explained_variance
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray

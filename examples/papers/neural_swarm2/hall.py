@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_json
-from examples.papers.neural_swarm2.tables import draw_bars, markdown
+from examples.papers.common import markdown, write_json
+from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (

@@ -17,8 +17,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from examples.papers.common import Array, Row, comparison, within, write_json
-from examples.papers.neural_swarm2.tables import markdown
+from examples.papers.common import Array, Row, markdown, within, write_compared
 
 WITHOUT_FORCE = 100  # a drone whose inertial sensor is too noisy, says its readme
 COMMIT = "48b185118edde247f46ab76ee821ec23fc1b98ed"
@@ -337,7 +336,6 @@ def report(out: Path, rows: Mapping[str, Any], flown: Mapping[str, float], logge
         Row("pairs at 100 Hz, all flights", "1.4 million", logged, within(1.4e6, 0.07)),
     ]  # fmt: skip
     numbers = {"rows": len(rows["step"]), "scenarios": table}
-    numbers["comparison"] = [row.as_json() for row in compared]
-    write_json(out / "table_2_flights.json", numbers)
     print(markdown(table, ("scenario", "seconds", "rows")))
-    print(comparison(compared), f"wrote {FILE} and table_2_flights.json to {out}", sep="\n")
+    write_compared(out / "table_2_flights.json", numbers, compared)
+    print(f"wrote {FILE} and table_2_flights.json to {out}")

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_json
-from examples.papers.neural_swarm2.tables import draw_bars, markdown
+from examples.papers.common import markdown, write_json
+from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm.flights import default_engine, run_flights, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_csv, write_json
+from examples.papers.common import markdown, write_csv, write_json
 from examples.papers.neural_swarm2.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (

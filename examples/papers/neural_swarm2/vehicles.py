@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.common import Row, within, write_compared
 from swarm_envs.motors import pwm_for_force, rotor_force_g
 from swarm_envs.physics import TIME_STEP, BatchPhysics
 from swarm_envs.state import FloatArray, hover_state
@@ -59,11 +59,9 @@ def table_1(out: Path = Path("neural_swarm2"), seed: int = 0) -> None:
         seed: of the load cell's readings.
     """
     rows = [row for vehicle in tqdm((SMALL, LARGE), "Table I") for row in identify(vehicle, seed)]
-    found = [compared(row) for row in rows]
     numbers = {"seed": seed, "readings": READINGS, "noise_g": NOISE_G, "rows": rows}
-    write_json(out / "table_1.json", numbers | {"comparison": [row.as_json() for row in found]})
+    write_compared(out / "table_1.json", numbers, [compared(row) for row in rows])
     plot_readings(out / "table_1.png", seed)
-    print(comparison(found))
 
 
 def compared(row: Mapping[str, Any]) -> Row:
