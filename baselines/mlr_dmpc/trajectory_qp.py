@@ -41,7 +41,7 @@ _BOUND_MARGIN = 2e-5
 _BOUND_ROUNDING = 2e-6
 _ROW_ROUNDING = 1e-6
 _STRIDE_S = 0.3
-_RELINEARISATIONS = 6  # The most programs of a plan after the first
+_RELINEARIZATIONS = 6  # The most programs of a plan after the first
 _NEAR_M = 0.3  # Candidates within the required distance plus this have rows
 _SETTLED_M = 0.02  # A plan whose end moves less is not solved again
 _NEGLIGIBLE_WEIGHT = 1e-9
@@ -193,7 +193,7 @@ def plan_trajectory(
     task = _Task(own, start_round, compute_unit, neighbors, target, config, planes)
     best = first = _best(task)
     solve_ms = first.solve_ms
-    for _ in range(_RELINEARISATIONS):
+    for _ in range(_RELINEARIZATIONS):
         if best.reason != ACCEPTED or not best.held_back:
             break
         found = _best(task, best)
