@@ -59,15 +59,12 @@ class UnitRound:
 
 @dataclass
 class ComputeUnit:
-    """A unit with this package's recovery, which plans as soon as its information suffices.
-
-    It starts, or comes back, in round `since`.
-    """
+    """A unit with this package's recovery, which plans as soon as its information suffices."""
 
     information: SwarmInformation
     planner: Planner
     codec: Codec
-    since: int = 0
+    since: int = 0  # The round in which it starts, or comes back
     report: UnitRound = field(init=False)  # The unit's activity in the last round
     _recent: tuple[int, ...] = (UNSURE,) * RECENT
     _sent: UnitMessage | None = None
@@ -106,19 +103,19 @@ class ComputeUnit:
     def _completed(
         self, message: UnitMessage, own: Levels, round_: int, lacking: list[Missing], complete: bool
     ) -> UnitMessage:
-        wanted = sorted(lacking, key=self._request_order)[:3]
+        requested = sorted(lacking, key=self._request_order)[:3]
         message = message._replace(
             recent=self._recent,
             current=self.information.selection(round_),
-            missing=tuple(wanted),
-            complete=complete and len(lacking) <= len(wanted),
+            missing=tuple(requested),
+            complete=complete and len(lacking) <= len(requested),
             members=self.information.membership.announced(round_),
         )
         order = [(i, int(own[i])) for i in rank_by_priority(own, round_) if own[i] > JUST_PLANNED]
         return self.codec.filled(message, order)
 
     def _request_order(self, missing: Missing) -> tuple[bool, bool, int]:
-        """Return the order of a request: those that prevented a plan, confirmed ones, by turns."""
+        """Return a request's sort key: first if it prevented a plan, then if confirmed."""
         turn = (missing.drone + 5 * self.information.unit) % len(self.information.targets)
         return missing.drone not in self._in_the_way, not self._confirmed_missing(missing), turn
 
@@ -161,10 +158,7 @@ class ComputeUnit:
     def _carry(
         self, round_: int, selection: tuple[int, ...] | None, lacking: list[Missing]
     ) -> UnitMessage:
-        """Return a plan if possible, else a requested trajectory, else an empty message.
-
-        If information is lacking, the next slots may be given to drones.
-        """
+        """Return a plan if possible, else a requested trajectory, else an empty message."""
         info = self.information
         message = UnitMessage(
             MessageKind.EMPTY, round_, info.unit, info.view.id, selection=selection
@@ -188,14 +182,14 @@ class ComputeUnit:
     def _grant(self, lacking: list[Missing], round_: int) -> None:
         """Give the next slots to drones if more is lacking than units can relay."""
         info = self.information
-        asked = {drone for (_, r), drone in info.donated.items() if r > round_}
-        wanted = [m.drone for m in lacking if self._confirmed_missing(m)]
+        granted = {drone for (_, r), drone in info.donated.items() if r > round_}
+        needed = [m.drone for m in lacking if self._confirmed_missing(m)]
         plans = any(message.kind is MessageKind.PLAN for message in info.reported.values())
-        if len(wanted) <= len(info.view.units) and (plans or self._recent[0] != NONE):
+        if len(needed) <= len(info.view.units) and (plans or self._recent[0] != NONE):
             return
-        wanted = [drone for drone in wanted if drone not in asked]
-        turn = info.unit * len(wanted) // max(len(info.view.units), 1)
-        for ahead, drone in enumerate([*wanted[turn:], *wanted[:turn]][:3], start=1):
+        needed = [drone for drone in needed if drone not in granted]
+        turn = info.unit * len(needed) // max(len(info.view.units), 1)
+        for ahead, drone in enumerate([*needed[turn:], *needed[:turn]][:3], start=1):
             self._granted[round_ + ahead] = drone
 
     def _plan(self, round_: int) -> Planned | None:

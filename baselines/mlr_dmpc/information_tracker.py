@@ -70,15 +70,12 @@ class InformationTrackers:
         return only
 
     def candidates(self, drones: BoolArray) -> tuple[IntArray, list[Trajectory]]:
-        """Return candidates of known contents of drones (N,), by drone and identity.
-
-        The first array holds the drone of each.
-        """
+        """Return drones and contents of known candidates of drones (N,), by drone and identity."""
         rows, slots = self._ordered(self.possible & self._known & drones[:, None])
         return rows, self._contents[rows, slots].tolist()
 
     def missing(self, drones: BoolArray) -> list[tuple[int, Identity]]:
-        """Return drone and identity of candidates of unknown contents, in the same order."""
+        """Return drones and identities of candidates of unknown contents, in the same order."""
         rows, slots = self._ordered(self.lacking & drones[:, None])
         numbers = self.numbers[rows, slots].tolist()
         return [(i, Identity.of(one)) for i, one in zip(rows.tolist(), numbers, strict=True)]

@@ -76,8 +76,8 @@ class MlrDmpcAgent(SetpointAgent):
         self.swarm: MlrDmpcSwarm | None = None
         """Compute units, drones and radio of the episode; None before the first."""
         self.faults: dict[int, str] = {}
-        """The reason, by drone, that it cannot reach its goal in this episode: it is deaf, or
-        another rests on the goal. A `RuntimeWarning` reports each when it is found."""
+        """The reason, by drone, that it cannot reach its goal in this episode: it receives nothing,
+        or another rests on the goal. A `RuntimeWarning` reports each when it is found."""
 
     @classmethod
     def compensated(cls, belief: InteractionModel | None = None) -> MlrDmpcAgent:

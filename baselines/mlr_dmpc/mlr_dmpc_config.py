@@ -74,20 +74,17 @@ class MlrDmpcConfig:
     """True to keep that distance at any time, by a greater one at the samples, (24); False to keep
     it at the samples alone, as published."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 6.0)
-    """The diagonal of Theta, by which differences of positions are divided: drones keep a greater
-    vertical distance."""
+    """The diagonal of Theta, which divides offsets: drones keep a greater vertical distance."""
     soft_m: float = 0.7
     """The largest soft margin (epsilon) at the end of a plan, m. The public simulation has 0.3;
     with it, sixteen drones take half as long again to swap positions on a circle."""
     soft_weight: float = 0.5
     """The weight of a neighbor straight ahead or behind."""
     soft_turn: float = 2.0
-    """The weight of a neighbor at angle phi to the left is exp(soft_turn sin phi) times as
-    large."""
+    """A neighbor at angle phi to the left has exp(soft_turn sin phi) times that weight."""
     soft_near_m: float = 1.2
     """The distance from the target, m, below which soft margins have next to no weight. The public
-    simulation has 0.8, too little for the larger margins: they would hold a drone off its
-    target."""
+    simulation has 0.8, with which the larger margins would hold a drone off its target."""
     soft_near_factor: float = 1e-7
     """The factor of the weights below that distance."""
     deadlock_speed: float = 0.15

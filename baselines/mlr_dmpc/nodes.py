@@ -122,10 +122,7 @@ class Drone:
         return accepted
 
     def give_up(self, measured: FloatArray, round_: int) -> bool:
-        """Give up the reference if far from it, and hover at the measured position instead.
-
-        `measured` (2, 3) is position and velocity. Return True if the reference was given up.
-        """
+        """Hover in place if position and velocity (2, 3) are far off the reference; True if so."""
         off = np.linalg.norm(measured - state_at(self.flying, round_, self._config)[:2], axis=1)
         if off[0] <= _LOST_M and off[1] <= _LOST_SPEED:
             return False

@@ -167,29 +167,24 @@ class PaperUnit:
             self.deprecated[drone] = match is None
             if match is not None:
                 self.candidates[drone] = {identity: match}
-        if any(len(known) > 1 for known in self.candidates):
-            self._set_all_deprecated()
-        if len(inbox.slots) != self.planner.options.num_units:
-            self._set_all_deprecated()
+        ambiguous = any(len(known) > 1 for known in self.candidates)
+        if ambiguous or len(inbox.slots) != self.planner.options.num_units:
+            self.deprecated = [True] * len(self.deprecated)
         for message in inbox.slots.values():
             if message.trajectory is not None:
                 known = self.candidates[message.drone]
                 known[message.trajectory.identity] = message.trajectory
 
-    def _set_all_deprecated(self) -> None:
-        self.deprecated = [True] * len(self.deprecated)
-
     def _run(
         self, message: PaperMessage, inbox: Inbox[PaperMessage] | None, own: Levels, round_: int
     ) -> PaperMessage:
         """Return the message of state RUN_DMPC: lines 13 to 20 of Algorithm 1."""
-        heard = (
-            [] if inbox is None else [m.priorities for m in inbox.slots.values() if m.priorities]
-        )
+        slots = {} if inbox is None else inbox.slots
+        received = [m.priorities for m in slots.values() if m.priorities]
         joint = own
-        if heard:
-            first = np.array(heard[0], dtype=np.int64)
-            joint = prio_consensus(first, [dict(enumerate(levels)) for levels in heard[1:]])
+        if received:
+            first = np.array(received[0], dtype=np.int64)
+            joint = prio_consensus(first, [dict(enumerate(levels)) for levels in received[1:]])
         chosen = rank_by_priority(joint, round_)[: self.planner.options.num_units]
         drone = chosen[(round_ + self.unit) % self.planner.options.num_units]
         if len(self.candidates[drone]) != 1:

@@ -252,6 +252,6 @@ class RoundLog(Generic[M]):
 
     def inbox(self, node: int) -> Inbox[M]:
         """Return the messages that a node has received."""
-        heard = self.arrived[:, node]
-        slots = {unit: m for unit, m in self.slots.items() if heard[self.senders[unit]]}
-        return Inbox(self.round, self.states.heard(heard[: len(self.states.present)]), slots)
+        arrived = self.arrived[:, node]
+        slots = {unit: m for unit, m in self.slots.items() if arrived[self.senders[unit]]}
+        return Inbox(self.round, self.states.heard(arrived[: len(self.states.present)]), slots)

@@ -39,7 +39,7 @@ class Identity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A plan as it is sent, (12): a state and jerks. After its end the drone rests at its end.
+    """A plan as it is sent, (12): a state and jerks. After that the drone rests at its end.
 
     State and jerk are rounded to float32, as messages carry them, before the plan is checked, so
     that drones fly exactly the plan that was checked.

@@ -144,8 +144,7 @@ class PenaltyWeights:
     goal: float = 1000.0
     """lambda_1, the penalty per largest component (m or m/s) of the error at the goal state."""
     state: float = 300.0
-    """lambda_2, the penalty per delta, the excess over the box (m, m/s) and the own force bound
-    (1)."""
+    """lambda_2, the penalty per delta, the excess over the box (m, m/s) or own force bound (1)."""
     neighbor: float = 100.0
     """The penalty per meter of each step's missing clearance, and per f_a,max of a neighbor's
     excess force in each step. They are soft so that every program has a solution."""

@@ -124,6 +124,8 @@ class RefinementOptions:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
+        check_type("weights", self.weights, PenaltyWeights)
+        check_type("solver", self.solver, SolverSettings)
         for name in ("max_sweeps", "max_tightenings"):
             check_integer(name, getattr(self, name), at_least=0)
         for name in (
@@ -137,8 +139,6 @@ class RefinementOptions:
             "tolerance",
         ):
             check_number(name, getattr(self, name), at_least=0.0)
-        check_type("weights", self.weights, PenaltyWeights)
-        check_type("solver", self.solver, SolverSettings)
 
 
 @dataclass(frozen=True)

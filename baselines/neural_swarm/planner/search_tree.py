@@ -40,17 +40,11 @@ LONGEST_LEG = 10  # Edges in the longest motion towards a sample that lies in th
 class Chances(NamedTuple):
     """The probabilities of the choices in an iteration of the search."""
 
-    goal: float = 0.5
-    """The probability of trying a flight from a new node straight to the goal."""
-    action: float = 0.3
-    """The probability of holding a random action for one edge instead of steering to the sample."""
-    promising: float = 0.4
-    """The probability of growing the most promising of a few random nodes instead of the nearest to
-    the sample."""
-    guided: float = 0.7
-    """The probability of sampling near the guide instead of uniformly."""
-    biased: float = 0.0
-    """The probability of using the goal, at a random time, as the sample (goal biasing)."""
+    goal: float = 0.5  # A new node is connected straight to the goal
+    action: float = 0.3  # A random action is held for one edge; else it steers to the sample
+    promising: float = 0.4  # The best of a few random nodes grows; else the nearest to the sample
+    guided: float = 0.7  # The sample is near the guide; else uniform
+    biased: float = 0.0  # The sample is the goal, at a random time (goal biasing)
 
 
 class SearchTree(NamedTuple):

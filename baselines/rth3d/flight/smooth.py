@@ -134,10 +134,7 @@ def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
     _nearest(hulls, nearest)
     apart = np.linalg.norm(nearest, axis=1)
     if (apart <= 1e-9).any():
-        raise ValueError(
-            "no plane separates two robots of this flight, as their paths intersect: use one in "
-            "which they do not"
-        )
+        raise ValueError("no plane separates two robots of this flight; use one without contacts")
     return nearest / apart[:, None], apart
 
 
@@ -348,10 +345,7 @@ def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
 
 
 def faster(flight: SplineFlight, speed: float, acceleration: float) -> SplineFlight:
-    """Return the flight with the shortest step within the largest speed and acceleration by axis.
-
-    SI units.
-    """
+    """Return the flight with the shortest step within speed, m/s, and acceleration, m/s^2."""
     fast, hard, _ = flight.largest()
     factor = max(fast / speed, (hard / acceleration) ** 0.5)
     return replace(flight, step_s=flight.step_s * factor) if factor > 0.0 else flight
