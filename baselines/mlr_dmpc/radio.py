@@ -33,13 +33,13 @@ class Jam:
     """Rounds in which the messages of some nodes do not reach some others.
 
     Raises:
-        ValueError: the rounds are not in order, or a name is unknown.
+        ValueError: The rounds are not in order, or a name is unknown.
     """
 
     first_round: int
-    """First round that is jammed."""
+    """The first round that is jammed."""
     last_round: int
-    """Last round that is jammed."""
+    """The last round that is jammed."""
     senders: Who = "all"
     """The nodes whose messages are lost."""
     receivers: Who = "all"
@@ -72,15 +72,15 @@ class GilbertElliott:
     """A channel per receiver that is good or bad and changes at random between rounds.
 
     Raises:
-        ValueError: a probability is outside [0, 1].
+        ValueError: A probability is outside [0, 1].
     """
 
     turns_bad: float
-    """Probability that a good channel is bad in the next round."""
+    """The probability that a good channel is bad in the next round."""
     turns_good: float
-    """Probability that a bad channel is good in the next round."""
+    """The probability that a bad channel is good in the next round."""
     loss_when_bad: float = 1.0
-    """Share of messages that a bad channel loses."""
+    """The share of messages that a bad channel loses."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
@@ -93,15 +93,15 @@ class LossModel:
     """The causes of message loss; a node's message to itself always arrives.
 
     Raises:
-        ValueError: a probability is outside [0, 1].
+        ValueError: A probability is outside [0, 1].
     """
 
     unit_loss: float = 0.0
-    """Probability that a compute unit misses a message."""
+    """The probability that a compute unit misses a message."""
     drone_loss: float = 0.0
-    """Probability that a drone misses a message."""
+    """The probability that a drone misses a message."""
     outage: float = 0.0
-    """Probability that a receiver misses a whole round."""
+    """The probability that a receiver misses a whole round."""
     bursts: GilbertElliott | None = None
     """The channel of each receiver, or None."""
     jams: tuple[Jam, ...] = ()
@@ -121,7 +121,7 @@ class LossModel:
         """Return a model for a share of messages lost, the name of a preset, or a model.
 
         Raises:
-            ValueError: a share outside [0, 1], or an unknown name.
+            ValueError: The share is outside [0, 1], or the name is unknown.
         """
         if isinstance(loss, LossModel):
             return loss

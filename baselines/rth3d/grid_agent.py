@@ -101,7 +101,7 @@ class GridAgent(PlannedAgent[SplineFlight]):
 
         Raises:
             ValueError: The spacing is too small for the drones, there are too few vertices, or
-                starts or goals are so close that drones come too close on the way to the grid.
+                starts or goals are so close that drones come too close before the grid.
         """
         flight = self._fly(task, view.setpoint.position, view.goals, seed)
         stage_s = task.motion.stage_s or view.horizon_s

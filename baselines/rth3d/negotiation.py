@@ -66,8 +66,8 @@ def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
                 u = table[v, edge]
                 if u < 0:
                     continue
-                way = abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z)
-                if t + 1 + way > steps:
+                distance = abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z)
+                if t + 1 + distance > steps:
                     continue
                 bits = following(bits)
                 value = cost[even, v] + price * used[t + 1, u] + dear[t + 1, u]

@@ -121,14 +121,14 @@ def _set_prices(
                 u = table[v, d]
                 if u < 0:
                     continue
-                way = level + _excess(table, flow, price, v, d)
-                if way < far[u]:
+                cost = level + _excess(table, flow, price, v, d)
+                if cost < far[u]:
                     if far[u] == FAR:
                         seen[known] = u
                         known += 1
-                    far[u] = way
-                    work[way % 3, ends[way % 3]] = u
-                    ends[way % 3] += 1
+                    far[u] = cost
+                    work[cost % 3, ends[cost % 3]] = u
+                    ends[cost % 3] += 1
         ends[now] = 0
         level += 1
     for k in range(known):

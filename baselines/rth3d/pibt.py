@@ -159,7 +159,7 @@ def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int
 
     A dead end whose robot is at its goal does not count: that robot need not move.
     """
-    ways, last = 0, -1
+    branches, last = 0, -1
     for k in range(6):
         u = terrain.table[here, k]
         if u < 0 or u == back:
@@ -169,9 +169,9 @@ def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int
             if terrain.table[u, j] >= 0:
                 sides += 1
         if sides > 1 or who < 0 or way(terrain, robots, who, u) > 0:
-            ways += 1
+            branches += 1
             last = u
-    return ways, last
+    return branches, last
 
 
 @kernel
@@ -180,10 +180,10 @@ def _must_swap(
 ) -> bool:
     """Return True if a robot at `first` that pushes one at `second` would never get past it."""
     while way(terrain, robots, pusher, second) < way(terrain, robots, pusher, first):
-        ways, onward = _onward(terrain, robots, first, second)
-        if ways >= 2:
+        branches, onward = _onward(terrain, robots, first, second)
+        if branches >= 2:
             return False
-        if ways == 0:
+        if branches == 0:
             break
         first, second = second, onward
     ahead = way(terrain, robots, pusher, first)
@@ -197,10 +197,10 @@ def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool
     """Return True if the passage of two robots ends at a branch, where they can pass."""
     begin = first
     while second != begin:
-        ways, onward = _onward(terrain, robots, first, second)
-        if ways >= 2:
+        branches, onward = _onward(terrain, robots, first, second)
+        if branches >= 2:
             return True
-        if ways == 0:
+        if branches == 0:
             return False
         first, second = second, onward
     return False

@@ -33,11 +33,11 @@ def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbo
 
 
 @kernel
-def _spread(table: Ints, goals: Ints, start: int, way: Ints, queue: Ints) -> None:
+def _spread(table: Ints, goals: Ints, start: int, length: Ints, queue: Ints) -> None:
     """Search breadth-first from goals, all different, until the start is found (-1 for all)."""
-    way[:] = FAR
+    length[:] = FAR
     for k in range(goals.shape[0]):
-        way[goals[k]] = 0
+        length[goals[k]] = 0
         queue[k] = goals[k]
     head, tail = 0, goals.shape[0]
     while head < tail:
@@ -47,8 +47,8 @@ def _spread(table: Ints, goals: Ints, start: int, way: Ints, queue: Ints) -> Non
             return
         for k in range(6):
             u = table[v, k]
-            if u >= 0 and way[u] == FAR:
-                way[u] = way[v] + 1
+            if u >= 0 and length[u] == FAR:
+                length[u] = length[v] + 1
                 queue[tail] = u
                 tail += 1
 
@@ -83,6 +83,6 @@ def shortest_ways(table: Neighbors, starts: Ints, goals: Ints) -> Ints:
 
 def ways_to_any(table: Neighbors, goals: Ints) -> Ints:
     """Return lengths (V,) of shortest paths from each vertex to the nearest of goals (k,)."""
-    way, queue = np.empty((2, len(table)), dtype=np.int32)
-    _spread(table, goals, -1, way, queue)
-    return way
+    lengths, queue = np.empty((2, len(table)), dtype=np.int32)
+    _spread(table, goals, -1, lengths, queue)
+    return lengths
