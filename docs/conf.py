@@ -10,6 +10,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"  # kernels are plain functions then, with 
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
 
+import scipy.signal  # noqa: F401  # before torch is mocked, which scipy would look into
 from extensions.names import type_aliases
 
 from swarm_envs import __version__
