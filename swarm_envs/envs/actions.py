@@ -183,7 +183,7 @@ def apply_actions(
 def as_actions(
     mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int], clip: bool = False
 ) -> FloatArray:
-    """Return actions (E, N, width) as contiguous float64, clipped to a bounded mode's Box if `clip`.
+    """Return actions (E, N, width) as contiguous float64, with `clip` clipped to a bounded Box.
 
     Raises:
         ValueError: the actions are no numbers, or have another shape.

@@ -338,7 +338,7 @@ class SwarmCore:
         return metrics(self.world, self.task, environments, self.config.on_contact)
 
     def team_state(self) -> Float32Array:
-        """Return the true state (E, N, width): `self` and `task` fields of every drone, no noise."""
+        """Return the `self` and `task` fields (E, N, width) of the true state, without noise."""
         return self.true_rows(0)
 
     def true_rows(

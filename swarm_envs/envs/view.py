@@ -89,7 +89,7 @@ class View:
 
     @property
     def reference_moves(self) -> bool:
-        """True if the task has a reference trajectory; otherwise the reference rests at the goals."""
+        """True if the task has a reference trajectory; else the reference rests at the goals."""
         return not self._core.task.motion.rests
 
     def reference(self, time: float) -> Reference:
