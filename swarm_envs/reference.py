@@ -314,10 +314,11 @@ def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
 
 
 def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """Return f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), less that aloft.
+    """Return f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), anchored.
 
-    The codes phi of neighbors are summed, not their forces; rho is the force of several neighbors.
-    The sum is invariant under permutations of drones of one type (Theorem 4).
+    Codes phi of neighbors are summed, not forces; rho maps their sum to a force. It is invariant
+    under permutations of drones of one type (Theorem 4). The force on a lone drone at the anchor
+    height is subtracted.
     """
     xp, felt = array_namespace(position), position if felt is None else felt
     p_j, v = of_others(position, air), of_others(velocity, air) - velocity[..., None, :]
@@ -424,10 +425,10 @@ def followed(
 
 
 def held(
-    state: State, command: tuple[Array, Array, Array], body: Parameters, k: Numbers, dt: float = DT
+    state: State, commanded: tuple[Array, ...], body: Parameters, k: Numbers, dt: float = DT
 ) -> tuple[State, Array]:
     """Return the new state and rotor commands u_c, N, of the rate loop (21), with lead (22)."""
-    thrust, w_r, w_r_rate = command
+    thrust, w_r, w_r_rate = commanded
     w, limit = rotate(inverse(state.quaternion), state.angular_velocity), k["rate_integral_limit"]
     error = w - w_r  # w~
     change = (error - state.rate_error) / dt - state.rate_error_rate
@@ -481,8 +482,8 @@ def step(
     f^_a. The aerodynamic torque is 0; otherwise call `moved` with that of `air_torque`.
     """
     predicted_force = predicted(state.position, state.velocity)
-    memory, rates = followed(state, setpoint, predicted_force, body, gains, dt)
-    memory, command = held(memory, rates, body, gains, dt)
+    memory, commanded = followed(state, setpoint, predicted_force, body, gains, dt)
+    memory, command = held(memory, commanded, body, gains, dt)
     force = forces(state.position, state.velocity)
     return moved(memory, command, force, 0.0 * force, body, dt)
 

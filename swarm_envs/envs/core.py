@@ -203,11 +203,11 @@ class SwarmCore:
         drones, environments, _, settings = part.state
         terms = np.zeros((2, 2, self.num_drones))[:, :1]  # not contiguous, as in parts of a batch
         advance = None if inspect.ismethod(task.advance) else task.advance
-        asked = self._actions, 1.0, drones, environments, settings, self._flown
+        given = self._actions, 1.0, drones, environments, settings, self._flown
         with compilation(len(_Kernels._fields) + 1 - (advance is None)):
             self.physics.compile()
             return _Kernels(
-                entry_point(apply_actions, 0, *asked),
+                entry_point(apply_actions, 0, *given),
                 entry_point(task.write_reference, *part.state),
                 entry_point(evaluate, self._actions, *part.state),
                 None if advance is None else entry_point(advance, self._flown, *part.state),
@@ -225,12 +225,12 @@ class SwarmCore:
 
     @property
     def time(self) -> FloatArray:
-        """(E,) time since the beginning of each episode, s."""
+        """The time (E,) since the beginning of each episode, s."""
         return self.world.environments["time"]
 
     @property
     def running(self) -> BoolArray:
-        """(E,) True where an episode has not ended."""
+        """True (E,) where an episode has not ended."""
         return self.world.environments["running"]
 
     def close(self) -> None:

@@ -152,9 +152,9 @@ def evaluate(  # noqa: C901  # one decision, on one screen
                 d.squared_error += to_reference
             away = d.distance >= rules.success_radius
             d.arrival = np.inf if away else min(d.arrival, time)
-            flies = survives(d, rules.ends_team, rules.bounces)
+            continues = survives(d, rules.ends_team, rules.bounces)
             unhurt &= d.hurt == 0.0
-            if flies:
+            if continues:
                 left += 1
                 worst, since = max(worst, d.worst_error), max(since, d.arrival)
         lost = left == 0 or (rules.ends_team and left < size)
@@ -244,7 +244,7 @@ def metrics(
         "minimum_separation_m": drones["least_separation"].min(axis=1),
         "minimum_obstacle_distance_m": (obstacles * drones["radius"]).min(axis=1),
     }
-    flown = {
+    sums = {
         "worst_force_g": drones["worst_force"].max(axis=1) / GRAM_FORCE,
         "energy_j": drones["energy"].sum(axis=1),
         "force_bound_violations": over.astype(np.int64),
@@ -256,7 +256,7 @@ def metrics(
         {
             **{name: _plain(column[m]) for name, column in ends.items()},
             **_tracking(drones[m], int(ended["scored"][m]), task),
-            **{name: _plain(column[m]) for name, column in flown.items()},
+            **{name: _plain(column[m]) for name, column in sums.items()},
             **_scored(ended[m], task),
         }
         for m in range(len(where))

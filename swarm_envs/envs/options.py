@@ -110,9 +110,8 @@ class TaskOptions(EnvConfig):
         """
         given = {field.name: getattr(self, field.name) for field in fields(EnvConfig)}
         if isinstance(self.controller, str):
-            registry = importlib.import_module(
-                "swarm_envs.agents.registry"
-            )  # it imports this layer
+            # Imported here, since agents import this module
+            registry = importlib.import_module("swarm_envs.agents.registry")
             given["controller"] = registry.controller_of(self.controller)
         config = EnvConfig(**given)
         return Blueprint(self.make_task(), config, self.render_mode)

@@ -40,7 +40,7 @@ VERTICAL_REACH = 1.1
 INTERACTION_VOLUME = np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH])
 """Half edges of the interaction volume, m."""
 LATERAL_FADE = 0.1  # Width of the outer part of the volume in which a pair's force fades, m
-VERTICAL_FADE = 0.3  # Its height, m
+VERTICAL_FADE = 0.3  # Height of this part, m
 
 ONSET = 0.03
 """Scale of the logistic function of depth by which wakes begin, m."""

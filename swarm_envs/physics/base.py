@@ -281,7 +281,7 @@ class Physics:
 
     @property
     def contact(self) -> BoolArray:
-        """(E, N) True for drones with any contact in the last step or decision."""
+        """True (E, N) for drones with any contact in the last step or decision."""
         return self.contacts.any()
 
     def set_team(self, e: int, team: str | Sequence[Vehicle]) -> None:

@@ -105,16 +105,16 @@ class Work(NamedTuple):
 
 def new_work(num_drones: int) -> Work:
     """Return the scratch memory for environments of a number of drones."""
-    places = max(1, min(PLACES, CHUNK // num_drones))
-    blocks = aligned(-(-places * num_drones // LANES), BLOCK_TYPE)
+    size = max(1, min(PLACES, CHUNK // num_drones))
+    blocks = aligned(-(-size * num_drones // LANES), BLOCK_TYPE)
     return Work(
         blocks=blocks,
         tile=blocks.view(np.float64).reshape(len(blocks), -1, LANES),
-        members=np.zeros(places, np.int64),
-        due=np.zeros(places, np.int64),
+        members=np.zeros(size, np.int64),
+        due=np.zeros(size, np.int64),
         spots=aligned(num_drones if num_drones <= FEW else 0, SPOT_TYPE),
         position=np.zeros((num_drones, 3)),
-        stopped=np.zeros(places * num_drones, np.bool_),
+        stopped=np.zeros(size * num_drones, np.bool_),
     )
 
 

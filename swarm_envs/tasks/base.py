@@ -159,8 +159,8 @@ Given = FloatArray | None
 
 
 @dataclass(frozen=True)
-class _Flown:
-    """Fields of every task."""
+class _TaskFields:
+    """The fields of every task."""
 
     team: Team
     """The drones, in the order of the agents."""
@@ -170,7 +170,7 @@ class _Flown:
     """Static obstacles, the same in every episode."""
 
 
-class Task(_Flown, ABC):
+class Task(_TaskFields, ABC):
     """A task of a team. It has no state: the state of episodes is in the `World`."""
 
     name: str

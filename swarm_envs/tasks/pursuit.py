@@ -60,7 +60,7 @@ def score_pursuit(
         swapped = environments[e].time - stage * rules.stage_s < rules.decision_s / 2
         for i in range(size):
             d = drones[e, i]
-            if stage > 0 and swapped:  # `progress` counts the way to the previous goal
+            if stage > 0 and swapped:  # `progress` counts the motion toward the previous goal
                 square = 0.0
                 for k in range(3):
                     square += (d.position[k] - goals[e, stage - 1, i, k]) ** 2
@@ -80,15 +80,15 @@ class PursuitTask(Task):
     Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`. `task.goal`
     is the present position of the goal, `task.reference_velocity` its velocity.
 
-    **Layouts.** `moving`: the goals are a formation whose center flies an ellipse. `swap-goals`:
+    **Layouts.** `moving`: the goals are a formation whose center moves on an ellipse. `swap-goals`:
     goals rest, and every 5 s each drone receives the goal of another. `chase`: the goal of one
     drone moves as in `moving`; the goal of every other drone keeps a constant offset from another
     drone.
 
     **Start.** `moving` and `chase`: at the goals, which are sampled at least 0.4 m apart. The
-    ellipse has half axes of 0.8 m and 0.3-0.8 m, rises and falls by up to 0.2 m, in either
-    direction, with a largest speed of 0.6-1.2 m/s, reached after 2 s. The drone that each drone
-    chases is random. `swap-goals`: at the goal of another drone.
+    ellipse has half axes of 0.8 m and 0.3-0.8 m and rises and falls by up to 0.2 m. Goals move in
+    either direction with a largest speed of 0.6-1.2 m/s, reached after 2 s. The drone that each
+    drone chases is random. `swap-goals`: at the goal of another drone.
 
     **Success.** At the time limit: no drone has crashed, and the score is at least 0.9, in
     `swap-goals` 0.5, since half of the time is needed for the paths. The score is the metric
@@ -109,7 +109,7 @@ class PursuitTask(Task):
     spacing_m: float = 0.4
     """Smallest distance between two goals, m."""
     speed_m_s: tuple[float, float] = (0.6, 1.2)
-    """Range from which the largest speed of moving goals is drawn, m/s."""
+    """Range of the largest speed of moving goals, m/s."""
     change_s: float = 5.0
     """Time between two swaps of goals, s."""
     success: ByScore | None = None  # type: ignore[assignment]  # set below

@@ -260,16 +260,16 @@ class RingTask(Task):
     its lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two
     large and four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical
     circles of 0.5 m at its tips, at 0.5 m/s. Other teams follow the same rule: see
-    `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds: `CLOSE_SIXTEEN` there
-    has those of Neural-Swarm2, Fig. 1, whose references come within 0.26 m, and `CLOSE_FIVE` is
-    alike for Fig. 9.
+    `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds: `CLOSE_SIXTEEN` of
+    that module has those of Neural-Swarm2, Fig. 1, with references within 0.26 m of each other, and
+    `CLOSE_FIVE` those of Fig. 9.
 
-    **Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
-    ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`
-    sets other starts; the reference stays the same. Goals cannot be set.
+    **Start.** On the rings, at rest. Relative phases are fixed; the whole team starts at a random
+    point of its motion. The speed grows smoothly within 2 s. `reset(options={"start": ...})` sets
+    other starts; the reference stays the same. Goals cannot be set.
 
     **Success.** No collision until the time limit, and after the first 2 s every drone stays within
-    0.15 m of its reference. Success is known, and rewarded, at the time limit.
+    0.15 m of its reference. Success is determined, and rewarded, at the time limit.
 
     **Rewards** (`parallel_env` lists terms and weights): as in swap, with `tracking` in place of
     `progress` and `at_goal`.
