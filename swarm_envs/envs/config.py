@@ -184,9 +184,8 @@ class EnvConfig:
             )
         if ranges is not None and ranges.noisy and self.hall is not None:
             raise ValueError(
-                f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
-                "with noise of its own; leave it 0 or, in Python, give "
-                "world=Hall(position_noise_m=...)"
+                f"Randomization.noise is {ranges.noise}, but the hall has its own noise; leave it "
+                "0 or, in Python, give world=Hall(position_noise_m=...)"
             )
 
     @property

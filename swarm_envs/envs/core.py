@@ -176,7 +176,7 @@ class SwarmCore:
     def _set_rules(self) -> None:
         """Write the rules of episodes, from task and options, into the settings."""
         task, config = self.task, self.config
-        clock = task.episode_s if config.horizon_s is None else config.horizon_s
+        horizon_s = task.episode_s if config.horizon_s is None else config.horizon_s
         ranges = config.ranges
         rules = {
             **success_rules(task.success),
@@ -184,7 +184,7 @@ class SwarmCore:
             "end_on_success": bool(config.end_on_success),
             "decision_rate": config.decision_rate,
             "decision_s": config.decision_s,
-            "horizon_s": float(clock),
+            "horizon_s": float(horizon_s),
             **task.motion.settings(),
             **task.rules,
             "noise": (0.0,) * 4 if ranges is None else ranges.noise,

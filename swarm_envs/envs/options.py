@@ -55,11 +55,11 @@ class TaskOptions(EnvConfig):
 
     num_drones: int | None = 4
     """N, the number of drones, if no team is given: small ones, unless the task has others. None,
-    if it is the task's default: the number of the layout."""
+    in tasks with this default: the number of the layout."""
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
     obstacles: Sequence[Obstacle] | str = ()
-    """Obstacles: objects `Box` and `Column` of `swarm_envs.tasks.obstacles`, or a string such as
+    """Objects `Box` and `Column` of `swarm_envs.tasks.obstacles`, or a string such as
     `buildings=2:2,column=1:1:0.15`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""

@@ -30,14 +30,14 @@ def write_terms(drones: Records, environments: Records, settings: Records, out: 
 
     - `progress`: decrease of the distance to the goal, over the speed limit, in seconds: a
       difference of potentials (Ng, Harada and Russell, 1999), so that closed paths sum to 0.
-    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); times seconds.
-    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); times seconds.
-    - `effort`: mean square action; times seconds.
-    - `proximity`: 1 where a drone touches a drone or an obstacle, falling to 0 at 2.5 times that
-      distance; times seconds.
+    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2), times the step in seconds.
+    - `tracking`: exp(-(distance to the reference / 0.10 m)^2), times the step in seconds.
+    - `effort`: mean square of the action, times the step in seconds.
+    - `proximity`: 1 at contact with a drone or an obstacle, falling linearly to 0 at 2.5 times
+      the distance of contact; times the step in seconds.
     - `crash`: 1 on the step on which the drone crashes.
     - `success`: 1 on the step on which the team succeeds, or one over the number of stages for
-      each stage, for the drones that still fly.
+      each stage, for the drones whose episodes have not ended.
 
     Args:
         drones: (E, N) records, after the evaluation of a decision.

@@ -258,11 +258,11 @@ class RingTask(Task):
     **Teams.** 5 drones (the default, `S*S*S*LL`): three small drones on a vertical circle and two
     large drones on a horizontal circle of the same radius, 0.55 m, at 0.65 m/s; a small drone is at
     its lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two
-    large and four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical
-    circles of 0.5 m at its tips, at 0.5 m/s. Other teams follow the same rule: see
-    `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds: `CLOSE_SIXTEEN` of
-    that module has those of Neural-Swarm2, Fig. 1, with references within 0.26 m of each other, and
-    `CLOSE_FIVE` those of Fig. 9.
+    large and four small drones on a horizontal ellipse with half axes of 1.0 and 0.6 m, and two
+    times five drones on vertical circles of radius 0.5 m at its vertices, at 0.5 m/s. For other
+    teams see `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds:
+    `CLOSE_SIXTEEN` of that module has those of Neural-Swarm2, Fig. 1, with references within 0.26 m
+    of each other, and `CLOSE_FIVE` those of Fig. 9.
 
     **Start.** On the rings, at rest. Relative phases are fixed; the whole team starts at a random
     point of its motion. The speed grows smoothly within 2 s. `reset(options={"start": ...})` sets

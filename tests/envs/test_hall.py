@@ -361,7 +361,7 @@ def test_the_option_is_read_by_name_and_by_numbers():
         env.close()
     with pytest.raises(ValueError, match="world"):
         swap_v1.parallel_env(world="attic")
-    with pytest.raises(ValueError, match="in the hall the state is estimated"):
+    with pytest.raises(ValueError, match="but the hall has its own noise"):
         EnvConfig(world="hall", randomization=Randomization(position_noise_m=0.01))
 
 
