@@ -485,5 +485,7 @@ def check_state(state: SwarmState, like: SwarmState) -> None:
         raise ValueError(
             f"state.rotor_thrust has {state.rotor_thrust.min()} N, but must not be negative"
         )
-    if ((state.battery < 0.0) | (state.battery > 1.0)).any():
-        raise ValueError("state.battery must lie between 0 (empty) and 1 (full)")
+    if len(wrong := state.battery[(state.battery < 0.0) | (state.battery > 1.0)]):
+        raise ValueError(
+            f"state.battery has {wrong[0]}, but must lie between 0 (empty) and 1 (full)"
+        )

@@ -102,7 +102,7 @@ class Learning:
 
 
 def in_time(layouts: Mapping[str, Mapping[str, Any]]) -> Learning:
-    """Return the training of a task about downwash with a short time limit."""
+    """Return the training of a task about downwash, in which late success has a cost."""
     return Learning(
         layouts=layouts,
         horizon_s=None,
