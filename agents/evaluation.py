@@ -351,12 +351,12 @@ def bootstrap_interval(
 ) -> list[float]:
     """Percentile bootstrap interval of a statistic of values (n,); the same values, the same ends.
 
-    One value has no spread to draw from: both ends are that value.
+    One value has no spread to draw from: both ends are its statistic.
     """
     from scipy.stats import bootstrap
 
     if len(values) < 2:
-        return [float(values[0])] * 2
+        return [float(statistic(values, axis=-1))] * 2
     result = bootstrap(
         (values,),
         statistic,

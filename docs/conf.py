@@ -10,6 +10,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"  # kernels are plain functions then, with 
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
 
+import scipy.signal  # noqa: F401  # before torch is mocked, which scipy would look into
 from extensions.names import type_aliases
 
 from swarm_envs import __version__
@@ -49,6 +50,7 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "ignore-module-all": True}
+autodoc_mock_imports = ["torch", "stable_baselines3"]  # only signatures are read
 autodoc_type_aliases = {name: name for name in type_aliases()}
 python_use_unqualified_type_names = True
 toc_object_entries = False  # a page would list hundreds

@@ -1,11 +1,11 @@
-"""BenchMARL: its grid of algorithms, tasks and seeds over tasks of swarm-envs.
+"""Run BenchMARL's grid of algorithms, tasks and seeds on tasks of swarm-envs.
 
 pip install 'swarm-envs[train]' benchmarl
 python examples/benchmarl_grid.py --algorithms ippo mappo masac qmix --tasks swap_v1 --seeds 0 1
 
 Algorithms that need discrete actions (`qmix`, `vdn`, `iql`) choose one of seven accelerations:
-zero, or the largest along an axis. The table shows mean returns of evaluation episodes; the JSON
-files in --out are those that marl-eval plots.
+zero, or the largest along an axis. The table shows mean returns of evaluation episodes; marl-eval
+plots the JSON files in --out.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ class Directions(BaseParallelWrapper):
     table = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]).astype(np.float32)
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """The number of a row of `table`."""
+        """Return the space of row numbers of `table`."""
         return spaces.Discrete(len(self.table))
 
     def step(self, actions: dict[str, int]) -> Any:
-        """One decision of all drones."""
+        """Execute one decision of all drones."""
         return super().step({agent: self.table[int(a)] for agent, a in actions.items()})
 
 
 class SwarmClass(PettingZooClass):
-    """A task of swarm-envs, by name and options, as BenchMARL takes it."""
+    """A task of swarm-envs for BenchMARL, by name and options."""
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], PettingZooWrapper]:
-        """What makes an environment."""
+        """Return a function that makes an environment."""
 
         def make() -> PettingZooWrapper:
             env = swarm_envs.make(self.name, **self.config)
@@ -72,28 +72,28 @@ class SwarmClass(PettingZooClass):
         return make
 
     def supports_continuous_actions(self) -> bool:
-        """Accelerations, or what the option `action` says."""
+        """Return True: the action mode of `OPTIONS` is continuous."""
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """Of `Directions`."""
+        """Return True: `Directions` has discrete actions."""
         return True
 
     def has_state(self) -> bool:
-        """For critics that see the whole team."""
+        """Return True: centralized critics observe the whole team."""
         return True
 
     def has_render(self, env: Any) -> bool:
-        """Films are made by `swarm-envs fly`."""
+        """Return False: `swarm-envs fly` makes films."""
         return False
 
     def max_steps(self, env: Any) -> int:
-        """Decisions of an episode."""
+        """Return the number of decisions of an episode."""
         return round(self.config["horizon_s"] * self.config["decision_rate"])
 
 
 def experiment_config(steps: int, envs: int, out: Path) -> ExperimentConfig:
-    """BenchMARL's defaults, but for batches of four rollouts of 3.5 s and few updates."""
+    """Return BenchMARL's defaults with batches of four rollouts of 3.5 s and few updates."""
     config = ExperimentConfig.get_from_yaml()
     batch = min(steps, 4 * 35 * envs)
     config.max_n_iters, config.max_n_frames = None, steps
@@ -110,7 +110,7 @@ def experiment_config(steps: int, envs: int, out: Path) -> ExperimentConfig:
 
 
 def returns_of(out: Path) -> dict[tuple[str, str], list[float]]:
-    """Mean return of every seed's last evaluation, by task and algorithm."""
+    """Return the mean return of the last evaluation of each seed, by task and algorithm."""
     found: dict[tuple[str, str], list[float]] = {}
     for file in sorted(out.rglob("*.json")):
         for task, algorithms in json.loads(file.read_text())["pettingzoo"].items():
@@ -128,8 +128,8 @@ def main(arguments: list[str] | None = None) -> dict[tuple[str, str], list[float
     parser.add_argument("--algorithms", nargs="+", choices=names, default=["ippo", "mappo"])
     parser.add_argument("--tasks", nargs="+", default=["swap_v1"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--steps", type=int, default=100_000, help="decisions of the team")
-    parser.add_argument("--envs", type=int, default=8, help="teams that fly at once")
+    parser.add_argument("--steps", type=int, default=100_000, help="number of team decisions")
+    parser.add_argument("--envs", type=int, default=8, help="number of teams in the batch")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarl"))
     given = parser.parse_args(arguments)
     Benchmark(

@@ -1,4 +1,4 @@
-"""Crazyflie: a recorded flight as sampled set-points and as polynomial trajectories.
+"""Convert a recorded flight into set-points and polynomial trajectories for Crazyflies.
 
     swarm-envs fly --layout stacked --team L2S --agent tracking --seed 1 --out flight
     python examples/crazyflie.py flight/trajectory.parquet --out real
@@ -14,13 +14,14 @@ writes for each drone of the flight
 
 and prints for each drone the number of pieces, the largest distance between pieces and flight,
 the largest speed and acceleration; then the least distance between the bodies of two drones on
-these pieces. It exits with status 1 if bodies touch, and with 2 after bad input.
+these pieces. The exit status is 1 if bodies touch, and 2 after invalid input.
 
 Pieces are a least-squares spline whose third derivative is continuous, so that the desired body
-rates do not jump. The firmware stores 31 pieces of 132 bytes; a flight that needs more is refused
-with the tolerance that 31 pieces reach. Positions are in meters in the world frame, z pointing up;
-a positioning system must use the same frame. Fly one drone alone first, with a net, and place each
-drone at its start before the swarm takes off: nothing here checks the hardware.
+rates are continuous. The firmware stores 31 pieces of 132 bytes; for a flight that needs more, the
+error message has the tolerance that 31 pieces reach. Positions are in meters in the world frame, z
+pointing up; the positioning system must use the same frame. Fly a single drone first, with a net,
+and place each drone at its start before the swarm takes off: the script does not check the
+hardware.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from swarm_envs.errors import check_number
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.trajectory import read_trajectory
 
-DEGREE, MOST_PIECES = 7, 31  # of a piece; that fit into 4,096 bytes of the firmware
+DEGREE, MOST_PIECES = 7, 31  # degree of a piece; pieces in 4,096 bytes of the firmware
 SMOOTH = 3  # derivatives that are continuous between pieces
 HEADER = ("duration", *(f"{axis}^{k}" for axis in ("x", "y", "z", "yaw") for k in range(8)))
 STATE = (*(f"{q}{axis}" for q in ("", "v", "a") for axis in "xyz"), "yaw")
@@ -54,7 +55,7 @@ class Options:
     """Options of the conversion."""
 
     flight: Annotated[Path, tyro.conf.Positional]
-    """a trajectory that `swarm-envs fly --out` or `write_trajectory` wrote, .parquet or .npz"""
+    """trajectory file of `swarm-envs fly --out` or `write_trajectory`, .parquet or .npz"""
     out: Path = Path("real")
     """output folder"""
     rate: float = 100.0
@@ -63,13 +64,13 @@ class Options:
     """largest distance between pieces and flight, m"""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise an error for invalid values."""
         check_number("--rate", self.rate, at_least=1.0, at_most=10_000.0)
         check_number("--tolerance-m", self.tolerance_m, above=0.0, unit="m")
 
 
 class Pieces(NamedTuple):
-    """Polynomials of one drone, one after the other."""
+    """The consecutive polynomials of one drone."""
 
     duration: np.ndarray  # (P,) s
     coefficients: np.ndarray  # (P, 4, 8) of x, y, z (m) and yaw (rad), by ascending powers
@@ -98,14 +99,14 @@ def fit(path: CubicHermiteSpline, tolerance_m: float) -> tuple[Pieces, float]:
     """Return the fewest pieces of equal duration within a tolerance, and their largest error, m.
 
     Raises:
-        ValueError: 31 pieces are not enough; the message says which tolerance they reach.
+        ValueError: 31 pieces are not enough; the message has the tolerance that they reach.
     """
     start, end = path.x[0], path.x[-1]
     time = np.linspace(start, end, max(round((end - start) * DENSE), 64) + 1)
-    wanted, error = path(time), np.inf
+    desired, error = path(time), np.inf
     for count in range(1, MOST_PIECES + 1):
-        pieces = spline(time, wanted, count)
-        gap = pieces.evaluate(time - start) - wanted
+        pieces = spline(time, desired, count)
+        gap = pieces.evaluate(time - start) - desired
         error = float(np.linalg.norm(gap[:, :3], axis=1).max())
         if error <= tolerance_m:
             return pieces, error
@@ -115,12 +116,12 @@ def fit(path: CubicHermiteSpline, tolerance_m: float) -> tuple[Pieces, float]:
     )
 
 
-def spline(time: np.ndarray, wanted: np.ndarray, count: int) -> Pieces:
-    """Return the smooth spline of so many pieces that is nearest to a curve in the mean square."""
+def spline(time: np.ndarray, desired: np.ndarray, count: int) -> Pieces:
+    """Return the least-squares spline with `count` pieces of a curve."""
     knots = np.linspace(time[0], time[-1], count + 1)
     inner = np.repeat(knots[1:-1], DEGREE - SMOOTH)
     ends = [knots[0]] * (DEGREE + 1), [knots[-1]] * (DEGREE + 1)
-    fitted = make_lsq_spline(time, wanted, np.concatenate([ends[0], inner, ends[1]]), DEGREE)
+    fitted = make_lsq_spline(time, desired, np.concatenate([ends[0], inner, ends[1]]), DEGREE)
     return Pieces(np.diff(knots).astype(np.float32), taylor(fitted, knots[:-1]))
 
 
@@ -141,12 +142,12 @@ def write_rows(path: Path, header: tuple[str, ...], rows: np.ndarray) -> None:
         writer.writerows([[repr(float(value)) for value in row] for row in rows])
 
 
-def write_setpoints(path: Path, flown: CubicHermiteSpline, rate: float) -> None:
+def write_setpoints(path: Path, track: CubicHermiteSpline, rate: float) -> None:
     """Write time, position, velocity, acceleration and yaw at a rate, 1/s, up to the end."""
-    duration = flown.x[-1] - flown.x[0]
+    duration = track.x[-1] - track.x[0]
     time = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
-    at = flown.x[0] + time
-    states = [flown(at)[:, :3], flown(at, nu=1)[:, :3], flown(at, nu=2)[:, :3], flown(at)[:, 3:]]
+    at = track.x[0] + time
+    states = [track(at)[:, :3], track(at, nu=1)[:, :3], track(at, nu=2)[:, :3], track(at)[:, 3:]]
     write_rows(path, ("t", *STATE), np.column_stack([time, *states]))
 
 
@@ -165,23 +166,23 @@ def least_clearance(flight: Recording, fitted: list[Pieces]) -> float:
 def fit_all(
     flight: Recording, tolerance_m: float
 ) -> list[tuple[CubicHermiteSpline, Pieces, float]]:
-    """Return for each drone its flight, the pieces of it, and their largest error, m.
+    """Return for each drone its flight, its pieces, and their largest error, m.
 
     Raises:
         ValueError: pieces of a drone miss the tolerance.
     """
     found = []
     for drone in tqdm(range(len(flight.team)), unit="drone", delay=1.0):
-        flown = curve(flight, drone)
+        track = curve(flight, drone)
         try:
-            found.append((flown, *fit(flown, tolerance_m)))
+            found.append((track, *fit(track, tolerance_m)))
         except ValueError as failure:
             raise ValueError(f"drone_{drone}: {failure}") from failure
     return found
 
 
 def report(name: str, pieces: Pieces, error: float) -> None:
-    """Print the number of pieces of a drone, their error, m, and how fast they are."""
+    """Print the number of pieces of a drone, their error, speed and acceleration."""
     time = np.linspace(0.0, float(pieces.duration.sum()), 500)
     speed, acceleration = (
         np.linalg.norm(pieces.evaluate(time, order)[:, :3], axis=1).max() for order in (1, 2)
@@ -199,11 +200,11 @@ def main(options: Options) -> float:
     flight = read_trajectory(options.flight)
     fitted = fit_all(flight, options.tolerance_m)
     options.out.mkdir(parents=True, exist_ok=True)
-    for drone, (flown, pieces, error) in enumerate(fitted):
+    for drone, (track, pieces, error) in enumerate(fitted):
         name = f"drone_{drone}"
         rows = np.column_stack([pieces.duration, pieces.coefficients.reshape(-1, 32)])
         write_rows(options.out / f"{name}.csv", HEADER, rows)
-        write_setpoints(options.out / f"{name}_setpoints.csv", flown, options.rate)
+        write_setpoints(options.out / f"{name}_setpoints.csv", track, options.rate)
         report(f"{name} ({flight.team[drone].token})", pieces, error)
     clearance = least_clearance(flight, [pieces for _, pieces, _ in fitted])
     if np.isfinite(clearance):

@@ -1,13 +1,14 @@
-"""Downwash in crazyflow: our forces as one more function of its step pipeline.
+"""Add the downwash of swarm-envs to crazyflow, as a function of its step pipeline.
 
     pip install crazyflow
     python examples/crazyflow_downwash.py
 
 crazyflow 0.4 (https://github.com/utiasDSL/crazyflow) simulates swarms in JAX, without forces
-between drones. Two drones are let go 0.3 m over each other, level and with as much thrust as
-weight; the forces are those of a large drone over a small one. crazyflow flies equal vehicles, so
-forces are scaled by its mass over ours: accelerations are the same. By how much a drone sinks is
-the difference of two flights, with the forces and without, which leaves out how rotors start.
+between drones. Two drones are released 0.3 m above each other, level and with thrust equal to
+weight; the forces are those of a large drone above a small one. Vehicles of crazyflow are equal, so
+forces are scaled by its mass over that of swarm-envs: accelerations are equal. The script prints by
+how much the small drone sinks, the difference of two flights with and without the forces, which
+excludes the start of the rotors.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ SECONDS, RATE = 0.3, 500
 
 
 def with_downwash(sim: Any, team: str) -> None:
-    """Let the drones of every world feel the air of each other, as if they were this team."""
+    """Add the interaction forces of a team to every world of a simulator."""
     body, air = bodies_of(team, jnp), air_of("learned", team, jnp)
     air["drag"] = 0.0  # crazyflow has its own
 
@@ -43,8 +44,8 @@ def with_downwash(sim: Any, team: str) -> None:
     sim.build_step_fn()
 
 
-def heights_there(blown: bool, worlds: int) -> np.ndarray[Any, Any]:
-    """Heights (worlds, 2), m, at the end of a flight in crazyflow."""
+def heights_in_crazyflow(downwash: bool, worlds: int) -> np.ndarray[Any, Any]:
+    """Return the heights (worlds, 2), m, at the end of a flight in crazyflow."""
     sim = Sim(
         n_worlds=worlds,
         n_drones=2,
@@ -53,7 +54,7 @@ def heights_there(blown: bool, worlds: int) -> np.ndarray[Any, Any]:
         integrator="symplectic_euler",
         freq=RATE,
     )
-    if blown:
+    if downwash:
         with_downwash(sim, TEAM)
     sim.reset()
     start = jnp.broadcast_to(jnp.asarray(START), (worlds, 2, 3)).astype(jnp.float32)
@@ -64,10 +65,10 @@ def heights_there(blown: bool, worlds: int) -> np.ndarray[Any, Any]:
     return np.asarray(jax.block_until_ready(sim.data.states.pos[..., 2]))
 
 
-def heights_here(blown: bool) -> np.ndarray[Any, Any]:
-    """Heights (2,), m, at the end of the same flight by our equations."""
+def heights_in_reference(downwash: bool) -> np.ndarray[Any, Any]:
+    """Return the heights (2,), m, at the end of the same flight by `swarm_envs.reference`."""
     body, forces = bodies_of(TEAM), reference.still_air
-    if blown:
+    if downwash:
         forces = partial(reference.learned, air=air_of("learned", TEAM))
     state = reference.hovering(START, body)
     for _ in range(round(SECONDS * RATE)):
@@ -77,12 +78,13 @@ def heights_here(blown: bool) -> np.ndarray[Any, Any]:
 
 
 def main(worlds: int = 1) -> tuple[float, float]:
-    """Fly it there and here; return by how much the small drone sinks, m."""
-    there = float((heights_there(False, worlds) - heights_there(True, worlds))[0, 1])
-    here = float((heights_here(False) - heights_here(True))[1])
-    print(f"in {SECONDS} s the small drone sinks {100 * there:.1f} cm in crazyflow", end=", ")
-    print(f"{100 * here:.1f} cm by our equations")
-    return there, here
+    """Return by how much the small drone sinks in crazyflow and in the reference, m."""
+    crazyflow = heights_in_crazyflow(False, worlds) - heights_in_crazyflow(True, worlds)
+    ours = heights_in_reference(False) - heights_in_reference(True)
+    sunk = float(crazyflow[0, 1]), float(ours[1])
+    print(f"in {SECONDS} s the small drone sinks {100 * sunk[0]:.1f} cm in crazyflow", end=", ")
+    print(f"{100 * sunk[1]:.1f} cm by swarm_envs.reference")
+    return sunk
 
 
 if __name__ == "__main__":

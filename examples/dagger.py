@@ -1,11 +1,11 @@
-"""DAgger in one file: a network imitates an agent, torch alone, on our vector interface.
+"""Train a network by DAgger in one file, with torch and the vector interface.
 
 pip install torch swarm-envs
 python examples/dagger.py --steps 400000 --teacher roundabout
 
-The network flies and the teacher says at every decision what it would have done (Ross et al.,
-2011). Every neighbour goes through the same small network beside the drone's own numbers, and what
-comes out is pooled: a deep set, which flies teams of any size.
+The network acts, and a scripted agent, the teacher, labels every decision with its action (Ross et
+al., 2011). One small network encodes each neighbor together with the drone's own features, and the
+codes are pooled: a deep set, which controls teams of any size.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class DeepSet(nn.Module):
         )
 
     def forward(self, features: Tensor) -> Tensor:
-        """Actions (B, width) for features (B, own + K neighbours)."""
+        """Return actions (B, width) for features (B, own + K neighbors)."""
         own = features[:, :OWN]
         around = features[:, OWN:].reshape(len(own), -1, NEIGHBOR)
         beside = own[:, None].expand(-1, around.shape[1], -1)
@@ -48,16 +48,16 @@ class DeepSet(nn.Module):
 
 
 class Teams:
-    """E teams of N drones that fly by a network or by the agent that teaches it."""
+    """E teams of N drones that a network or its teacher controls."""
 
     def __init__(self, teacher: str, envs: int, drones: int, seed: int = 0) -> None:
         self.agent = load(teacher)
         if not hasattr(self.agent, "act_batch"):
-            raise SystemExit(f"{teacher!r} has no act_batch and cannot teach; take 'fast-line'")
+            raise SystemExit(f"the teacher {teacher!r} has no act_batch; choose 'fast-line'")
         options: dict[str, Any] = {"num_drones": drones, "force_rate": 48, "horizon_s": 6.0}
         options |= self.agent.requires
         self.neighbors = options.setdefault("num_neighbors", 7)
-        one = swap_v1.parallel_env(**options)  # from which the teacher learns what rows hold
+        one = swap_v1.parallel_env(**options)  # tells the teacher the layout of the rows
         one.reset(seed=seed)
         self.agent.reset(one, seed)
         self.env = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=envs, **options)
@@ -68,46 +68,46 @@ class Teams:
         self.rng = np.random.default_rng(seed)
 
     def features(self) -> Tensor:
-        """(E * N, width) of what every drone observes."""
+        """Return the features (E * N, width) of all drones."""
         return torch.from_numpy(features_of(self.rows, self.neighbors)).flatten(0, 1)
 
     def step(self, own: np.ndarray, guided: float) -> tuple[np.ndarray, np.ndarray]:
-        """Fly; return the teacher's actions (E * N, width) and which of them mean anything.
+        """Step; return the teacher's actions (E * N, width) and which of them are valid.
 
-        The step after an episode's end begins the next one, whatever the action is.
+        The step after the end of an episode begins the next one and ignores actions.
         """
-        wanted = np.clip(self.agent.act_batch(self.rows), -1.0, 1.0)
-        taught = self.rng.random((len(wanted), 1, 1)) < guided
-        flown = np.where(taught, wanted, own.reshape(self.shape))
-        flown[::3] += self.rng.normal(0.0, 0.1, flown[::3].shape)  # to learn to come back
-        flown = np.clip(flown, -1.0, 1.0).astype(np.float32)
-        rows, _, ended, cut, infos = self.env.step(flown.reshape(self.env.action_space.shape))
+        labels = np.clip(self.agent.act_batch(self.rows), -1.0, 1.0)
+        guided_teams = self.rng.random((len(labels), 1, 1)) < guided
+        actions = np.where(guided_teams, labels, own.reshape(self.shape))
+        actions[::3] += self.rng.normal(0.0, 0.1, actions[::3].shape)  # for states off the path
+        actions = np.clip(actions, -1.0, 1.0).astype(np.float32)
+        rows, _, ended, cut, infos = self.env.step(actions.reshape(self.env.action_space.shape))
         self.rows, useful = rows.reshape(self.shape), ~self.begins
         self.begins = ended | cut
         if self.begins.any():
             self.ends += infos["episode_metrics"]["success"][self.begins].tolist()
-        return wanted.reshape(-1, wanted.shape[-1]), np.repeat(useful, self.shape[1])
+        return labels.reshape(-1, labels.shape[-1]), np.repeat(useful, self.shape[1])
 
 
 class Memory:
-    """The latest decisions: what was observed, and what the teacher would have done."""
+    """The latest decisions: features, and actions of the teacher."""
 
     def __init__(self) -> None:
-        self.seen, self.wanted = torch.zeros(0), torch.zeros(0)
+        self.seen, self.labels = torch.zeros(0), torch.zeros(0)
 
-    def add(self, seen: Tensor, wanted: Tensor) -> None:
-        """Remember these rows, and forget the oldest."""
-        before = (self.seen, self.wanted) if len(self.seen) else (seen[:0], wanted[:0])
+    def add(self, seen: Tensor, labels: Tensor) -> None:
+        """Add rows, and drop the oldest."""
+        before = (self.seen, self.labels) if len(self.seen) else (seen[:0], labels[:0])
         self.seen = torch.cat([before[0], seen])[-MEMORY:]
-        self.wanted = torch.cat([before[1], wanted])[-MEMORY:]
+        self.labels = torch.cat([before[1], labels])[-MEMORY:]
 
 
 def learn(net: DeepSet, adam: torch.optim.Optimizer, memory: Memory) -> float:
-    """Some gradient steps on what is remembered; the mean loss."""
+    """Take some gradient steps, and return the mean loss."""
     losses = []
     for _ in range(BATCHES):
         chosen = torch.randint(len(memory.seen), (BATCH,))
-        loss = nn.functional.huber_loss(net(memory.seen[chosen]), memory.wanted[chosen], delta=0.1)
+        loss = nn.functional.huber_loss(net(memory.seen[chosen]), memory.labels[chosen], delta=0.1)
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -119,9 +119,9 @@ def main(arguments: list[str] | None = None) -> list[float]:
     """Train, and return the loss after every ten decisions."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=400_000, help="decisions of single drones")
-    parser.add_argument("--envs", type=int, default=64, help="teams that fly at once")
-    parser.add_argument("--drones", type=int, default=8, help="of a team")
-    parser.add_argument("--teacher", default="roundabout", help="an agent with act_batch")
+    parser.add_argument("--envs", type=int, default=64, help="number of teams in the batch")
+    parser.add_argument("--drones", type=int, default=8, help="number of drones of a team")
+    parser.add_argument("--teacher", default="roundabout", help="name of an agent with act_batch")
     given = parser.parse_args(arguments)
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -135,8 +135,8 @@ def main(arguments: list[str] | None = None) -> list[float]:
             seen = teams.features()
             with torch.no_grad():
                 own = net(seen).numpy()
-            wanted, useful = teams.step(own, max(0.0, 1.0 - 8.0 * k / rounds))
-            memory.add(seen[useful], torch.from_numpy(wanted[useful]).float())
+            labels, useful = teams.step(own, max(0.0, 1.0 - 8.0 * k / rounds))
+            memory.add(seen[useful], torch.from_numpy(labels[useful]).float())
         curve.append(learn(net, adam, memory))
         slower.step()
         recent = float(np.mean(teams.ends[-100:] or [0.0]))

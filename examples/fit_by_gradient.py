@@ -1,11 +1,11 @@
-"""Fit a downwash to one flight, by the gradient through the flight itself.
+"""Fit a model of downwash to flights, by the gradient through the simulation.
 
     python examples/fit_by_gradient.py
 
-Two flights of a large drone over a small one are recorded as motion capture would, positions with
-noise of 1 mm; in truth its wake is stronger than `wake` says, and wider. No force is ever measured:
-both numbers are those with which `swarm_envs.reference`, in torch, flies what was recorded. Needs
-torch.
+Two flights of a large drone above a small one are recorded as by motion capture, positions with
+noise of 1 mm; the true wake is stronger and wider than that of `wake`. No force is measured:
+strength and width are those with which `swarm_envs.reference`, in torch, reproduces the recorded
+flights.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
 from swarm_envs.state import Setpoint
 
 TEAM = "LS"
-TRUTH = (1.3, 1.15)  # of strength and width of the large drone's wake, over those of `wake`
+TRUTH = (1.3, 1.15)  # strength and width of the large drone's wake, over those of `wake`
 NOISE_M = 1e-3
-ASIDE_M = (0.0, 0.09)  # where the small drone hovers in each flight, from the line of the large one
+ASIDE_M = (0.0, 0.09)  # distance of the small drone from the line of the large one, by flight
 
 
-def flown(factors: Tensor, seconds: float, dt: float) -> Tensor:
-    """Positions (steps, 2, 2, 3), m, of both flights if the wake has these factors (2,)."""
+def simulated(factors: Tensor, seconds: float, dt: float) -> Tensor:
+    """Return positions (steps, 2, 2, 3), m, of both flights for factors (2,) of the wake."""
     body, gains, air = (
         bodies_of(TEAM, torch),
         gains_of(dt=dt, xp=torch),
@@ -49,15 +49,15 @@ def flown(factors: Tensor, seconds: float, dt: float) -> Tensor:
 
 
 def misfit(factors: Tensor, recorded: Tensor, seconds: float, dt: float) -> Tensor:
-    """Mean square of the difference from what was recorded, mm^2."""
-    return 1e6 * ((flown(factors, seconds, dt) - recorded) ** 2).mean()
+    """Return the mean square difference from the recorded positions, mm^2."""
+    return 1e6 * ((simulated(factors, seconds, dt) - recorded) ** 2).mean()
 
 
 def main(rounds: int = 6, seconds: float = 1.0, dt: float = 1.0 / 100.0) -> Tensor:
     """Fit in steps of dt, s, and return the factors (2,)."""
     torch.set_num_threads(1)
     with torch.no_grad():
-        recorded = flown(torch.tensor(TRUTH, dtype=torch.float64), seconds, dt)
+        recorded = simulated(torch.tensor(TRUTH, dtype=torch.float64), seconds, dt)
     noise = torch.randn(recorded.shape, generator=torch.Generator().manual_seed(0))
     recorded = recorded + NOISE_M * noise
     factors = torch.ones(2, dtype=torch.float64, requires_grad=True)
@@ -69,11 +69,11 @@ def main(rounds: int = 6, seconds: float = 1.0, dt: float = 1.0 / 100.0) -> Tens
         found.backward()  # type: ignore[no-untyped-call]
         strength, width = factors.detach().tolist()
         off = found.item() ** 0.5
-        print(f"strength {strength:.3f}, width {width:.3f}: {off:.2f} mm off")
+        print(f"strength {strength:.3f}, width {width:.3f}: error {off:.2f} mm")
         return found
 
     descent.step(loss)  # type: ignore[no-untyped-call]
-    print(f"in truth strength {TRUTH[0]}, width {TRUTH[1]}")
+    print(f"true strength {TRUTH[0]}, true width {TRUTH[1]}")
     return factors.detach()
 
 

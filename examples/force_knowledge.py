@@ -5,12 +5,12 @@
 
 Policies learn by imitation (DAgger) under three conditions: without interaction forces (`none`),
 with them (`learned`), and with them in the hall (`hall`); without and with the predicted force as
-an observation. Each policy flies under all three. The tracking controller is that of `pid`, which
-has no force model and estimates no force; the teachers shift set-points by the displacement that
-the true force would cause. Where there are no forces they shift nothing.
+an observation. Each policy is evaluated under all three. The tracking controller is that of `pid`,
+which has no force model and estimates no force; the teachers shift set-points by the displacement
+that the true force would cause.
 
 The table has means over training seeds and episodes. Intervals are 95 % bootstrap intervals in
-which both are drawn again: seeds, and episodes of each. Killed, the same command resumes.
+which seeds, and episodes of each, are resampled. The same command resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "learned": {"interactions": "learned", "world": "ideal"},
     "hall": {"interactions": "learned", "world": "hall"},
 }
-"""The conditions under which policies train and fly: options of the environment."""
+"""The conditions of training and evaluation: options of the environment."""
 RECIPE: Mapping[str, Any] = {
     **{"algo": "dagger", "environments": 96, "threads": 1},
     **{"action": "velocity", "decision_rate": 48, "controller": "pid"},
@@ -53,22 +53,22 @@ RECIPE: Mapping[str, Any] = {
 }
 """Options of every training run."""
 TEACHERS = "swarm_envs/training/rl/teachers.py"
-EPISODE_SEED = 7  # Of the episodes that trained policies fly
+EPISODE_SEED = 7  # Of the evaluation episodes
 
 
 class Case(NamedTuple):
-    """A task that policies learn and fly."""
+    """A task of the study."""
 
     task: str
-    """Its versioned name."""
+    """The versioned name."""
     drones: int
-    """N."""
+    """The number of drones."""
     teacher: str
-    """Class in `TEACHERS`."""
+    """The class in `TEACHERS`."""
     options: Mapping[str, Any] = {}
-    """Options of the environment, and of the training run."""
+    """The options of the environment and of the training run."""
     measure: str = "success"
-    """Metric of an episode that is averaged."""
+    """The metric of an episode that is averaged."""
 
 
 _GATES = {"horizon_s": 12.0, "num_obstacles": 2}
@@ -83,7 +83,7 @@ CASES: Mapping[str, Case] = {
 
 @dataclass(frozen=True, kw_only=True)
 class ForceStudy:
-    """Train policies under three conditions, and fly each under all of them."""
+    """Train policies under three conditions, and evaluate each under all of them."""
 
     out: Path
     """folder of the runs, the episodes and results.json"""
@@ -92,12 +92,12 @@ class ForceStudy:
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """training seeds"""
     steps: int = 1_000_000
-    """of each run: decisions of single drones"""
+    """decisions of single drones in each training run"""
     episodes: int = 128
-    """of each policy under each condition"""
+    """evaluation episodes of each policy under each condition"""
 
     def __post_init__(self) -> None:
-        """Refuse tasks that there are not."""
+        """Raise an error for invalid values."""
         for seed in self.seeds:
             check_integer("--seeds", seed, at_least=0)
         check_integer("--steps", self.steps, at_least=1)
@@ -107,7 +107,7 @@ class ForceStudy:
 
 
 def training_of(study: ForceStudy, task: str, condition: str, force: bool, seed: int) -> RlConfig:
-    """The options of a training run."""
+    """Return the options of a training run."""
     case = CASES[task]
     given = {
         **RECIPE,
@@ -128,7 +128,7 @@ def training_of(study: ForceStudy, task: str, condition: str, force: bool, seed:
 
 
 def fly_in(study: ForceStudy, config: RlConfig, task: str, condition: str) -> list[float]:
-    """What a trained policy reaches in each episode under a condition; episodes are flown once."""
+    """Return the metric of a trained policy in each episode under a condition."""
     agent, case = load_agent(config.out), CASES[task]
     assert isinstance(agent, PolicyAgent)
     setting = {
@@ -151,7 +151,7 @@ def fly_in(study: ForceStudy, config: RlConfig, task: str, condition: str) -> li
 
 
 def summary_of(values: FloatArray) -> dict[str, Any]:
-    """Mean of values (seeds, episodes), its bootstrap interval, and the mean of each seed."""
+    """Return the mean of values (seeds, episodes), its interval, and the mean of each seed."""
     rng, (seeds, episodes) = np.random.default_rng(0), values.shape
     rows = rng.integers(seeds, size=(2000, seeds, 1))
     means = values[rows, rng.integers(episodes, size=(2000, seeds, episodes))].mean(axis=(1, 2))
@@ -160,7 +160,7 @@ def summary_of(values: FloatArray) -> dict[str, Any]:
 
 
 def run_study(study: ForceStudy) -> list[dict[str, Any]]:
-    """Train and fly what has not been yet; the results, which are also written."""
+    """Train and evaluate the missing policies, write the results, and return them."""
     students, results = list(product(study.task, CONDITIONS, (False, True))), []
     with (
         claimed(study.out),
@@ -185,7 +185,7 @@ def run_study(study: ForceStudy) -> list[dict[str, Any]]:
 
 
 def table_of(results: list[dict[str, Any]]) -> str:
-    """A line for each kind of student: the result under each condition."""
+    """Return a table with a line for each kind of policy and its result under each condition."""
     rows = [["task", "trained in", "observes force", *(f"in {name}" for name in CONDITIONS)]]
     for entry in results:
         scale = 100.0 if CASES[entry["task"]].measure == "success" else 1.0

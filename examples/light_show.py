@@ -1,16 +1,16 @@
-"""A light show: drones write letters, or form point clouds of your own, one after another.
+"""Fly a drone light show: letters or your own point clouds, one after another.
 
     python examples/light_show.py --text SWARM --drones 24 --out show
     python examples/light_show.py --points points.npy --out show
 
-RTH3D plans the way to each formation on a grid, and the tracking controller flies it through the
-downwash of the other drones, with an estimate of the force (INDI). The script prints, for each
-formation, how long the planned way takes and how near the drones are when it stands; then the
-number of contacts and the least distance between two bodies. It writes `flight.npz` (every state),
-`flight.html` (a replay to turn and play in a browser) and `flight.mp4` (a film; a GIF without
-ffmpeg) into the folder.
+RTH3D plans the paths to each formation on a grid, and the tracking controller follows them through
+the downwash of the other drones, with an estimate of the force (INDI). The script prints, for each
+formation, the duration of the paths and the largest position error at their end; then the
+number of contacts and the least distance between two bodies. It writes `flight.npz` (all states),
+`flight.html` (a replay in the browser) and `flight.mp4` (a film; a GIF without ffmpeg) into the
+folder.
 
-A file of points is written by `numpy.save` and holds an array (F, N, 3): F formations of N drones,
+A file of points is that of `numpy.save` with an array (F, N, 3): F formations of N drones,
 in meters, z pointing up, each point within 25 m of the origin in x, y and z. Two points of a
 formation should be at least 0.5 m apart.
 """
@@ -45,8 +45,8 @@ from swarm_envs.viewing.replay import write_replay
 from swarm_envs.viewing.trajectory import write_trajectory
 from swarm_envs.viewing.video import FPS, count_frames, film, write_video_or_gif
 
-LOWEST_M, MARGIN_M = 0.8, 1.5  # height of the lowest place; free space around all places
-WAY = 0.7  # share of a stage in which the drones reach their places
+LOWEST_M, MARGIN_M = 0.8, 1.5  # height of the lowest position; free space around all positions
+PATH_SHARE = 0.7  # share of a stage in which the drones reach their positions
 FARTHEST_M = 25.0  # largest coordinate of a point, which bounds the grid of the planner
 
 
@@ -61,7 +61,7 @@ class Options:
     drones: int | None = None
     """number of drones that write the text; default: 24"""
     stage_s: float = 14.0
-    """time for each formation, s; the way to it takes at most 70 % of that"""
+    """time for each formation, s; the paths to it take at most 70 % of that"""
     world: str = "hall"
     """`hall`, with random forces and a state estimate, or `ideal`"""
     seed: int = 0
@@ -72,7 +72,7 @@ class Options:
     """output folder"""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise an error for invalid values."""
         if self.drones is not None:
             check_integer("--drones", self.drones, at_least=1, at_most=256)
         check_number("--stage-s", self.stage_s, above=0.0, unit="s")
@@ -82,10 +82,10 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class ShowTask(Task):
-    """One formation after another, in an arena with room around all of them."""
+    """Consecutive formations, in an arena with a margin around all of them."""
 
     formations: tuple[np.ndarray, ...] = ()  # (N, 3) each, m
-    stage_s: float = 14.0  # time for each
+    stage_s: float = 14.0  # time for each formation
     success: Success = Success()
 
     name = "show"
@@ -93,24 +93,24 @@ class ShowTask(Task):
 
     @property
     def arena(self) -> np.ndarray:
-        """Corners (2, 3), m."""
+        """The corners (2, 3), m."""
         points = np.concatenate(self.formations)
         low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
         return np.array([[low[0], low[1], 0.0], high])
 
     @property
     def num_stages(self) -> int:
-        """Formations after the first, on which the drones start."""
+        """The number of formations after the first, on which the drones start."""
         return len(self.formations) - 1
 
     @property
     def motion(self) -> Motion:
-        """Goals at rest; the way to them is the planner's."""
+        """Goals at rest."""
         return Motion(REST, stage_s=self.stage_s)
 
     @property
     def episode_s(self) -> float:
-        """Duration of the show, s."""
+        """The duration of the show, s."""
         return self.num_stages * self.stage_s
 
     def draw(
@@ -119,29 +119,29 @@ class ShowTask(Task):
         start: np.ndarray | None = None,
         goal: np.ndarray | None = None,
     ) -> Placement:
-        """Match drones to places so that the squared distances sum to the least."""
+        """Assign drones to positions with the least sum of squared distances."""
         goals = [self.formations[0]]
-        for places in self.formations[1:]:
-            goals.append(places[nearest_places(goals[-1], places)])
+        for points in self.formations[1:]:
+            goals.append(points[nearest_places(goals[-1], points)])
         return Placement(goals[0], np.array(goals[1:]), 0.0)
 
 
 class ShowAgent(GridAgent):
-    """The planner and its tracking controller; a stage that is too short is refused."""
+    """The planner RTH3D and its tracking controller."""
 
     def plan(self, task: Task, view: View, seed: int) -> Any:
-        """Return the way to a formation.
+        """Return the paths to a formation.
 
         Raises:
-            ValueError: it takes longer than its share of the stage.
+            ValueError: they take longer than their share of the stage.
         """
         found = super().plan(task, view, seed)
-        needed, given = found.duration_s / WAY, task.motion.stage_s or 0.0
+        needed, given = found.duration_s / PATH_SHARE, task.motion.stage_s or 0.0
         if needed > given + 1e-6:
             raise ValueError(
-                f"--stage-s is {given:g}, but the way to a formation takes "
-                f"{found.duration_s:.1f} s, which must be at most {100 * WAY:.0f} % of it; give "
-                f"at least {math.ceil(needed)}"
+                f"--stage-s is {given:g}, but the paths to a formation take "
+                f"{found.duration_s:.1f} s and must take at most {100 * PATH_SHARE:.0f} % of it; "
+                f"give at least {math.ceil(needed)}"
             )
         return found
 
@@ -150,7 +150,7 @@ def read_points(path: Path) -> list[np.ndarray]:
     """Read formations from a file.
 
     Raises:
-        ValueError: the file holds no array (F, N, 3) of coordinates within the limit.
+        ValueError: the file contains no array (F, N, 3) of coordinates within the limit.
     """
     try:
         with path.open("rb") as file:
@@ -161,14 +161,14 @@ def read_points(path: Path) -> list[np.ndarray]:
         ) from error
     if points.ndim != 3 or points.shape[2] != 3 or not points.size or points.dtype.kind not in "fi":
         raise ValueError(
-            f"{path} holds an array of {points.dtype} with shape {points.shape}, but must hold "
-            "numbers with shape (F, N, 3): F formations of N drones"
+            f"{path} contains an array of {points.dtype} with shape {points.shape}, but must "
+            "contain numbers with shape (F, N, 3): F formations of N drones"
         )
     if not np.isfinite(points).all():
-        raise ValueError(f"{path} holds a number that is not finite; give positions in meters")
+        raise ValueError(f"{path} contains a number that is not finite; give positions in meters")
     if (farthest := float(np.abs(points).max())) > FARTHEST_M:
         raise ValueError(
-            f"{path} holds a coordinate {farthest:g} m from the origin, but each must be within "
+            f"{path} contains a coordinate {farthest:g} m from the origin, but each must be within "
             f"{FARTHEST_M:g} m; scale or move the points"
         )
     return [*points.astype(float)]
@@ -192,7 +192,7 @@ def read_formations(options: Options) -> list[np.ndarray]:
     """Return the formations (N, 3) of the text or of the file, m.
 
     Raises:
-        ValueError: both are given, or they are none.
+        ValueError: both are given, or they are invalid.
     """
     if options.points is None:
         text = "SWARM" if options.text is None else options.text
@@ -207,15 +207,15 @@ def read_formations(options: Options) -> list[np.ndarray]:
 
 
 def stage(formations: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Raise formations to the lowest height of the show; a flat one comes first and last."""
+    """Return formations at the lowest height of the show, with a plane first and last."""
     flat = shape_points("plane", len(formations[0]), 0.6)
     lifted = [f - np.array([0.0, 0.0, f[:, 2].min() - LOWEST_M]) for f in (flat, *formations)]
     return (*lifted, lifted[0])
 
 
 def fly(task: ShowTask, options: Options) -> tuple[Recording, GridAgent]:
-    """Plan and fly the show; the agent keeps the plans."""
-    agent = ShowAgent(controller=ControllerConfig(adaptation=Indi()), share=WAY)
+    """Plan and fly the show; the agent stores the plans."""
+    agent = ShowAgent(controller=ControllerConfig(adaptation=Indi()), share=PATH_SHARE)
     config = EnvConfig(
         physics="batch",
         world=options.world,
@@ -232,13 +232,13 @@ def fly(task: ShowTask, options: Options) -> tuple[Recording, GridAgent]:
 
 
 def report(flight: Recording, agent: GridAgent, task: ShowTask) -> int:
-    """Print what was flown; return the number of decisions at which a drone touched something."""
+    """Print a report; return the number of contacts, over drones and decisions."""
     for k, plan in enumerate(agent.plans):
         index = min(int(np.searchsorted(flight.time, (k + 1) * task.stage_s)), len(flight.time)) - 1
         error = np.linalg.norm(flight.position[index] - flight.goal[index], axis=-1).max()
         print(
-            f"formation {k + 1}: the way takes {plan.duration_s:.1f} s; "
-            f"drones are within {100 * error:.1f} cm of their places when it stands"
+            f"formation {k + 1}: the paths take {plan.duration_s:.1f} s; "
+            f"at their end drones are within {100 * error:.1f} cm of their positions"
         )
     touching = (flight.contact_drone >= 0) | flight.contact_floor | flight.contact_wall
     line = f"{len(task.team)} drones, {flight.time[-1]:.1f} s: {touching.sum()} contacts"

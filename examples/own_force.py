@@ -1,4 +1,4 @@
-"""A force of one's own: drones push down those below them.
+"""Define your own force model: drones push down those below them.
 
 Fly it from Python, or from the command line:
 
@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 def push_down(position: Array, velocity: Array, types: npt.NDArray[np.str_]) -> Array:
-    """Return forces (E, N, 3), N: each drone pushes down those below and within 20 cm beside it."""
+    """Return forces (E, N, 3), N: each drone pushes down those below, up to 20 cm to the side."""
     offset = position[:, None] - position[:, :, None]  # (E, i, j, 3): from i to j
     aside, above = np.linalg.norm(offset[..., :2], axis=-1), offset[..., 2]
     strength = np.where((aside < 0.2) & (above > 0.0), 0.02 * (1.0 - aside / 0.2), 0.0)
@@ -29,7 +29,7 @@ def push_down(position: Array, velocity: Array, types: npt.NDArray[np.str_]) -> 
 
 
 def main() -> None:
-    """Fly a stacked swap without any force, and with this one."""
+    """Fly a stacked swap without forces, and with `push_down`."""
     agent = load("tracking")
     for force in ("none", push_down):
         env = swarm_envs.make(

@@ -1,4 +1,4 @@
-"""A network of one's own in PPO of Stable-Baselines3: the same layers encode each neighbor.
+"""Train your own network by PPO of Stable-Baselines3: the same layers encode each neighbor.
 
 Train it, fly it from Python, and evaluate it on the command line (pip install 'swarm-envs[train]'):
 
@@ -28,7 +28,7 @@ FILE, NEIGHBORS = Path("own_network.zip"), 3
 
 
 class Pooled(BaseFeaturesExtractor):
-    """The row of a drone, and the largest of each feature of its neighbors."""
+    """The row of a drone, and the maximum over neighbors of each encoded feature."""
 
     def __init__(self, space: Any, features: int = 32) -> None:
         super().__init__(space, space.shape[0] + features)
@@ -47,7 +47,7 @@ NETWORK = {"features_extractor_class": Pooled, "log_std_init": -0.5}
 
 
 class Trained:
-    """An agent that flies what was trained, for the command line."""
+    """The trained model as an agent, for the command line."""
 
     requires: Mapping[str, Any] = {"decision_rate": 10, "num_neighbors": NEIGHBORS}
     privileged = False
@@ -68,15 +68,15 @@ def main(arguments: list[str] | None = None) -> None:
     """Train, and fly an episode."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000, help="decisions of single drones")
-    parser.add_argument("--envs", type=int, default=64, help="teams that fly at once")
+    parser.add_argument("--envs", type=int, default=64, help="number of teams in the batch")
     given = parser.parse_args(arguments)
     env = SharedPolicyVecEnv("swap_v1", given.envs, seed=0, horizon_s=3.5, **Trained.requires)
     fast = {"n_steps": 32, "batch_size": 1024, "n_epochs": 5, "gamma": 0.98, "learning_rate": 1e-3}
     model = PPO("MlpPolicy", env, policy_kwargs=NETWORK, seed=0, device="cpu", **fast)
     model.learn(given.steps)
     model.save(FILE)
-    flown = swarm_envs.make("swap_v1", physics="batch", **Trained.requires)
-    print("success:", fly_episode(flown, Trained(), seed=0)["success"])
+    eval_env = swarm_envs.make("swap_v1", physics="batch", **Trained.requires)
+    print("success:", fly_episode(eval_env, Trained(), seed=0)["success"])
 
 
 if __name__ == "__main__":

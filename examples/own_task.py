@@ -1,6 +1,6 @@
-"""A task of one's own with a reward of one's own: fly to a line, upright.
+"""Define your own task and reward: drones fly to a line, upright.
 
-Fly it, evaluate agents on it and train for it:
+Fly it, evaluate agents and train:
 
     python examples/own_task.py
     swarm-envs fly --task examples/own_task.py:LineTask --agent fast-line --out flight
@@ -37,7 +37,7 @@ class LineTask(Task):
     default_weights = WEIGHTS
 
     def draw(self, rng: np.random.Generator, start: Any = None, goal: Any = None) -> Placement:
-        """Draw where drones start, and their goals."""
+        """Sample the starts and goals."""
         n = len(self.team)
         angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(n) / n
         circle = np.stack([np.cos(angle), np.sin(angle), np.ones(n)], axis=1)
@@ -46,7 +46,7 @@ class LineTask(Task):
         return Placement(circle if start is None else start, (line if goal is None else goal)[None])
 
     def reward_terms(self, world: World) -> dict[str, Array]:
-        """Return the cosine of each drone's tilt (E, N), times the seconds of a decision."""
+        """Return the cosine of each drone's tilt (E, N), times the duration of a decision in s."""
         decision_s = world.environments["time"] / world.environments["decisions"]
         x, y = np.moveaxis(world.drones["quaternion"], -1, 0)[:2]
         return {"upright": decision_s[:, None] * (1.0 - 2.0 * (x**2 + y**2))}

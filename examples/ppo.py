@@ -1,9 +1,9 @@
-"""PPO in one file: one policy for all drones, torch alone, on our vector interface.
+"""Train one policy for all drones by PPO in one file, with torch and the vector interface.
 
 pip install torch swarm-envs
 python examples/ppo.py --steps 1000000
 
-E teams of N drones give E * N rows a decision, of the features that shipped policies see.
+E teams of N drones give E * N rows per decision, with the features of the included policies.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GAMMA, LAMBDA, CLIP, RATE = 0.98, 0.95, 0.2, 1e-3
 
 
 class ActorCritic(nn.Module):
-    """Means and deviations of actions, and the value of what a drone observes."""
+    """Networks for the mean actions and for the value of a drone."""
 
     def __init__(self, observed: int, actions: int) -> None:
         super().__init__()
@@ -33,11 +33,11 @@ class ActorCritic(nn.Module):
         nn.init.orthogonal_(self.actor[-1].weight, 0.01)
 
     def policy(self, seen: Tensor) -> Normal:
-        """The distribution from which actions are drawn."""
+        """Return the distribution of actions."""
         return Normal(self.actor(seen), self.log_deviation.exp())
 
     def value(self, seen: Tensor) -> Tensor:
-        """The return that is expected."""
+        """Return the expected return."""
         return self.critic(seen).squeeze(-1)
 
 
@@ -50,8 +50,8 @@ def _mlp(into: int, out: int) -> nn.Sequential:
 class Teams:
     """E teams of N drones as E * N rows of features.
 
-    The step after an episode's end begins the next one, and its action is unused. So what is seen
-    at the end has a value, which is taken where the clock alone has cut an episode.
+    The step after the end of an episode begins the next one, and its action is unused. The value of
+    the last observation replaces the missing rewards of an episode that the time limit truncated.
     """
 
     def __init__(self, envs: int, drones: int, seed: int = 0) -> None:
@@ -67,14 +67,14 @@ class Teams:
         )
         self.drones = drones
         self.seen = self._features(self.env.reset(seed=seed)[0])
-        self.flown = torch.ones(len(self.seen), dtype=torch.bool)
+        self.used = torch.ones(len(self.seen), dtype=torch.bool)
 
     def _features(self, rows: np.ndarray) -> Tensor:
         flat = rows.reshape(rows.shape[0] * self.drones, -1)
         return torch.from_numpy(features_of(flat, NEIGHBORS))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Rewards, and whether the episode was ended, or cut by the clock, of every drone."""
+        """Return rewards, and True for terminated and truncated episodes, of every drone."""
         given = actions.clamp(-1.0, 1.0).reshape(self.env.action_space.shape)
         rows, _, ended, cut, infos = self.env.step(given.numpy())
         self.seen = self._features(rows)
@@ -85,7 +85,7 @@ class Teams:
 
 @torch.no_grad()
 def collect(teams: Teams, net: ActorCritic) -> tuple[Tensor, ...]:
-    """What was seen and done, log probability, advantage, return and reward, one row each."""
+    """Return features, actions, log probabilities, advantages, returns and rewards by row."""
     rows = []
     for _ in range(ROLLOUT):
         policy, seen = net.policy(teams.seen), teams.seen
@@ -101,14 +101,14 @@ def collect(teams: Teams, net: ActorCritic) -> tuple[Tensor, ...]:
         error = rewards[t] + GAMMA * going * following[t] - values[t]
         last = error + GAMMA * LAMBDA * going * (~cut[t]) * last
         advantages[t] = last
-    flown = torch.cat([teams.flown[None], ~(ended | cut)[:-1]])  # where the action was used
-    teams.flown = ~(ended | cut)[-1]
+    used = torch.cat([teams.used[None], ~(ended | cut)[:-1]])  # where the action was used
+    teams.used = ~(ended | cut)[-1]
     parts = (seen, actions, log_probs, advantages, advantages + values, rewards)
-    return tuple(part[flown] for part in parts)
+    return tuple(part[used] for part in parts)
 
 
 def update(net: ActorCritic, adam: torch.optim.Optimizer, rollout: tuple[Tensor, ...]) -> None:
-    """Some passes over a rollout, by PPO's clipped objective."""
+    """Optimize PPO's clipped objective in some passes over a rollout."""
     for _ in range(PASSES):
         for chosen in torch.randperm(len(rollout[0])).split(BATCH):
             seen, actions, before, gains, returns, _ = (part[chosen] for part in rollout)
@@ -129,7 +129,7 @@ def main(arguments: list[str] | None = None) -> list[float]:
     """Train, and return the mean reward of a decision in every rollout."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000, help="decisions of single drones")
-    parser.add_argument("--envs", type=int, default=128, help="teams that fly at once")
+    parser.add_argument("--envs", type=int, default=128, help="number of teams in the batch")
     parser.add_argument("--drones", type=int, default=4)
     given = parser.parse_args(arguments)
     torch.manual_seed(0)

@@ -1,13 +1,13 @@
-"""Minari: record flights of an agent as a dataset for offline learning.
+"""Record flights of an agent as a Minari dataset for offline reinforcement learning.
 
     pip install 'swarm-envs[minari]'
     python examples/record_minari.py --agent roundabout --drones 8 --name swap/eight-v0
 
-prints how many flights succeeded, where the dataset is, and how to load it. An episode is one
-flight of the team through the joint Gymnasium interface; `infos["success"]` is the success of its
-flight. Minari keeps datasets in `~/.minari/datasets`, or in the folder that the environment
-variable MINARI_DATASETS_PATH names. `dataset.recover_environment()` makes the environment again, in
-which the seed and the actions of an episode give the same observations.
+prints the number of successful flights, the path of the dataset, and the call that loads it. An
+episode is one flight of the team through the joint Gymnasium interface; `infos["success"]` is the
+success of the flight. Minari stores datasets in `~/.minari/datasets`, or in the folder of the
+environment variable MINARI_DATASETS_PATH. `dataset.recover_environment()` makes the environment, in
+which the seed and the actions of an episode reproduce its observations.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import swarm_envs  # noqa: F401  (registers the environments)
 from swarm_envs.agents import load
 from swarm_envs.errors import check_integer, check_name
 
-NAME = re.compile(r"([\w-]{2,}(/[\w-]+)*/)?[\w-]+-v\d+")  # what Minari takes as a dataset's id
+NAME = re.compile(r"([\w-]{2,}(/[\w-]+)*/)?[\w-]+-v\d+")  # ids of datasets in Minari
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Options:
     """Options of the recording."""
 
     env: str = "swarm_envs/Swap-v1"
-    """Gymnasium id of an environment that flies a whole team"""
+    """Gymnasium id of an environment with joint actions of a team"""
     agent: str = "roundabout"
     """name of an agent, or the folder of a trained policy"""
     drones: int = 4
@@ -44,19 +44,19 @@ class Options:
     episodes: int = 64
     """number of flights"""
     seed: int = 0
-    """random seed of the first flight; each further flight has the next one"""
+    """random seed of the first flight; further flights count up from it"""
     name: str = "swap/roundabout-v0"
-    """id of the dataset, as Minari writes it: `namespace/dataset-v0` or `dataset-v0`"""
+    """id of the dataset: `namespace/dataset-v0` or `dataset-v0`"""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise an error for invalid values."""
         for name in ("drones", "episodes"):
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=1)
         check_integer("--seed", self.seed, at_least=0)
 
 
 def fly(env: Any, agent: Any, seed: int) -> EpisodeBuffer:
-    """Fly one episode and return it as Minari takes it."""
+    """Fly one episode and return its buffer for Minari."""
     parallel = env.unwrapped.parallel
     observation, _ = env.reset(seed=seed)
     agent.reset(parallel, seed)
@@ -83,11 +83,10 @@ def fly(env: Any, agent: Any, seed: int) -> EpisodeBuffer:
 
 
 def check(options: Options) -> None:
-    """Refuse a name or an environment before the first flight.
+    """Check the name and the environment before the first flight.
 
     Raises:
-        ValueError: the name is none that Minari takes, or is taken; or no team flies in the
-            environment.
+        ValueError: the name is invalid or exists, or the environment has no joint actions.
     """
     if not NAME.fullmatch(options.name):
         raise ValueError(

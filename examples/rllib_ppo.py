@@ -1,11 +1,11 @@
-"""Train swap by RLlib: PPO of its new API stack, one policy for all drones, on any Ray cluster.
+"""Train one policy for all drones by PPO of RLlib (new API stack), on any Ray cluster.
 
     pip install 'swarm-envs[train]' 'ray[rllib]'
     python examples/rllib_ppo.py --out runs/rllib --steps 1000000 --runners 8
     swarm-envs evaluate --agent runs/rllib
 
-An example to start from, read top to bottom. `swarm-envs train` learns faster on one machine: it
-has a recipe, and flies all teams in one batch.
+`swarm-envs train` learns faster on one machine: it has tuned defaults, and simulates all teams in
+one batch.
 """
 
 from __future__ import annotations
@@ -34,48 +34,48 @@ from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.choosing import choosing_seeds, evaluate_policy
 
 TASK, ENVIRONMENT, SHARED = "swap_v1", "swarm-envs-swap", "all"
-"""What is flown, the name under which RLlib knows it, and that of the one policy."""
+"""The task, its name in RLlib, and the name of the shared policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RllibConfig:
-    """Train one policy for all drones by RLlib's PPO, and write it where `evaluate` finds it."""
+    """Train one policy for all drones by RLlib's PPO, for `swarm-envs evaluate`."""
 
     out: Path
     """folder for policy.safetensors and report.json"""
     drones: int = 4
-    """number of small drones; the policy will fly as many or fewer"""
+    """number of small drones, in training and of the policy"""
     steps: int = 1_000_000
     """decisions of single drones, rounded up to whole batches"""
     seed: int = 0
-    """of first weights, episodes and exploration"""
+    """random seed of weights, episodes and exploration"""
     runners: int = 0
-    """Ray actors that fly, one processor each; 0 for this process"""
+    """number of Ray actors that sample, one processor each; 0 for this process"""
     ray: str | None = None
-    """address of a cluster, or `auto`; one on this machine alone if not given"""
+    """address of a cluster, or `auto`; a cluster on this machine by default"""
     layout: str = "random"
-    """of the task"""
+    """layout of the task"""
     interactions: str = "learned"
-    """interaction forces: `none`, `wake`, `learned`, or a weights file"""
+    """interaction force model: `none`, `wake`, `learned`, or a file"""
     horizon_s: float = 3.5
-    """the clock of training, s"""
+    """time limit of training episodes, s"""
     num_neighbors: int = 3
-    """K, how many neighbours a drone observes"""
+    """number of neighbors that a drone observes"""
     hidden: tuple[int, ...] = (64, 64)
-    """widths of the hidden layers of actor and critic, which share none"""
+    """widths of the hidden layers of actor and critic, which are separate"""
     batch: int = 4096
-    """decisions of teams between two updates"""
+    """number of team decisions between two updates"""
     minibatch: int = 2048
-    """decisions of drones per gradient step"""
+    """number of decisions of drones in a gradient step"""
     passes: int = 5
-    """over the decisions of a batch"""
+    """number of passes over a batch"""
     learning_rate: float = 5e-4
-    """of Adam"""
+    """learning rate of Adam"""
     judge_episodes: int = 256
-    """in which the policy is evaluated at the end, on each layout"""
+    """number of episodes in which the policy is evaluated at the end"""
 
     def __post_init__(self) -> None:
-        """Refuse networks without a hidden layer."""
+        """Raise an error for invalid values."""
         for name in ("drones", "steps", "batch", "minibatch", "passes", "judge_episodes"):
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=1)
         for name in ("seed", "runners", "num_neighbors"):
@@ -88,32 +88,32 @@ class RllibConfig:
             raise ValueError("--hidden is (), but must be one or more widths")
 
     def note(self) -> PolicyNote:
-        """What the policy is trained for."""
+        """Return the environment that the policy requires."""
         count = self.drones
         return PolicyNote(TASK, count, "acceleration", 10, self.num_neighbors, fewest=count)
 
 
 class FeatureEnv(BaseParallelWrapper):  # PettingZoo has no types
-    """Observes the features of each drone's row, as the policies of this package do."""
+    """A wrapper that observes the features of each drone's row, as the included policies do."""
 
     def __init__(self, env: SwarmParallelEnv) -> None:
         super().__init__(env)
         self._num_neighbors = env.core.config.num_neighbors
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Of the features, alike for all drones."""
+        """Return the space of the features, equal for all drones."""
         width = feature_sizes(self._num_neighbors).width
         return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Float32Array], dict[str, Any]]:
-        """As the environment's."""
+        """Reset the environment."""
         rows, infos = self.env.reset(seed=seed, options=options)
         return self._features(rows), infos
 
     def step(self, actions: Mapping[str, Float32Array]) -> tuple[Any, ...]:
-        """As the environment's."""
+        """Step the environment."""
         rows, *rest = self.env.step(actions)
         return self._features(rows), *rest
 
@@ -123,23 +123,23 @@ class FeatureEnv(BaseParallelWrapper):  # PettingZoo has no types
 
 
 def make_env(options: Mapping[str, Any]) -> Any:
-    """The environment as RLlib takes it; called by name on every runner."""
+    """Return the environment for RLlib, which calls this on every runner."""
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
     return ParallelPettingZooEnv(FeatureEnv(swap_v1.parallel_env(**options)))
 
 
 def algorithm_config(config: RllibConfig) -> Any:
-    """RLlib's configuration: PPO, one module for all drones, tanh networks of our files' form."""
+    """Return RLlib's configuration: PPO, one module for all drones, tanh networks."""
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
-    flown = {"num_drones": config.drones, "layout": config.layout, "horizon_s": config.horizon_s}
-    flown |= {"interactions": config.interactions, "num_neighbors": config.num_neighbors}
-    flown |= {"action": "acceleration", "decision_rate": 10, "force_rate": 48, "physics": "batch"}
+    options = {"num_drones": config.drones, "layout": config.layout, "horizon_s": config.horizon_s}
+    options |= {"interactions": config.interactions, "num_neighbors": config.num_neighbors}
+    options |= {"action": "acceleration", "decision_rate": 10, "force_rate": 48, "physics": "batch"}
     return (
         PPOConfig()
-        .environment(ENVIRONMENT, env_config=flown)
+        .environment(ENVIRONMENT, env_config=options)
         .env_runners(num_env_runners=config.runners)
         .learners(num_learners=0)
         .training(
@@ -164,21 +164,21 @@ def algorithm_config(config: RllibConfig) -> Any:
 
 
 def actor(module: Any, width: int) -> Layers:
-    """Weights of RLlib's actor, mean of actions only, as our policy files have them.
+    """Return the layers of RLlib's actor, for the mean of actions only.
 
     Args:
-        module: RLlib's, with separate tanh encoders for actor and critic, and linear heads.
-        width: of an action; what else the head gives is its deviation.
+        module: a module with separate tanh encoders for actor and critic, and linear heads.
+        width: the width of an action; further outputs of the head are deviations.
 
     Raises:
-        ValueError: the module has layers that no policy file knows.
+        ValueError: the module has other layers.
     """
     state = {name: value.detach().cpu().numpy() for name, value in module.state_dict().items()}
     names = [n for n in state if n.startswith(("encoder.actor_encoder.", "pi."))]
     weights = [n for n in names if re.fullmatch(r".*\.net\.mlp\.\d+\.weight", n)]
     known = {n.removesuffix("weight") + part for n in weights for part in ("weight", "bias")}
     if not weights or known ^ (set(names) - {"pi.log_std_clip_param_const"}):
-        raise ValueError(f"this actor is no plain MLP: {', '.join(names)}")
+        raise ValueError(f"this actor is not a plain MLP: {', '.join(names)}")
     layers = [(state[n], state[n.removesuffix("weight") + "bias"]) for n in weights]
     *hidden, (head, bias) = layers
     return (*hidden, (head[:width], bias[:width]))
@@ -187,8 +187,8 @@ def actor(module: Any, width: int) -> Layers:
 def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
     """Train, write the policy after every batch, evaluate it at the end, and return the report.
 
-    What was written stays if the training is ended early; RLlib's own checkpoints hold pickles,
-    and are not used, so a run cannot be gone on with.
+    The last policy remains if the training is interrupted. RLlib's own checkpoints contain pickles
+    and are not used, so that a run cannot be resumed.
 
     Raises:
         BlockingIOError: another process writes into the folder.
@@ -198,7 +198,7 @@ def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
         import ray
         from ray.tune.registry import register_env
     except ImportError as error:
-        raise ImportError("this needs RLlib; install it by: pip install 'ray[rllib]'") from error
+        raise ImportError("RLlib is not installed; run: pip install 'ray[rllib]'") from error
     begun = time.monotonic()
     with claimed(config.out):
         ray.init(address=config.ray or "local", ignore_reinit_error=True, logging_level="WARNING")
@@ -217,9 +217,9 @@ def _learn(config: RllibConfig, algorithm: Any) -> Policy:
     steps, options = 0, {**asdict(config), "out": str(config.out), "trainer": "rllib-ppo"}
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc="train") as bar:
         while steps < config.steps:
-            flown = algorithm.train()["env_runners"]
-            steps = config.drones * int(flown["num_env_steps_sampled_lifetime"])
-            bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
+            result = algorithm.train()["env_runners"]
+            steps = config.drones * int(result["num_env_steps_sampled_lifetime"])
+            bar.set_postfix_str(f"return {result['episode_return_mean']:.2f}", refresh=False)
             bar.update(steps - bar.n)
             about = {"config": options, "steps": steps, "version": __version__}
             network = Network(actor(algorithm.get_module(SHARED), 3))
@@ -240,7 +240,7 @@ def _main() -> None:
     tqdm.write(f"{report['steps']:,} steps in {report['wall_s']:.0f} s")
     for name, rate in report["chosen"].items():
         tqdm.write(f"  {name}: {rate:.1%}")
-    tqdm.write(f"fly it by: swarm-envs evaluate --agent {config.out} --drones {config.drones}")
+    tqdm.write(f"evaluate it by: swarm-envs evaluate --agent {config.out} --drones {config.drones}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO with one policy for all drones, over teams that fly in one batch.
+"""Train one policy for all drones by PPO of Stable-Baselines3, with a batch of teams.
 
 pip install 'swarm-envs[train]'
 python examples/sb3_ppo.py --steps 200000
@@ -15,10 +15,10 @@ from swarm_envs.training import SharedPolicyVecEnv
 
 
 def main(arguments: list[str] | None = None) -> float:
-    """Train, and return the mean reward of an episode at the end."""
+    """Train, and return the mean episode reward at the end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=200_000, help="decisions of single drones")
-    parser.add_argument("--envs", type=int, default=64, help="teams that fly at once")
+    parser.add_argument("--envs", type=int, default=64, help="number of teams in the batch")
     given = parser.parse_args(arguments)
     env = VecMonitor(
         SharedPolicyVecEnv(

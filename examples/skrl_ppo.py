@@ -1,4 +1,4 @@
-"""skrl: PPO of a whole team as one agent, over teams that fly in one batch.
+"""Train a team as one agent by PPO of skrl, with a batch of teams.
 
 pip install 'swarm-envs[train]' skrl
 python examples/skrl_ppo.py --steps 1000
@@ -23,13 +23,13 @@ import swarm_envs  # noqa: F401  registers its environments
 
 
 def mlp(inputs: int, outputs: int) -> torch.nn.Sequential:
-    """Two hidden layers of 64, tanh between them."""
+    """Return a network with two hidden layers of 64 and tanh."""
     linear, tanh = torch.nn.Linear, torch.nn.Tanh()
     return torch.nn.Sequential(linear(inputs, 64), tanh, linear(64, 64), tanh, linear(64, outputs))
 
 
 class Actor(GaussianMixin, Model):
-    """Mean of the team's actions; their deviation is the same in every state."""
+    """The mean of the team's actions; the deviation does not depend on the state."""
 
     def __init__(self, **spaces: Any) -> None:
         Model.__init__(self, **spaces)
@@ -38,12 +38,12 @@ class Actor(GaussianMixin, Model):
         self.log_std = torch.nn.Parameter(torch.full((self.num_actions,), -0.5))
 
     def compute(self, inputs: dict[str, Any], role: str) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Of observations."""
+        """Return the mean actions for observations."""
         return self.net(inputs["observations"]), {"log_std": self.log_std}
 
 
 class Critic(DeterministicMixin, Model):
-    """Value of what the team observes."""
+    """The value of the team's observations."""
 
     def __init__(self, **spaces: Any) -> None:
         Model.__init__(self, **spaces)
@@ -51,16 +51,16 @@ class Critic(DeterministicMixin, Model):
         self.net = mlp(self.num_observations, 1)
 
     def compute(self, inputs: dict[str, Any], role: str) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Of observations."""
+        """Return the values of observations."""
         return self.net(inputs["observations"]), {}
 
 
 def main(arguments: list[str] | None = None) -> PPO:
     """Train, and return the agent."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=1_000, help="decisions of every team")
-    parser.add_argument("--envs", type=int, default=64, help="teams that fly at once")
-    parser.add_argument("--out", type=Path, default=Path("runs/skrl"), help="for event files")
+    parser.add_argument("--steps", type=int, default=1_000, help="number of decisions of each team")
+    parser.add_argument("--envs", type=int, default=64, help="number of teams in the batch")
+    parser.add_argument("--out", type=Path, default=Path("runs/skrl"), help="folder of event files")
     given = parser.parse_args(arguments)
     set_seed(0)
     env = wrap_env(

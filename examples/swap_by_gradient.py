@@ -1,11 +1,10 @@
-"""Gradient descent through the downwash: better set-points for a swap of a large and a small drone.
+"""Optimize set-points of a swap in downwash, by gradient descent through the simulation.
 
     python examples/swap_by_gradient.py
 
-The large drone flies over the small one, whose controller knows no force model: it sinks. Here a
-flight is one function of its set-points (`swarm_envs.reference`, in torch), so its gradient says
-how to change them. What is changed are bumps of the small drone's desired height; how far it is off
-is still counted from the straight line. Needs torch.
+A large drone passes above a small one, whose controller has no force model, so that it sinks. The
+simulation (`swarm_envs.reference`, in torch) is differentiable in the set-points. Descent changes
+bumps of the small drone's desired height; errors are distances from the straight line.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
 from swarm_envs.state import Setpoint
 
 TEAM = "LS"
-SPEED = 1.0 / 3.2  # m/s of each drone, half way of the swap of Neural-Swarm2, Fig. 8
-GAP, LOWEST = 0.25, 0.8  # m between both, and of the small drone over the ground
-SECONDS, BUMPS = 2.4, 12  # the drones meet after half the time
+SPEED = 1.0 / 3.2  # m/s of each drone, half the path of the swap of Neural-Swarm2, Fig. 8
+GAP, LOWEST = 0.25, 0.8  # m between both, and of the small drone above the ground
+SECONDS, BUMPS = 2.4, 12  # the large drone is above the small one after half the time
 
 
 def lines(dt: float) -> tuple[Tensor, Tensor]:
-    """Positions (steps, 2, 3), m, on straight lines across each other, and velocities (2, 3)."""
+    """Return positions (steps, 2, 3), m, on straight lines that cross, and velocities (2, 3)."""
     velocity = torch.tensor([[SPEED, 0.0, 0.0], [-SPEED, 0.0, 0.0]], dtype=torch.float64)
     time = dt * torch.arange(round(SECONDS / dt), dtype=torch.float64) - SECONDS / 2
     height = torch.tensor([[0.0, 0.0, LOWEST + GAP], [0.0, 0.0, LOWEST]], dtype=torch.float64)
@@ -34,7 +33,7 @@ def lines(dt: float) -> tuple[Tensor, Tensor]:
 
 
 def bumps(dt: float) -> Tensor:
-    """Bumps in time (3, steps, BUMPS): their values, and first and second derivatives."""
+    """Return bumps in time (3, steps, BUMPS): values, first and second derivatives."""
     time = dt * torch.arange(round(SECONDS / dt), dtype=torch.float64)
     width = SECONDS / BUMPS
     u = (time[:, None] - width * (0.5 + torch.arange(BUMPS))) / width
@@ -43,12 +42,12 @@ def bumps(dt: float) -> Tensor:
 
 
 def height_errors(sizes: Tensor, dt: float) -> Tensor:
-    """Height of the small drone over its line (steps,), m, for sizes (BUMPS,) of the bumps, m."""
+    """Return height errors of the small drone (steps,), m, for sizes (BUMPS,) of bumps, m."""
     line, speed = lines(dt)
     body, gains = bodies_of(TEAM, torch), gains_of(dt=dt, xp=torch)
     air = partial(learned, air=air_of("learned", TEAM, torch))
     up = torch.zeros(2, 3, dtype=torch.float64)
-    up[1, 2] = 1.0  # of the small drone alone
+    up[1, 2] = 1.0  # only the small drone
     p, v, a = ((bumps(dt) @ sizes)[:, :, None, None] * up).unbind()
     still, none = torch.zeros(2, 3, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
     state, heights = hovering(line[0], body)._replace(velocity=speed), []
@@ -60,7 +59,7 @@ def height_errors(sizes: Tensor, dt: float) -> Tensor:
 
 
 def worst_cm(sizes: Tensor, dt: float) -> float:
-    """Worst height error, cm."""
+    """Return the worst height error, cm."""
     with torch.no_grad():
         return float(100.0 * height_errors(sizes, dt).abs().max())
 

@@ -1,4 +1,4 @@
-"""TorchRL: PPO with a shared actor, and a critic that sees what all drones see (MAPPO).
+"""Train a shared actor and a centralized critic by MAPPO of TorchRL.
 
 pip install 'swarm-envs[train]' torchrl
 python examples/torchrl_mappo.py --steps 20000
@@ -22,14 +22,14 @@ GROUP = "drone"
 OBSERVATION, ACTION, VALUE = (GROUP, "observation"), (GROUP, "action"), (GROUP, "state_value")
 
 
-def network(env: PettingZooWrapper, outputs: int, centralised: bool) -> MultiAgentMLP:
-    """An MLP for every drone, with the same weights."""
+def network(env: PettingZooWrapper, outputs: int, centralized: bool) -> MultiAgentMLP:
+    """Return an MLP for every drone, with shared weights."""
     drones, width = env.observation_spec[OBSERVATION].shape
     return MultiAgentMLP(
         width,
         outputs,
         n_agents=drones,
-        centralized=centralised,
+        centralized=centralized,
         share_params=True,
         depth=2,
         num_cells=64,
@@ -38,7 +38,7 @@ def network(env: PettingZooWrapper, outputs: int, centralised: bool) -> MultiAge
 
 
 def actor_of(env: PettingZooWrapper) -> ProbabilisticActor:
-    """Means and deviations of actions, from what each drone observes itself."""
+    """Return the actor: means and deviations of actions from each drone's own observation."""
     width = env.full_action_spec[ACTION].shape[-1]
     net = torch.nn.Sequential(network(env, 2 * width, False), NormalParamExtractor())
     parameters = [(GROUP, "loc"), (GROUP, "scale")]
@@ -54,7 +54,7 @@ def actor_of(env: PettingZooWrapper) -> ProbabilisticActor:
 
 
 def loss_of(env: PettingZooWrapper, actor: ProbabilisticActor) -> ClipPPOLoss:
-    """PPO's loss, with keys and a horizon for a team."""
+    """Return PPO's loss, with the keys of a team."""
     critic = TensorDictModule(network(env, 1, True), in_keys=[OBSERVATION], out_keys=[VALUE])
     loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=1e-3)
     loss.set_keys(
@@ -70,10 +70,12 @@ def loss_of(env: PettingZooWrapper, actor: ProbabilisticActor) -> ClipPPOLoss:
 
 
 def main(arguments: list[str] | None = None) -> list[float]:
-    """Train, and return the mean reward of a drone's decision in every batch."""
+    """Train, and return the mean reward of a decision in every batch."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=20_000, help="decisions of the team")
-    parser.add_argument("--batch", type=int, default=1_000, help="of them between two updates")
+    parser.add_argument("--steps", type=int, default=20_000, help="number of team decisions")
+    parser.add_argument(
+        "--batch", type=int, default=1_000, help="team decisions between two updates"
+    )
     given = parser.parse_args(arguments)
     torch.manual_seed(0)
     env = PettingZooWrapper(

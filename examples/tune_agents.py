@@ -1,14 +1,14 @@
-"""Tune scripted agents on seeds that no benchmark flies.
+"""Tune the parameters of scripted agents by random search, on other seeds than the benchmark.
 
     python -m examples.tune_agents --agent roundabout --trials 60 --out tune.jsonl
     python -m examples.tune_agents --agent downwash-aware --task air-sprint-8-v3 --out sprint.jsonl
 
-Each trial changes some numbers of the best candidate so far and flies it, every candidate on the
-same seeds; the better one stays. `fast-line`, `orca` and `roundabout` fly random and circular swaps
-of 4 to 32 drones, the others the benchmark's family *air*. A trial is a line of the file. Killed,
-the same command resumes, with the same result. What is found is printed; to use it in the shipped
-agent, write it into `TUNED` of `swarm_envs.agents.avoiding`, or of the module `downwash` beside the
-tracking agents.
+Each trial changes some numbers of the best candidate and evaluates it, every candidate on the same
+seeds. The cases of `fast-line`, `orca` and `roundabout` are random and circular swaps of 4 to 32
+drones, those of the others the *air* tasks of the benchmark. A trial is a line of the file. The
+same command resumes an interrupted run, with the same result. The script prints the best numbers;
+those of the included agents are in `TUNED` of `swarm_envs.agents.avoiding` and
+`swarm_envs.baselines.neural_swarm.downwash`.
 """
 
 from __future__ import annotations
@@ -33,56 +33,56 @@ from swarm_envs.training.scoreboard.tasks import choose_tasks, make_scored
 
 Candidate = avoiding.Avoidance | downwash.DownwashSettings
 TUNED: Mapping[str, Candidate] = {**avoiding.TUNED, **downwash.TUNED}
-"""What can be tuned, by the agent's name."""
+"""The initial candidates, by the name of the agent."""
 
 
 class Case(NamedTuple):
-    """What a candidate flies."""
+    """An environment in which candidates are evaluated."""
 
     name: str
-    """Of the case."""
+    """The name of the case."""
     environment: str
-    """First argument of `swarm_envs.make`."""
+    """The first argument of `swarm_envs.make`."""
     setting: Mapping[str, Any]
-    """Options of the environment."""
+    """The options of the environment."""
 
 
 _CLOCK_S = 12.0
 _SWAPS = (("random", 4), ("random", 8), ("random", 16), ("random", 32), ("circle", 4),
           ("circle", 8), ("circle", 12), ("circle", 16))  # fmt: skip
 _SPREAD = 0.2
-"""Standard deviation of the logarithm of what a number is multiplied by."""
+"""The standard deviation of the logarithm of the factor of a number."""
 _OF_TIME, _OF_NEAR_MISSES = 0.02, 0.2
-"""What a second and a share of near misses cost, as shares of success."""
+"""The costs of a second and of a share of near misses, as shares of success."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TuneOptions:
-    """Tune an agent's numbers by trying others near the best that is known."""
+    """Tune the numbers of an agent by random search around the best candidate."""
 
     agent: str
     """one of `fast-line`, `orca`, `roundabout`, `pid`, `pid+adaptive`, `downwash-aware`,
     `heavy-on-top`"""
     out: Path
-    """file of the trials, a line of JSON each"""
+    """file of the trials, one line of JSON for each"""
     task: list[str] = field(default_factory=list)
-    """tasks of the benchmark, ids or quoted patterns, to be flown in place of the usual cases"""
+    """tasks of the benchmark, ids or quoted patterns, in place of the usual cases"""
     trials: int = 60
-    """candidates, the shipped one first"""
+    """number of candidates; the first is that of the package"""
     episodes: int = 64
-    """of each case"""
+    """number of episodes of each case"""
     seed: int = 515
-    """of the episodes and the candidates; the benchmark's is another"""
+    """random seed of the episodes and the candidates, other than that of the benchmark"""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise an error for invalid values."""
         check_integer("--trials", self.trials, at_least=1)
         check_integer("--episodes", self.episodes, at_least=1)
         check_integer("--seed", self.seed, at_least=0)
 
 
 def cases_of(agent: str, tasks: Sequence[str] = ()) -> list[Case]:
-    """What an agent is tuned on: tasks of the benchmark, or swaps of 4 to 32 drones."""
+    """Return the cases of an agent: tasks of the benchmark, or swaps of 4 to 32 drones."""
     if agent in downwash.TUNED or tasks:
         usual = ["air-stack-*"] if agent == "heavy-on-top" else ["air-sprint-*", "air-delivery-*"]
         chosen = choose_tasks(tasks or usual)
@@ -95,7 +95,7 @@ def cases_of(agent: str, tasks: Sequence[str] = ()) -> list[Case]:
 
 
 def value_of(candidate: Candidate, seeds: Sequence[int], cases: Sequence[Case]) -> float:
-    """Mean over cases: success, less near misses and the time that successes take."""
+    """Return the mean over cases of success minus the costs of near misses and time."""
     return float(np.mean([_value(candidate, seeds, case) for case in cases]))
 
 
@@ -103,19 +103,19 @@ def _value(candidate: Candidate, seeds: Sequence[int], case: Case) -> float:
     agent = candidate.agent()
     env = make_scored(case.environment, {**case.setting, **agent.requires})
     try:
-        flown = [each["metrics"] for each in evaluate_agent(env, agent, seeds, timed=0)]
+        metrics = [each["metrics"] for each in evaluate_agent(env, agent, seeds, timed=0)]
     except AgentRefused:
         return -_OF_TIME * env.view.horizon_s
     finally:
         env.close()
-    won = [m["time_to_goal_s"] or m["length_s"] for m in flown if m["success"]]
-    near = sum(m["near_misses"] > 0 for m in flown)
+    won = [m["time_to_goal_s"] or m["length_s"] for m in metrics if m["success"]]
+    near = sum(m["near_misses"] > 0 for m in metrics)
     took = float(np.mean(won)) if won else env.view.horizon_s
-    return (len(won) - _OF_NEAR_MISSES * near) / len(flown) - _OF_TIME * took
+    return (len(won) - _OF_NEAR_MISSES * near) / len(metrics) - _OF_TIME * took
 
 
 def numbers_of(candidate: Any) -> dict[str, Any]:
-    """All numbers of a candidate by name, and by part; switches and counts are left alone."""
+    """Return the floats of a candidate by name, nested by part."""
     values = {f.name: getattr(candidate, f.name) for f in dataclasses.fields(candidate)}
     return {
         name: numbers_of(value) if dataclasses.is_dataclass(value) else value
@@ -125,7 +125,7 @@ def numbers_of(candidate: Any) -> dict[str, Any]:
 
 
 def with_numbers(candidate: Any, numbers: Mapping[str, Any]) -> Any:
-    """A candidate with other numbers.
+    """Return a candidate with other numbers.
 
     Raises:
         ValueError: a number is out of its range.
@@ -138,7 +138,7 @@ def with_numbers(candidate: Any, numbers: Mapping[str, Any]) -> Any:
 
 
 def neighbor_of(candidate: Candidate, rng: np.random.Generator) -> Candidate:
-    """A candidate some of whose numbers are others."""
+    """Return a candidate with some numbers changed at random."""
 
     def changed(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -152,15 +152,15 @@ def neighbor_of(candidate: Candidate, rng: np.random.Generator) -> Candidate:
             other: Candidate = with_numbers(candidate, changed(numbers_of(candidate)))
             return other
         except ValueError:
-            continue  # out of range: draw again
+            continue  # Out of range: sample again
 
 
 def tune_agent(options: TuneOptions) -> tuple[Candidate, float]:
-    """Try candidates and give the best one, with its value; lines of the file are not flown again.
+    """Evaluate candidates, except those in the file, and return the best one with its value.
 
     Raises:
-        KeyError: no such agent is tuned.
-        ValueError: the file holds what no run of this function wrote.
+        KeyError: the agent has no numbers to tune.
+        ValueError: the file is of another tuning.
     """
     best, highest = TUNED[options.agent], -np.inf
     seeds, cases = (
@@ -188,7 +188,7 @@ def tune_agent(options: TuneOptions) -> tuple[Candidate, float]:
 
 
 def _known(path: Path) -> list[dict[str, Any]]:
-    """The whole lines of a file; what was being written when a run was killed is cut off."""
+    """Return the complete lines of a file, and cut off an incomplete last one."""
     if not path.is_file():
         return []
     text = path.read_text(encoding="utf-8")

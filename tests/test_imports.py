@@ -1,4 +1,4 @@
-"""Tests of what an import loads and refuses, and of the names that examples import.
+"""Tests of what an import loads and refuses, of the names that examples import, and of benchmarks.
 
 Which module may import which is checked by import-linter (`make lint`).
 """
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.helpers.sources import OUTER, ROOT, SOURCES
+from tests.helpers.sources import OUTER, ROOT, SOURCES, files_below
 
 
 def python(script: str) -> subprocess.CompletedProcess[str]:
@@ -76,6 +76,12 @@ def test_examples_import_only_public_names():
         for module, name in imported(text):
             listed = getattr(importlib.import_module(module), "__all__", ())
             assert name in listed or f"{module}.{name}" in SOURCES, f"{place}: {module}.{name}"
+
+
+@pytest.mark.parametrize("name", [file.stem for file in files_below(ROOT / "benchmarks", "*.py")])
+def test_a_benchmark_imports(name):
+    """How fast anything is, no test measures."""
+    assert importlib.import_module(f"benchmarks.{name}").__doc__
 
 
 def test_every_task_flies_without_docstrings():

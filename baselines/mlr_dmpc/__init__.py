@@ -1,6 +1,6 @@
-"""MLR-DMPC (Gräfe et al., DMPC-Swarm): distributed MPC that never collides, whatever is lost.
+"""MLR-DMPC (Gräfe et al., DMPC-Swarm): distributed MPC that avoids collisions despite message loss.
 
-Lemmas L1 to L11 and theorems T1 to T3 are those of docs/mlr-dmpc/proof.md; without a letter they
+Lemmas L1 to L11 and theorems T1 to T3 are those of docs/mlr-dmpc/proof.md; those without a letter
 are the paper's.
 """
 

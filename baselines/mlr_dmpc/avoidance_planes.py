@@ -1,14 +1,15 @@
-"""Half-spaces that a plan keeps to: buffered Voronoi planes between drones, planes of obstacles.
+"""Half-spaces that contain a plan: buffered Voronoi planes between drones, planes of obstacles.
 
-Obstacles (boxes and columns) are convex. The plane through the nearest point of one, across the way
-to it, has all of it behind; a plan that stays `margin` before the plane stays that far off the
-obstacle. The present plan, `margin` off or more at every sample, satisfies its own planes: as for
-other drones, it stays feasible when it is shifted (Theorem T1, planes in place of trajectories).
+Obstacles (boxes and columns) are convex. The plane through the nearest point of one, normal to the
+direction to it, has all of it behind; a plan that stays `margin` in front of the plane stays that
+far from the obstacle. The present plan, at least `margin` away at every sample, satisfies its own
+planes: as for other drones, it stays feasible when it is shifted (Theorem T1, with planes instead
+of trajectories).
 
-Of obstacles nothing is checked between samples: at speed v a drone moves v T_c / 2 from the nearer
-one, so the margin should contain that in addition to the drone's radius, or T_c be finer.
+Obstacles are not checked between samples: at speed v a drone moves v T_c / 2 from the nearer one,
+so the margin should contain that in addition to the drone's radius, or T_c be finer.
 
-Half-spaces out of reach within the horizon are left out. Every plan that satisfies (13b)-(13e) lies
+Half-spaces out of reach within the horizon are omitted. Every plan that satisfies (13b)-(13e) lies
 in the boxes of `reachable_boxes` at the samples:
 
 - The acceleration a of an axis is linear between knots, dt apart, so the jerk j gives
@@ -21,12 +22,11 @@ in the boxes of `reachable_boxes` at the samples:
   bounds bound it, forward and backward from the box.
 
 A half-space normal . p >= offset that holds at the worst corner of the box thus holds for every
-plan: it cannot bind, and leaving it out changes nothing. The plane of eq. (15) lies between the
-plan p0 that is flown and the known trajectory q of the other, its normal within an angle alpha of
-Theta^-1 (p0 - q). So it holds for every q with |Theta^-1 (q - p0)| cos alpha >= d + r (d + 2 r if
-the other may be replanned), where r is the largest |Theta^-1 (p - p0)| of p in the box: a
-drone that cannot come within reach costs no row. Each candidate of a drone has its own rows; each
-is tested.
+plan: it cannot bind and can be omitted. The plane of eq. (15) lies between the present plan p0 and
+the known trajectory q of the other drone, its normal within an angle alpha of Theta^-1 (p0 - q). So
+it holds for every q with |Theta^-1 (q - p0)| cos alpha >= d + r (d + 2 r if the other may be
+replanned), where r is the largest |Theta^-1 (p - p0)| of p in the box: a drone that cannot come
+within reach costs no row. Each candidate of a drone has its own rows, which are tested separately.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ from swarm_envs.physics.contact import nearest_point
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 SPARE_M = 2e-6
-"""Rows keep this much more than the distance, m: what tolerances may take from a pair."""
-ROW_MARGIN = 1e-5  # Rows are built for this much more again, m: room for the solver's tolerance
+"""The margin of rows beyond the distance, m, for the tolerances of two drones."""
+ROW_MARGIN = 1e-5  # A further margin of rows as they are solved, m, for the solver's tolerance
 
 
 class Neighbors(NamedTuple):
     """Every candidate trajectory of every other drone, at the collision samples of a plan."""
 
-    positions: FloatArray  # (C, S, 3) at t + T_c, t + 2 T_c, ... for a plan that starts at t, m.
-    drone: IntArray  # (C,) whose trajectory it is
-    concurrent: BoolArray  # (C,) whether that drone may be replanned in the same round
+    positions: FloatArray  # (C, S, 3) at t + T_c, t + 2 T_c, ... for a plan that starts at t, m
+    drone: IntArray  # (C,) the drone of each trajectory
+    concurrent: BoolArray  # (C,) True if that drone may be replanned in the same round
 
     def some(self, kept: BoolArray | IntArray) -> Neighbors:
-        """Those of a mask (C,) or of indices."""
+        """Return the trajectories of a mask (C,) or of indices."""
         return Neighbors(self.positions[kept], self.drone[kept], self.concurrent[kept])
 
 
@@ -68,17 +68,17 @@ class HalfSpaces(NamedTuple):
 
 
 def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig) -> HalfSpaces:
-    """Half-spaces (C, S) (15) between a drone's plan (S, 3), m, and the trajectories of others.
+    """Return half-spaces (C, S), (15), between a drone's plan (S, 3), m, and others' trajectories.
 
-    A drone that may be replanned gives half of the gap, one that is not gives all of it. Normals
-    are divided by Theta: they are for points in metres.
+    The plan gets half of the gap to a drone that may be replanned, and all of the gap to another.
+    Normals are divided by Theta: they are for points in meters.
 
     Planes are turned about the vertical by up to `turn_rad`, so that each drone has more room on
-    its right: the weights of Appendix B alone leave two drones that meet head on where they are.
-    Any unit normal proves Lemma L3. For Corollary 1 of the paper both drones need one plane: the
-    turn depends on the gap alone, which is the same for both, and so is its sense. For Theorem T1
-    the present plan must satisfy its rows: along the turned normal the gap stays above the distance
-    kept, since the turn is at most `turn_share` of where it would not.
+    its right: with the weights of Appendix B alone, two drones that approach head-on get stuck. Any
+    unit normal proves Lemma L3. For Corollary 1 of the paper both drones need the same plane: the
+    turn and its sense depend only on the gap, which is the same for both. For Theorem T1 the
+    present plan must satisfy its rows: the gap along the turned normal stays above the distance,
+    since the turn is at most `turn_share` of the angle at which it would not.
     """
     return HalfSpaces(
         *_voronoi_planes(
@@ -130,7 +130,7 @@ def _voronoi_planes(
 
 @kernel
 def _turn(normal: FloatArray, least_gap: float, turn: float, share: float) -> None:
-    """Turn a unit normal (3,) about the vertical; `least_gap` of the gap must be left along it."""
+    """Turn a unit normal (3,) about the vertical, keeping `least_gap` of the gap along it."""
     level = normal[0] ** 2 + normal[1] ** 2
     least = (least_gap - normal[2] ** 2) / max(level, 1e-12)
     angle = min(turn, share * math.acos(max(min(least, 1.0), -1.0)))
@@ -142,11 +142,11 @@ def _turn(normal: FloatArray, least_gap: float, turn: float, share: float) -> No
 def obstacle_planes(
     own: Trajectory, start_round: int, rows: FloatArray, margin_m: float, config: MlrDmpcConfig
 ) -> HalfSpaces:
-    """Half-spaces (M, S) that keep a plan from the start of a round on off obstacles.
+    """Return half-spaces (M, S) that keep a plan from the start of a round on off obstacles.
 
-    `rows` (M, 7) are those of `swarm_envs.tasks.obstacles.obstacle_rows`. The drone's centre stays
-    `margin_m` off, not scaled by Theta; what it flies must be outside of every obstacle at every
-    sample.
+    `rows` (M, 7) are those of `swarm_envs.tasks.obstacles.obstacle_rows`. The drone's center stays
+    `margin_m` away, not scaled by Theta. The present trajectory must be outside of every obstacle
+    at every sample.
     """
     since = config.round_s * (start_round - own.identity.start_round)
     positions = own.positions(since + condensed(config).collision_times)
@@ -156,7 +156,7 @@ def obstacle_planes(
         obstacle, sample = np.argwhere(~(distance > 0.0))[0]
         raise ValueError(
             f"the trajectory is inside obstacle {obstacle} at {positions[sample].round(3)} m; "
-            "start outside, and keep planes of all obstacles in every plan"
+            "start outside, and use the planes of all obstacles in every plan"
         )
     normals = -offsets / distance[..., None]
     along = np.einsum("rsi,rsi->rs", normals, positions + offsets)
@@ -165,7 +165,7 @@ def obstacle_planes(
 
 @kernel
 def _nearest(rows: FloatArray, positions: FloatArray) -> FloatArray:
-    """(M, S, 3) from positions (S, 3) to the nearest points of obstacles (M, 7), m."""
+    """Return vectors (M, S, 3), m, from positions (S, 3) to the nearest points of obstacles."""
     out = np.empty((rows.shape[0], positions.shape[0], 3))
     for m in range(rows.shape[0]):
         for s in range(positions.shape[0]):
@@ -177,15 +177,15 @@ def _nearest(rows: FloatArray, positions: FloatArray) -> FloatArray:
 def soft_weights(
     end: FloatArray, target: FloatArray, others: FloatArray, config: MlrDmpcConfig
 ) -> FloatArray:
-    """Weights (C,) of the soft margins to others whose plans end at (C, 3) (Appendix B), 1/m^2.
+    """Return weights (C,) of the soft margins to others' ends (C, 3) (Appendix B), 1/m^2.
 
-    A large weight holds the margin open. It grows with the sine of the signed angle from the way of
-    the own end (3,) to the target (3,) to that to the other's end, counter-clockwise as seen from
-    above, hence for others on the left; the paper's "to the right" is a slip.
+    A large weight keeps the margin wide. It grows with the sine of the angle from the direction to
+    the target (3,), at the own end (3,), to that to the other's end, counter-clockwise as seen from
+    above. It is thus larger for others on the left; the paper's "to the right" is an error.
     """
-    way, aside = (target - end)[:2], (others - end)[:, :2]
-    cross = way[0] * aside[:, 1] - way[1] * aside[:, 0]
-    lengths = np.hypot(way[0], way[1]) * np.hypot(aside[:, 0], aside[:, 1])
+    ahead, aside = (target - end)[:2], (others - end)[:, :2]
+    cross = ahead[0] * aside[:, 1] - ahead[1] * aside[:, 0]
+    lengths = np.hypot(ahead[0], ahead[1]) * np.hypot(aside[:, 0], aside[:, 1])
     weight = config.soft_weight * np.exp(config.soft_turn * cross / np.maximum(lengths, 1e-9))
     near = np.linalg.norm(target - end) < config.soft_near_m
     return weight * (config.soft_near_factor if near else 1.0)
@@ -197,10 +197,10 @@ _SLOP = 1e-6
 def reachable_boxes(
     state: FloatArray, lower: FloatArray, upper: FloatArray, config: MlrDmpcConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Boxes (S, 3), lower and upper corners, that hold a drone at the collision samples, m.
+    """Return the lower and upper corners (S, 3) of the reachable boxes at collision samples, m.
 
-    From a state (3, 3) within bounds (3 h_b + h_s, 3): position, velocity, acceleration at state
-    samples, jerk.
+    `state` (3, 3) is the first state; `lower` and `upper` (3 h_b + h_s, 3) bound position, velocity
+    and acceleration at the state samples, and the jerks.
     """
     steps = (config.input_sampling_s, config.state_sampling_s, config.collision_sampling_s)
     counts = (config.num_inputs, config.num_states, config.num_samples)
@@ -213,7 +213,7 @@ def reachable_boxes(
 def out_of_reach(
     low: FloatArray, high: FloatArray, normals: FloatArray, offsets: FloatArray
 ) -> BoolArray:
-    """(R, S) whether normal . p >= offset for all p of the box (S, 3) at that sample."""
+    """Return (R, S) True if normal . p >= offset for all p of the box (S, 3) at that sample."""
     out: BoolArray = np.empty(offsets.shape, dtype=np.bool_)
     for r in range(offsets.shape[0]):
         for s in range(offsets.shape[1]):
@@ -233,7 +233,7 @@ def _highest(
     steps: tuple[float, float, float],
     counts: tuple[int, int, int],
 ) -> FloatArray:
-    """(S, 3) upper corners of `reachable_boxes`; for the lower ones, everything is mirrored."""
+    """Return upper corners (S, 3) of `reachable_boxes`; lower ones follow by mirroring."""
     dt, inputs, states = steps[0], counts[0], counts[1]
     p = np.full((inputs + 1, 3), np.inf)
     v, a = p.copy(), p.copy()
@@ -263,11 +263,11 @@ def _highest(
             v[k, i] = min(v[k, i], v[k + 1, i] - loss)
             v_low[k, i] = max(v_low[k, i], v_low[k + 1, i] - gain)
         for k in range(inputs):
-            way = dt * (v[k, i] + dt * (a[k, i] / 3 + a[k + 1, i] / 6))
-            p[k + 1, i] = min(p[k + 1, i], p[k, i] + way)
+            step = dt * (v[k, i] + dt * (a[k, i] / 3 + a[k + 1, i] / 6))
+            p[k + 1, i] = min(p[k + 1, i], p[k, i] + step)
         for k in range(inputs - 1, -1, -1):
-            way = dt * (v_low[k, i] + dt * (a_low[k, i] / 3 + a_low[k + 1, i] / 6))
-            p[k, i] = min(p[k, i], p[k + 1, i] - way)
+            step = dt * (v_low[k, i] + dt * (a_low[k, i] / 3 + a_low[k + 1, i] / 6))
+            p[k, i] = min(p[k, i], p[k + 1, i] - step)
     return _between(p, v, a, dt, steps[2], counts[2])
 
 
@@ -275,7 +275,7 @@ def _highest(
 def _between(
     p: FloatArray, v: FloatArray, a: FloatArray, dt: float, sampling: float, samples: int
 ) -> FloatArray:
-    """(S, 3) highest positions at the collision samples, by highest knots."""
+    """Return the highest positions (S, 3) at the collision samples from those at the knots."""
     out = np.empty((samples, 3))
     for s in range(samples):
         time = (s + 1) * sampling

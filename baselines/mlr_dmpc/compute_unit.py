@@ -1,4 +1,4 @@
-"""A compute unit that keeps planning whatever the radio loses."""
+"""A compute unit that keeps planning despite message loss."""
 
 from __future__ import annotations
 
@@ -47,25 +47,25 @@ _CONTRADICTION = 1e-6
 
 @dataclass
 class UnitRound:
-    """What a unit did in a round, for the statistics."""
+    """The activity of a unit in a round, for the statistics."""
 
-    unit: int  # Who
-    doing: str = "idle"  # `planned`, or why not: `donated`, `unknown selection`, `not assigned`, ..
-    drone: int = NONE  # Whom it planned for
+    unit: int
+    doing: str = "idle"  # `planned`, or the reason against it, such as `donated` or `not assigned`
+    drone: int = NONE  # The drone it planned for
     planned: Planned | None = None  # The plan, accepted or not
     given_up: bool = False
-    """Whether a drone gave up its reference lately, so that nothing is promised."""
+    """True if a drone gave up its reference lately, so that nothing is guaranteed."""
 
 
 @dataclass
 class ComputeUnit:
-    """Our recovery: plans when what it knows is enough. Starts, or comes back, in round `since`."""
+    """A unit with this package's recovery, which plans as soon as its information suffices."""
 
     information: SwarmInformation
     planner: Planner
     codec: Codec
-    since: int = 0
-    report: UnitRound = field(init=False)  # What the unit did in the last round
+    since: int = 0  # The round in which it starts, or comes back
+    report: UnitRound = field(init=False)  # The unit's activity in the last round
     _recent: tuple[int, ...] = (UNSURE,) * RECENT
     _sent: UnitMessage | None = None
     _granted: dict[int, int] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class ComputeUnit:
             self._recent = (NONE,) * RECENT
 
     def step(self, inbox: Inbox[UnitMessage] | None, round_: int) -> UnitMessage | None:
-        """The message of round k, if the slot is not given away, after what was heard in k - 1."""
+        """Return the message of round k, or None (slot given away), from the messages of k - 1."""
         info = self.information
         self.report = UnitRound(info.unit)
         if inbox is not None:
@@ -103,24 +103,24 @@ class ComputeUnit:
     def _completed(
         self, message: UnitMessage, own: Levels, round_: int, lacking: list[Missing], complete: bool
     ) -> UnitMessage:
-        wanted = sorted(lacking, key=self._request_order)[:3]
+        requested = sorted(lacking, key=self._request_order)[:3]
         message = message._replace(
             recent=self._recent,
             current=self.information.selection(round_),
-            missing=tuple(wanted),
-            complete=complete and len(lacking) <= len(wanted),
+            missing=tuple(requested),
+            complete=complete and len(lacking) <= len(requested),
             members=self.information.membership.announced(round_),
         )
         order = [(i, int(own[i])) for i in rank_by_priority(own, round_) if own[i] > JUST_PLANNED]
         return self.codec.filled(message, order)
 
     def _request_order(self, missing: Missing) -> tuple[bool, bool, int]:
-        """Order of requests: what stood in the way, what is surely flown, then by turns."""
+        """Return a request's sort key: first if it prevented a plan, then if confirmed."""
         turn = (missing.drone + 5 * self.information.unit) % len(self.information.targets)
         return missing.drone not in self._in_the_way, not self._confirmed_missing(missing), turn
 
     def _confirmed_missing(self, missing: Missing) -> bool:
-        """Return whether a message of the drone has named the missing trajectory as flown."""
+        """Return True if a message of the drone has named the missing trajectory as flown."""
         confirmed = self.information.trackers.confirmed[missing.drone]
         return bool(missing.identity.start_round <= confirmed)
 
@@ -138,7 +138,7 @@ class ComputeUnit:
         return own
 
     def _lead(self, own: Levels, round_: int) -> tuple[int, ...] | None:
-        """The drones of the next round, where this unit says which they are."""
+        """Return the selected drones of the next round if this unit is the leader."""
         info = self.information
         view = info.view
         if not info.membership.member or view.leader(round_) != info.unit:
@@ -158,7 +158,7 @@ class ComputeUnit:
     def _carry(
         self, round_: int, selection: tuple[int, ...] | None, lacking: list[Missing]
     ) -> UnitMessage:
-        """A plan if possible, else what another asks for, else nothing; asks if need be."""
+        """Return a plan if possible, else a requested trajectory, else an empty message."""
         info = self.information
         message = UnitMessage(
             MessageKind.EMPTY, round_, info.unit, info.view.id, selection=selection
@@ -180,20 +180,20 @@ class ComputeUnit:
         return with_relay(info, message)
 
     def _grant(self, lacking: list[Missing], round_: int) -> None:
-        """Give the next slots to drones, if so much is lacking that others cannot pass it on."""
+        """Give the next slots to drones if more is lacking than units can relay."""
         info = self.information
-        asked = {drone for (_, r), drone in info.donated.items() if r > round_}
-        wanted = [m.drone for m in lacking if self._confirmed_missing(m)]
+        granted = {drone for (_, r), drone in info.donated.items() if r > round_}
+        needed = [m.drone for m in lacking if self._confirmed_missing(m)]
         plans = any(message.kind is MessageKind.PLAN for message in info.reported.values())
-        if len(wanted) <= len(info.view.units) and (plans or self._recent[0] != NONE):
+        if len(needed) <= len(info.view.units) and (plans or self._recent[0] != NONE):
             return
-        wanted = [drone for drone in wanted if drone not in asked]
-        turn = info.unit * len(wanted) // max(len(info.view.units), 1)
-        for ahead, drone in enumerate([*wanted[turn:], *wanted[:turn]][:3], start=1):
+        needed = [drone for drone in needed if drone not in granted]
+        turn = info.unit * len(needed) // max(len(info.view.units), 1)
+        for ahead, drone in enumerate([*needed[turn:], *needed[:turn]][:3], start=1):
             self._granted[round_ + ahead] = drone
 
     def _plan(self, round_: int) -> Planned | None:
-        """Plan for the assigned drone, if what is known is enough."""
+        """Plan for the assigned drone if the information suffices."""
         info, report = self.information, self.report
         self._in_the_way = []
         report.doing = self._obstacle_to_planning(round_)
@@ -229,7 +229,7 @@ class ComputeUnit:
         return report.planned
 
     def _listening(self, round_: int) -> bool:
-        """Whether the slot may still be given away from before the unit crashed."""
+        """Return True if the unit may have given this slot away before it crashed."""
         return self.since > 0 and round_ < self.since + LISTENING_ROUNDS
 
     def _obstacle_to_planning(self, round_: int) -> str:
@@ -251,11 +251,11 @@ class ComputeUnit:
     def _possible(
         self, drone: int, own: Trajectory, others: BoolArray, chosen: tuple[int, ...], round_: int
     ) -> Neighbors | None:
-        """Trajectories of others (N,) that can be true; None if a joining drone must wait.
+        """Return possible trajectories of others (N,); None if a joining drone must wait.
 
-        What is flown keeps its distance, so whatever does not keep it from what this drone surely
-        flies is not flown. A drone that is not in the air yet proves nothing. It is from t(k+1) on,
-        a sample before those of its plan.
+        Flown trajectories keep their distance, so candidates that come too close to this drone's
+        certain trajectory are not flown. A drone that is not airborne yet excludes none. It is
+        airborne from t(k+1) on, a sample before those of its plan.
         """
         info, start, config = self.information, round_ + 1, self._config
         least = config.sampled_distance_m - _CONTRADICTION

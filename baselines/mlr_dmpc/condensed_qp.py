@@ -1,8 +1,8 @@
-"""Plans as linear functions of few variables, and the solver of the quadratic programs in them.
+"""Plans as linear functions of few variables, and the solver of their quadratic programs.
 
-Each axis is a triple integrator with 15 jerks, of which two are spent on the rest at the end (13e),
-and one on a last jerk of zero, as in the public simulation. The other twelve are scaled so that the
-quadratic part of the cost is half their squared length. So DAQP solves min |y|^2 / 2 + slope . y,
+Each axis is a triple integrator with 15 jerks. Two of them are fixed by the rest at the end (13e),
+and the last is zero, as in the public simulation. The other twelve are scaled so that the quadratic
+part of the cost is half their squared length. DAQP thus solves min |y|^2 / 2 + slope . y subject to
 matrix @ y >= bound.
 """
 
@@ -22,32 +22,32 @@ __all__ = ["solve_qp"]
 
 @dataclass(frozen=True, eq=False)
 class _Affine:
-    """Of one axis: `start` (K, 3) times its first state plus `free` (K, n) times variables z."""
+    """An affine function of one axis: `start` @ (its first state) + `free` @ (its variables z)."""
 
     start: FloatArray  # (K, 3) by position, velocity and acceleration at the start
     free: FloatArray  # (K, n) by the variables
 
     def at(self, state: FloatArray, z: FloatArray) -> FloatArray:
-        """Values (K, 3) for a state (3, 3), rows by derivative, and variables (n, 3) by axis."""
+        """Return values (K, 3) at a state (3, 3), rows by derivative, and variables (n, 3)."""
         return self.start @ state + self.free @ z
 
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """What of the optimisation (13) depends on the parameters alone.
+    """The part of the optimization (13) that depends on the parameters alone.
 
-    The cost of an axis is |z|^2 / 2 + (gradient @ offset) z, where offset is the first state with
-    the target taken off its position.
+    The cost of an axis is |z|^2 / 2 + (gradient @ offset) z, where offset is the first state minus
+    the target's position.
     """
 
     positions: _Affine  # At the collision samples, m
     bounded: _Affine
-    """Position, velocity and acceleration at the state samples, then jerks: what is bounded."""
+    """The bounded quantities: position, velocity and acceleration at the state samples, jerks."""
     jerks: _Affine  # Of each interval, m/s^3
     jerks_inverse: FloatArray  # (n, h_s) variables by jerks that end at rest
     gradient: FloatArray  # (n, 3) slope of the cost at z = 0
-    lower: FloatArray  # (B, 3) least value of what is bounded
-    upper: FloatArray  # (B, 3) largest value of what is bounded
+    lower: FloatArray  # (B, 3) lower bounds of the bounded quantities
+    upper: FloatArray  # (B, 3) upper bounds of the bounded quantities
     rest_by_state: FloatArray  # (2, 3) velocity and acceleration at the end, by the first state
     rest_by_jerk: FloatArray  # (2, h_s) likewise, by the jerks
     collision_times: FloatArray  # (S,) of the collision samples since the start, s
@@ -55,10 +55,10 @@ class Condensed:
 
 
 def _derivatives(times: FloatArray, num_inputs: int, step: float) -> tuple[FloatArray, FloatArray]:
-    """Position, velocity and acceleration by the first state and by the jerks, of one axis.
+    """Return derivatives of one axis' state by its first state (3, T, 3) and jerks (3, T, h_s).
 
-    At times (T,) since the start, s, for h_s jerks that each last a step, s: by the first state
-    (3, T, 3), by the jerks (3, T, h_s).
+    The state is position, velocity and acceleration at times (T,) since the start, s; each of the
+    h_s jerks lasts a step, s.
     """
     since = np.maximum(times[:, None] - step * np.arange(num_inputs + 1), 0.0)
     by_jerk = np.stack([-np.diff(since**p, axis=1) / f for p, f in ((3, 6.0), (2, 2.0), (1, 1.0))])
@@ -69,7 +69,7 @@ def _derivatives(times: FloatArray, num_inputs: int, step: float) -> tuple[Float
 
 @lru_cache(maxsize=8)
 def condensed(config: MlrDmpcConfig) -> Condensed:
-    """The condensed program of a configuration."""
+    """Return the condensed program of a configuration."""
     knots = _instants(config.input_sampling_s, config.num_inputs)
     inputs = _resting_inputs(config)
     states = _affine(knots, inputs, config)
@@ -112,7 +112,7 @@ def _assembled(config: MlrDmpcConfig, jerks: _Affine, gradient: FloatArray) -> C
 
 
 def _affine(times: FloatArray, jerks: _Affine, config: MlrDmpcConfig) -> list[_Affine]:
-    """Position, velocity and acceleration at times, for jerks that depend on variables."""
+    """Return position, velocity and acceleration at times (T,), as affine functions."""
     by_state, by_jerk = _derivatives(times, config.num_inputs, config.input_sampling_s)
     return [
         _Affine(s + j @ jerks.start, j @ jerks.free) for s, j in zip(by_state, by_jerk, strict=True)
@@ -120,12 +120,12 @@ def _affine(times: FloatArray, jerks: _Affine, config: MlrDmpcConfig) -> list[_A
 
 
 def _resting_inputs(config: MlrDmpcConfig) -> _Affine:
-    """Jerks that end at rest: the least ones that do, plus a base of those that change nothing."""
+    """Return jerks that end at rest: the least-norm ones plus a basis of the null space."""
     by_state, by_jerk = _end(config)
     last = np.eye(config.num_inputs)[-1:]
     rest = np.concatenate([by_jerk[1], by_jerk[2], last])
     needed = np.concatenate([by_state[1], by_state[2], np.zeros((1, 3))])
-    # The last right singular vectors span the null space: in it plans still end at rest.
+    # The last right singular vectors span the null space.
     base = np.linalg.svd(rest)[2][len(rest) :].T
     return _Affine(-np.linalg.pinv(rest) @ needed, base)
 
@@ -136,7 +136,7 @@ def _end(config: MlrDmpcConfig) -> tuple[FloatArray, FloatArray]:
 
 
 def _instants(step: float, count: int) -> FloatArray:
-    """(count,) step, 2 step, ..."""
+    """Return (count,) step, 2 step, ..."""
     return np.arange(1, count + 1, dtype=np.float64) * step
 
 
@@ -147,20 +147,20 @@ class QpSolution(NamedTuple):
     """The result of DAQP."""
 
     y: FloatArray  # (n,) the minimum, if there is one
-    active: BoolArray  # (m,) rows that hold with equality, to start the next program from
-    solved: bool  # Whether there is a minimum, to the solver's tolerance
+    active: BoolArray  # (m,) True for rows that hold with equality, to warm-start the next program
+    solved: bool  # True if a minimum was found, to the solver's tolerance
 
 
 def solve_qp(
     slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
 ) -> QpSolution:
-    """Return the minimum of |y|^2 / 2 + slope y where matrix y >= bound, by DAQP.
+    """Return the minimum of |y|^2 / 2 + slope . y subject to matrix @ y >= bound, by DAQP.
 
     Args:
         slope: (n,) the linear term.
         matrix: (m, n) the rows.
         bound: (m,) their lower bounds.
-        active: (m,) rows to try first as equalities.
+        active: (m,) True for rows to try first as equalities.
     """
     import daqp
 

@@ -1,7 +1,7 @@
 """Targets that MLR-DMPC can hold: a circle, and the formations of Fig. 3.
 
-With heights divided by 6, two drones above each other need 1.5 m. A cube that stands upright does
-not fit the box of the paper; leant over, its columns come apart.
+With heights divided by 6, two drones above each other need 1.5 m. An upright cube thus does not fit
+the box of the paper; a tilted one does, as none of its drones are directly above each other.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from swarm_envs.tasks.shapes import shape_points
 __all__ = ["SEQUENCE", "circle_swap", "formation", "scaled_distances"]
 
 SEQUENCE = ("plane", "pyramid", "cube", "sphere", "plane")
-"""The formations of Fig. 3, the first of which is where the drones start."""
+"""The formations of Fig. 3; the drones start in the first."""
 _SPACING_M = {"plane": 0.8, "pyramid": 0.8, "cube": 0.9, "sphere": 0.55}
 _SPHERE_RADIUS_M = 1.25
 _LEAN_RAD = np.radians(20.0)
 
 
 def circle_swap(num_drones: int, radius: float, height: float) -> tuple[FloatArray, FloatArray]:
-    """Starts and targets (N, 3), m: evenly on a circle, each to the opposite side."""
+    """Return starts (N, 3), m, evenly on a circle, and targets (N, 3) on the opposite side."""
     angle = 2.0 * np.pi * np.arange(num_drones) / num_drones
     level = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     starts = np.column_stack([level, np.full(num_drones, height)])
@@ -33,7 +33,7 @@ def circle_swap(num_drones: int, radius: float, height: float) -> tuple[FloatArr
 
 
 def formation(name: str, num_drones: int = 16) -> FloatArray:
-    """Places (N, 3), m, of a shape of `SEQUENCE` in the published box; sized for 16 drones."""
+    """Return the points (N, 3), m, of a shape of `SEQUENCE` in the published box, for 16 drones."""
     points = shape_points(check_name("formation", name, _SPACING_M), num_drones, _SPACING_M[name])
     if name == "sphere":
         points = points * (_SPHERE_RADIUS_M / np.linalg.norm(points[0]))
@@ -44,6 +44,6 @@ def formation(name: str, num_drones: int = 16) -> FloatArray:
 
 
 def scaled_distances(points: FloatArray, config: MlrDmpcConfig) -> FloatArray:
-    """Scaled distances of all pairs (N (N - 1) / 2,) of points (N, 3), m."""
+    """Return scaled distances (N (N - 1) / 2,) of all pairs of points (N, 3), m."""
     first, second = np.triu_indices(len(points), 1)
     return np.linalg.norm((points[first] - points[second]) * config.inverse_scaling, axis=1)

@@ -1,4 +1,4 @@
-"""What is refused at the door, with the reason."""
+"""Checks of positions and indices that a swarm is given."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from swarm_envs.state import FloatArray
 def checked_points(
     what: str, points: FloatArray, config: MlrDmpcConfig, count: int | None = None
 ) -> FloatArray:
-    """Points (N, 3) that drones can hover at together."""
+    """Return a copy of points (N, 3), m, or raise ValueError if drones cannot all hover there."""
     array = as_numbers(what, points).copy()
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
-        raise ValueError(f"{what} have shape {array.shape}, but must be (N, 3) in metres")
+        raise ValueError(f"{what} have shape {array.shape}, but must be (N, 3) in meters")
     if count is not None and len(array) != count:
         raise ValueError(f"there are {len(array)} {what}, but {count} drones")
     if not np.isfinite(array).all():
@@ -46,7 +46,7 @@ def checked_points(
 def checked_indices(
     what: str, given: Mapping[int, int], count: int, noun: str = "drone"
 ) -> dict[int, int]:
-    """Rounds by index of a drone or a unit."""
+    """Return rounds by index of a drone or unit; raise ValueError for an unknown index."""
     for index, round_ in given.items():
         check_integer(f"{what}[{index!r}]", round_, 0)
         if check_integer(f"an index of {what}", index, 0) >= count:

@@ -1,6 +1,7 @@
-"""What drones and compute units tell each other in their slots, and how it is packed into bytes.
+"""The messages of drones and compute units, and how they are packed into bytes.
 
-Views say who takes part; drones lock to them so that no two of them plan at a time.
+A view names the compute units and drones that take part. Drones lock to one view, so that units of
+two views never plan for the same drone.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
 class ViewId(NamedTuple):
-    """What orders views: a later epoch wins, then the higher proposer."""
+    """The identity of a view; a later epoch, then the higher proposer, takes precedence."""
 
     epoch: int  # Counts up with each proposal
-    proposer: int  # Compute unit that proposed it
+    proposer: int  # The compute unit that proposed it
 
     @property
     def number(self) -> int:
@@ -32,61 +33,62 @@ class ViewId(NamedTuple):
 
     @staticmethod
     def of(number: int) -> ViewId:
-        """The identity that has a number."""
+        """Return the identity that has a number."""
         return ViewId(number >> 8, number & 255)
 
 
 class MembershipView(NamedTuple):
-    """Compute units and drones that take part."""
+    """The compute units and drones that take part."""
 
-    id: ViewId  # Its place in the order
+    id: ViewId
     units: tuple[int, ...]  # Compute units that plan, ascending
     drones: frozenset[int]  # Drones that are planned for and avoided
-    gone: frozenset[int] = frozenset()  # Drones that have announced that they left the air
+    gone: frozenset[int] = frozenset()  # Drones that have announced that they have landed
 
     def covers(self, earlier: MembershipView) -> bool:
-        """Whether no drone of an earlier view is forgotten: each is in this one, or has left."""
+        """Return True if each drone of an earlier view is in this one or has left."""
         return earlier.drones <= self.drones | self.gone
 
     def leader(self, round_: int) -> int:
-        """Who says in a round which drones are planned in the next one."""
+        """Return the unit that selects in a round which drones are planned in the next one."""
         return self.units[round_ % len(self.units)]
 
     def rank(self, unit: int, round_: int) -> int:
-        """Which of the selected drones a unit takes: (k + w) mod M over the members."""
+        """Return the rank of a unit's selected drone: (k + w) mod M over the members."""
         return (round_ + self.units.index(unit)) % len(self.units)
 
 
 NONE = -1  # No drone
-UNSURE = -2  # A unit no longer knows which drone it planned for, if any: it has been away
-RECENT = 4  # Rounds whose own plans every message of a unit names
+UNSURE = -2  # A unit that was absent does not know which drone it planned for, if any
+RECENT = 4  # The rounds whose own plans every message of a unit names
 
 
 @dataclass(frozen=True, eq=False)
 class DroneStates:
-    """What drones say in their own slots of a round. Rows of who says nothing are meaningless."""
+    """The drones' messages of a round. Rows of drones that sent none are meaningless."""
 
-    round: int  # When it is sent
-    present: BoolArray  # (N,) whose messages these are
-    identity: IntArray  # (N,) `Identity.number` of the trajectory that each flies in this round
+    round: int  # The round in which they are sent
+    present: BoolArray  # (N,) True if the drone sent a message
+    identity: IntArray  # (N,) `Identity.number` of the present trajectory
     lock: IntArray
-    """(N,) `ViewId.number` of the view that it has locked to; it accepts plans of no other."""
-    target: FloatArray  # (N, 3) where it wants to go, m, as the message carries it
+    """(N,) `ViewId.number` of the view that the drone has locked to; it accepts plans of no
+    other."""
+    target: FloatArray  # (N, 3) target, m, as the message carries it
     kinematics: FloatArray
     """(N, 3, 3) position, velocity and acceleration, 16 bit; at rest the position, float32."""
     resting: BoolArray
-    """(N,) whether its trajectory has ended, so that the position is all there is to know."""
-    joining: BoolArray  # (N,) it is not in the air yet: no plan for it has been accepted
-    gone: BoolArray  # (N,) it has left the air
-    reinitialised: BoolArray  # (N,) it was so far off its reference that it has given that up
+    """(N,) True if the trajectory has ended, so that the position describes it fully."""
+    joining: BoolArray  # (N,) True if it is not airborne yet: no plan for it has been accepted
+    gone: BoolArray  # (N,) True if it is no longer airborne
+    reinitialised: BoolArray  # (N,) True if it has abandoned a reference from which it was far off
     _paths: dict[int, Trajectory] = field(default_factory=dict)
 
     def heard(self, arrived: BoolArray) -> DroneStates:
-        """Those messages that have arrived (N,)."""
+        """Return the messages that have arrived (N,)."""
         return replace(self, present=self.present & arrived)
 
     def at_rest(self, drone: int, config: MlrDmpcConfig) -> Trajectory | None:
-        """The trajectory of a drone that rests, which its message carries whole."""
+        """Return the trajectory of a drone at rest, which its message fully describes, or None."""
         if not self.resting[drone]:
             return None
         if drone not in self._paths:
@@ -97,47 +99,47 @@ class DroneStates:
 
 
 class MessageKind(IntEnum):
-    """What a message in a compute unit's slot carries."""
+    """The kind of a message in a compute unit's slot."""
 
     EMPTY = 0  # No trajectory
-    PLAN = 1  # A new trajectory for a drone, flown from the next round on
-    RELAY = 2  # A trajectory that another unit has asked for
-    ANSWER = 3  # Its own trajectory, by a drone that was given the slot
+    PLAN = 1  # A new trajectory for a drone, from the next round on
+    RELAY = 2  # A trajectory that another unit has requested
+    ANSWER = 3  # A drone's own trajectory, in a slot that was given to it
 
 
 class Missing(NamedTuple):
-    """A trajectory of which a unit knows that it may be flown, but not what it is."""
+    """A trajectory that a drone may fly and whose contents a unit lacks."""
 
-    drone: int  # Whose
-    identity: Identity  # Which
+    drone: int
+    identity: Identity
 
 
 class UnitMessage(NamedTuple):
     """The message in a compute unit's slot."""
 
-    kind: MessageKind  # What it carries
-    round: int  # When it is sent
-    unit: int  # Whose slot it is
-    view: ViewId  # Of the sender: plans are for drones locked to it
-    drone: int = NONE  # Whose trajectory it carries
-    trajectory: Trajectory | None = None  # The trajectory
+    kind: MessageKind
+    round: int  # The round in which it is sent
+    unit: int  # The unit whose slot it is
+    view: ViewId  # The sender's view: plans are for drones locked to it
+    drone: int = NONE  # The drone of the trajectory
+    trajectory: Trajectory | None = None
     selection: tuple[int, ...] | None = None
-    """By the round's leader: drones that may be replanned in the next round, by rank."""
+    """The drones that may be replanned in the next round, by rank; from the round's leader."""
     current: tuple[int, ...] | None = None
-    """The same for this round, as far as the unit knows: others may have missed it."""
+    """The selection for this round, if the unit has received it: others may have missed it."""
     recent: tuple[int, ...] = (UNSURE,) * RECENT
     """Drones that the unit planned for in this round and the ones before, newest first."""
     donations: tuple[int, ...] = ()  # Drones to which the slot is given in the next rounds
     missing: tuple[Missing, ...] = ()  # Contents that the unit lacks
-    complete: bool = False  # Whether it lacks nothing else and has located every drone
+    complete: bool = False  # True if it lacks nothing else and has located every drone
     members: MembershipView | None = None  # The view itself, while it is new
     priorities: tuple[tuple[int, int], ...] = ()
     """Drones and their priorities, highest first, as many as fit."""
 
 
-SLOT_BYTES = 242  # A compute unit's slot
-REQUEST_BYTES = 132  # A message without a trajectory
-_TRAJECTORY_BYTES = 204  # for which the reference's slots are made
+SLOT_BYTES = 242  # The size of a compute unit's slot
+REQUEST_BYTES = 132  # The largest message without a trajectory
+_TRAJECTORY_BYTES = 204  # The trajectory for which the reference's slots are sized
 _STEPS = 65535
 _FLAGS = ("joining", "gone", "reinitialised")
 _HEAD = np.dtype(
@@ -149,15 +151,15 @@ _HEAD = np.dtype(
         ("flags", "u1"),
         ("target", "<u2", 3),
     ]
-)  # of a drone's message
+)  # The head of a drone's message
 
 
 class Codec:
     """Packs the messages of a swarm.
 
-    Slot, sender and round are known from when a message arrives, so no message carries them. No two
-    messages that can be sent in one slot have the same bytes: nodes are handed the messages
-    themselves, and bytes are counted.
+    Slot, sender and round follow from the time at which a message arrives, so no message carries
+    them. Messages that can be sent in one slot differ in their bytes: nodes therefore receive the
+    messages themselves, and bytes are only counted.
     """
 
     def __init__(self, num_drones: int, num_units: int, config: MlrDmpcConfig) -> None:
@@ -176,10 +178,10 @@ class Codec:
         self._span[1:] *= limits
 
     def check_sizes(self, hovering: Trajectory) -> None:
-        """Refuse more compute units and drones than messages can name.
+        """Raise ValueError for more compute units or drones than messages can name.
 
-        What messages cannot do without: the selection, three donated slots and a relayed
-        trajectory, such as one that hovers; the selection and a view.
+        A message must have room for the selection, three donated slots and a relayed trajectory,
+        here `hovering`; a message without a trajectory for the selection and a view.
         """
         units, view = self._num_units, MembershipView(ViewId(0, 0), (), frozenset())
         fullest = UnitMessage(
@@ -197,16 +199,16 @@ class Codec:
         if over > 0:
             raise ValueError(
                 f"there are {self._num_drones} drones, but {REQUEST_BYTES} bytes have no room to "
-                f"say which take part of more than {self._num_drones - 4 * over}: use fewer drones"
+                f"name more than {self._num_drones - 4 * over} members: use fewer drones"
             )
 
     def carried(self, kinematics: FloatArray) -> FloatArray:
-        """(..., n, 3) position (and velocity, acceleration) as 16 bit carry them, in bounds."""
+        """Return position (and velocity, acceleration) (..., n, 3) rounded to 16 bit, in bounds."""
         lower, span = (side[: kinematics.shape[-2]] for side in (self._lower, self._span))
         return np.asarray(lower + self._steps(kinematics) * (span / _STEPS))
 
     def pack_states(self, states: DroneStates) -> list[bytes]:
-        """The messages of those drones that say something, at most 32 bytes each."""
+        """Return the drones' messages, at most 32 bytes each."""
         heads = np.zeros(len(states.present), dtype=_HEAD)
         heads["round"], heads["unit"] = states.identity >> 8 & 0xFFFF, states.identity & 255
         heads["epoch"], heads["proposer"] = states.lock >> 8, states.lock & 255
@@ -220,7 +222,7 @@ class Codec:
         return [heads[i].tobytes() + bodies[i].tobytes() for i in np.flatnonzero(states.present)]
 
     def filled(self, message: UnitMessage, order: list[tuple[int, int]]) -> UnitMessage:
-        """The message with as many priorities as fit; what others can do without goes first."""
+        """Return the message with as many priorities as fit; less needed fields are dropped."""
         empty = message.kind is MessageKind.EMPTY
         limit = REQUEST_BYTES if empty else self._slot_bytes
         if len(self.pack(message)) > limit:
@@ -235,7 +237,7 @@ class Codec:
         return message._replace(priorities=tuple(order[:room]))
 
     def pack(self, message: UnitMessage) -> bytes:
-        """A message in a compute unit's slot."""
+        """Return the bytes of a message in a compute unit's slot."""
         head = message.kind | (message.selection is not None) << 2
         head |= (message.members is not None) << 3
         head |= len(message.donations) << 4 | len(message.missing) << 6
@@ -266,13 +268,13 @@ class Codec:
         return np.rint(np.minimum(np.maximum(share, 0.0), 1.0) * _STEPS).astype(np.int64)
 
     def _ids(self, ids: tuple[int, ...]) -> bytes:
-        end = 1 << self._id_bits  # negative ones, NONE and UNSURE, become the largest numbers
+        end = 1 << self._id_bits  # NONE and UNSURE, which are negative, become the largest numbers
         together = sum(i % end << k * self._id_bits for k, i in enumerate(ids))
         return together.to_bytes(math.ceil(len(ids) * self._id_bits / 8), "little")
 
 
 def pack_trajectory(trajectory: Trajectory, named: bool) -> bytes:
-    """A trajectory in float32 without its last jerk, which is zero; `named`: after its identity."""
+    """Return a trajectory in float32, without its last jerk of zero; if `named`, with identity."""
     name = _packed_identity(trajectory.identity) if named else b""
     numbers = np.concatenate([trajectory.state, trajectory.jerk[:-1]])
     return name + numbers.astype("<f4").tobytes()

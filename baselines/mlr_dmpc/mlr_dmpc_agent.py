@@ -1,7 +1,7 @@
-"""MLR-DMPC as an agent: a round every decision, its references flown by the tracking loop.
+"""MLR-DMPC as an agent: each decision is a round, and the tracking loop follows its references.
 
-The swarm of compute units, drones and radio lives inside the agent; the environment is what flies.
-A reference has constant jerk within a round, so that five set-points a second say all of it.
+The agent simulates compute units, drones and radio; the environment simulates the flight. A
+reference has constant jerk within a round, so that five setpoints a second describe it fully.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from swarm_envs.tasks.motion import REST
 from swarm_envs.tasks.obstacles import obstacle_rows
 from swarm_envs.trajectories import Reference
 
-_TRACKING_M = 0.05  # what is kept free between a reference and walls beside the drone's radius, m
+_TRACKING_M = 0.05  # The clearance of references from walls beyond the drone's radius, m
 _ROOM = 1.2
-"""Distance of starts and of goals over that of references: at the limit no drone gets past."""
+"""The least distance of starts and goals over that of references, so that drones can pass."""
 
 
 class MlrDmpcAgent(SetpointAgent):
     """Flies to goals at rest by distributed MPC over a radio that may lose messages.
 
     Args:
-        compute_units: how many plan; None for three, or one for each drone where there are fewer.
-        loss: of messages: a rate or a model.
-        recovery: as for `simulate`.
-        controller: configuration of the tracking loop; None for its default, which assumes no
+        compute_units: The number of compute units; None for three, or one per drone if fewer.
+        loss: The rate or model of message loss.
+        recovery: The recovery from message loss, as for `MlrDmpcSwarm`.
+        controller: The configuration of the tracking loop; None for its default, which assumes no
             interaction force, as in the paper.
-        config: parameters; box and scaling are fitted to the episode.
+        config: The parameters; box and scaling are fitted to the episode.
 
-    The scaling of heights (Theta) is the configured one, the paper's 6, or less where starts and
-    goals of the episode stand closer above each other: `config.scaling` says which holds.
+    The scaling of heights (Theta) is the configured one, the paper's 6, or less if starts or goals
+    of the episode are closer above each other; `config.scaling` has the value of the episode.
     """
 
     def __init__(
@@ -72,33 +72,33 @@ class MlrDmpcAgent(SetpointAgent):
         self._compute_units = compute_units
         self._loss, self._recovery = loss, recovery
         self.config = self._given
-        """Parameters of the episode."""
+        """The parameters of the episode."""
         self.swarm: MlrDmpcSwarm | None = None
         """Compute units, drones and radio of the episode; None before the first."""
         self.faults: dict[int, str] = {}
-        """What keeps a drone from its goal in this episode, by drone: it is deaf, or another rests
-        on the goal. Each is also a `RuntimeWarning` when it is found."""
+        """The reason, by drone, that it cannot reach its goal in this episode: it receives nothing,
+        or another rests on the goal. A `RuntimeWarning` reports each when it is found."""
 
     @classmethod
     def compensated(cls, belief: InteractionModel | None = None) -> MlrDmpcAgent:
-        """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""
+        """Return the agent over Neural-Swarm2's controller, by default with `load_belief()`."""
         return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def check(self, task: Task) -> None:
-        """Refuse a task whose goals move."""
+        """Raise ValueError for a task whose goals move."""
         self.check_rest(task)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Begin with all drones hovering; the seed draws which messages are lost.
+        """Begin an episode with all drones hovering; the seed determines message losses.
 
         Raises:
-            ValueError: goals that move, or starts or goals too close to each other for any scaling.
+            ValueError: Goals move, or starts or goals are too close to each other for any scaling.
         """
         task, start = env.core.task, env.view.state.position
         super().reset(env, seed)
         goals = env.core.world.goals[0]
         if task.motion.kind == REST and not task.motion.stage_s:
-            goals = goals.reshape(1, -1, 3)  # sites, any of which drones may have at once
+            goals = goals.reshape(1, -1, 3)  # Any two of the sites may be goals at the same time
         self.faults = {}
         self.config = replace(
             self._given,
@@ -118,7 +118,7 @@ class MlrDmpcAgent(SetpointAgent):
         )
 
     def reference(self, view: View) -> Reference:
-        """That of the round that begins, which is also planned, sent and received."""
+        """Run the round that begins, and return its reference."""
         assert self.swarm is not None, "reset the agent before it acts"
         flown = self.swarm.reference(np.zeros(1))[:, 0]
         measured = np.stack([view.state.position, view.state.velocity], axis=1)
@@ -134,7 +134,7 @@ class MlrDmpcAgent(SetpointAgent):
 def _box(
     task: Task, start: FloatArray, goals: FloatArray
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The arena less a margin, and no smaller than starts (N, 3) and goals (S, N, 3) need."""
+    """Return the arena less a margin, enlarged to contain starts (N, 3) and goals (S, N, 3)."""
     margin = float(task.radius.max()) + _TRACKING_M
     points = np.concatenate([start, goals.reshape(-1, 3)])
     low = np.minimum(task.arena[0] + margin, points.min(axis=0))
@@ -154,15 +154,18 @@ def _obstacles(task: Task, config: MlrDmpcConfig) -> Obstacles | None:
 
 
 def _scaling(config: MlrDmpcConfig, *places: FloatArray) -> tuple[float, float, float]:
-    """The largest scaling of heights, up to the configured, that (20) allows for (S, N, 3) m."""
-    wanted = config.scaling
-    largest = wanted[2]
-    pairs = []  # how far any two of one stage are apart, by axis
+    """Return the scaling with the largest height, at most the configured, that (20) allows.
+
+    `places` are positions (S, N, 3), m, of stages, each of which drones must be able to hold.
+    """
+    configured = config.scaling
+    largest = configured[2]
+    pairs = []  # Distances of all pairs of a stage, by axis, m
     for one in places:
         first, second = np.triu_indices(one.shape[1], 1)
         pairs.append(np.abs(one[:, first] - one[:, second]).reshape(-1, 3))
     apart = np.concatenate(pairs)
-    level = np.hypot(apart[:, 0] / wanted[0], apart[:, 1] / wanted[1])
+    level = np.hypot(apart[:, 0] / configured[0], apart[:, 1] / configured[1])
     needed = np.sqrt(np.maximum((_ROOM * config.distance_m) ** 2 - level**2, 0.0))
     close = needed > 0.0
     if close.any():
@@ -170,6 +173,6 @@ def _scaling(config: MlrDmpcConfig, *places: FloatArray) -> tuple[float, float, 
     if largest < 1.0:
         raise ValueError(
             f"two starts or goals of this episode are closer than {_ROOM * config.distance_m:.3g} "
-            "m, what drones need; spread them, or give a config with a smaller distance_m"
+            "m, which drones need; spread them, or pass a config with a smaller distance_m"
         )
-    return (wanted[0], wanted[1], largest)
+    return (configured[0], configured[1], largest)

@@ -1,7 +1,7 @@
-"""What MLR-DMPC is tuned by: times, bounds, distances and weights.
+"""The parameters of MLR-DMPC: times, bounds, distances and weights.
 
-Defaults are those published, unless a field says otherwise; `MlrDmpcConfig.published()` has all as
-published, and with `recovery="paper"` a swarm is the paper's.
+The defaults are the published values unless a field states otherwise. `MlrDmpcConfig.published()`
+has all published values; with `recovery="paper"` they give the method of the paper.
 """
 
 from __future__ import annotations
@@ -24,112 +24,113 @@ from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcConfig"]
 
-Corner = tuple[float, float, float]  # A point, by axis: x, y, z
+Corner = tuple[float, float, float]  # x, y, z, m
 _MOST_TURNED = 4
 _MOST_SAMPLES = 1000
-"""Samples of a round: matrices of the optimisation have a row for each in the horizon."""
+"""The largest number of samples per round: each adds a row to matrices of the optimization."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MlrDmpcConfig:
-    """Parameters of the optimisation (Sec. 4.2.3, Appendix B) and of its rounds (Sec. 3.1).
+    """The parameters of the optimization (Sec. 4.2.3, Appendix B) and of its rounds (Sec. 3.1).
 
     Raises:
-        ValueError: a value is out of range, or a time is no multiple of what it is sampled by.
+        ValueError: A value is out of range, or a sampling time does not divide a round.
     """
 
     round_s: float = 0.2
-    """Duration of a round (T), s."""
+    """The duration of a round (T), s."""
     horizon_rounds: int = 15
-    """Rounds that a plan covers (H); it ends at rest."""
+    """The number of rounds that a plan covers (H); it ends at rest."""
     input_sampling_s: float = 0.2
-    """For how long each jerk lasts (T_s), s."""
+    """The duration of each jerk (T_s), s."""
     state_sampling_s: float = 0.2
-    """Between the instants at which bounds of the state hold (T_b), s."""
+    """The time between the instants at which bounds of the state hold (T_b), s."""
     collision_sampling_s: float = 0.025
-    """Between the instants at which plans are checked for distance (T_c), s. Public simulation:
-    0.1, which would ask for 0.14 m more at samples; see `between_samples`."""
+    """The time between the instants at which the distance of plans is checked (T_c), s. The public
+    simulation has 0.1, which would require 0.14 m more at samples; see `between_samples`."""
     position_weight: float = 1.0
-    """Of the squared distance to the target at the end of the plan, 1/m^2."""
+    """The weight of the squared distance to the target at the end of the plan, 1/m^2."""
     path_weight: float = 0.3
-    """Of the squared distance to the target on the way there, at each input sample, 1/m^2. The
-    published simulation has 0 (eq. (13) a sum), and takes the whole horizon for the last metre."""
+    """The weight of the squared distance to the target at each input sample, 1/m^2. The public
+    simulation has 0 (eq. (13) has a sum) and needs the whole horizon for the last meter."""
     velocity_weight: float = 1e-4
-    """Of the squared velocity, at each input sample."""
+    """The weight of the squared velocity at each input sample."""
     acceleration_weight: float = 0.005
-    """Of the squared acceleration, at each input sample."""
+    """The weight of the squared acceleration at each input sample."""
     jerk_weight: float = 0.001
-    """Of the squared jerk, at each input sample."""
+    """The weight of the squared jerk at each input sample."""
     speed_limit: float = 2.0
-    """By axis, m/s."""
+    """The largest speed along an axis, m/s."""
     acceleration_limit: float = 5.0
-    """By axis, m/s^2."""
+    """The largest acceleration along an axis, m/s^2."""
     jerk_limit: float = 5.0
-    """By axis, m/s^3."""
+    """The largest jerk along an axis, m/s^3."""
     box: tuple[Corner, Corner] = ((-2.0, -2.0, 0.3), (2.0, 2.0, 3.0))
-    """Lower and upper corner of where drones may fly, m."""
+    """The lower and upper corner of the box in which drones may fly, m."""
     distance_m: float = 0.25
-    """Least scaled distance between references, m."""
+    """The least scaled distance between references, m."""
     between_samples: bool = True
-    """True to keep that distance at any time, by a greater one at the samples (24). Published:
-    False, at the samples alone."""
+    """True to keep that distance at any time, by a greater one at the samples, (24); False to keep
+    it at the samples alone, as published."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 6.0)
-    """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
+    """The diagonal of Theta, which divides offsets: drones keep a greater vertical distance."""
     soft_m: float = 0.7
-    """Largest soft margin (epsilon) at the end of a plan, m. Public simulation: 0.3; with it,
-    sixteen drones take half as long again to change places on a circle."""
+    """The largest soft margin (epsilon) at the end of a plan, m. The public simulation has 0.3;
+    with it, sixteen drones take half as long again to swap positions on a circle."""
     soft_weight: float = 0.5
-    """Weight of a neighbour straight ahead or behind."""
+    """The weight of a neighbor straight ahead or behind."""
     soft_turn: float = 2.0
-    """A neighbour at angle phi to the left weighs exp(soft_turn sin phi) as much."""
+    """A neighbor at angle phi to the left has exp(soft_turn sin phi) times that weight."""
     soft_near_m: float = 1.2
-    """Closer to the target than this, m, soft margins weigh next to nothing. Public simulation:
-    0.8, too near for the larger margins: they would hold a drone off its target."""
+    """The distance from the target, m, below which soft margins have next to no weight. The public
+    simulation has 0.8, with which the larger margins would hold a drone off its target."""
     soft_near_factor: float = 1e-7
-    """What they weigh there, as a share."""
+    """The factor of the weights below that distance."""
     deadlock_speed: float = 0.15
-    """A faster drone is in no deadlock, m/s."""
+    """The speed above which a drone is in no deadlock, m/s."""
     deadlock_m: float = 0.1
-    """Nor is one whose plan ends this near its target, m."""
+    """A drone whose plan ends within this distance of its target is in no deadlock, m."""
     contact_factor: float = 1.1
-    """Drones within this many times `sampled_distance_m` touch."""
+    """Drones are in contact within this many times `sampled_distance_m`."""
     deadlock_residual: float = 0.1
-    """Share of the pull to the target that contacts need not balance."""
+    """The share of the pull to the target that contacts need not balance."""
     detour_range_m: float = 0.6
-    """Nearer than this, m, drones make room for one in a deadlock."""
+    """The distance within which drones make room for one in a deadlock, m."""
     detour_step_m: float = 0.5
-    """How far they go, m."""
+    """The length of such a detour, m."""
     detour_noise_m: float = 0.1
-    """Standard deviation of where to, by axis, m."""
+    """The standard deviation of the end of a detour, by axis, m."""
     detour_rounds: int = 10
-    """For how many rounds they make room."""
+    """The number of rounds for which a drone makes room."""
     detour_pause_rounds: int = 5
-    """For how many more rounds they then continue."""
+    """The number of rounds after a detour before the next can begin."""
     planes: Literal["fixed", "relinearised"] = "relinearised"
-    """Where a plan keeps clear of drones that are not planned in the same round: `relinearised`
-    around its own solution, again until that stays (Lemma L3 asks for the distance alone), or
-    `fixed` behind planes between what both fly, as published. The former arrives sooner, but takes
-    longer to solve, and what is lost stops more plans: no promise holds (Lemma L9)."""
+    """The planes that separate a plan from drones that are not planned in the same round: `fixed`
+    between the present trajectories, as published, or `relinearised` around the solution until it
+    no longer changes (Lemma L3 needs the distance alone). Drones arrive sooner with the latter, but
+    it takes longer to solve, and lost messages prevent more plans, as no guarantee holds
+    (Lemma L9)."""
     turn_rad: float = 0.4
-    """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
-    from above, rad: two that meet head on then pass on the right. This is for two drones; see
-    `for_swarm`. Published: 0."""
+    """The angle by which planes between drones that are far enough apart are turned,
+    counter-clockwise as seen from above, rad: two drones that approach head-on then pass on the
+    right. The value is for two drones; see `for_swarm`. Published: 0."""
     turn_share: float = 0.5
-    """Nor by more than this share of the angle at which the gap along the normal would be too
-    small; below 1."""
+    """The largest turn, as a share (below 1) of the angle at which the gap along the normal would
+    be too small."""
     trigger: Literal["WT", "HT", "RR", "DT"] = "WT"
-    """Which drones are planned next (Appendix A): by their age since the last plan, `RR` (A1); by
-    their distance from the target, `DT` (A2); by the product, `HT` (A3), as published; or `WT`, the
-    product in which ages count four rounds more."""
+    """The event trigger (Appendix A), by which drones are planned next: by their age since the last
+    plan, `RR` (A1); by their distance from the target, `DT` (A2); by the product, `HT` (A3), as
+    published; or `WT`, the product in which ages count four rounds more."""
     measure: Literal["end", "next"] = "end"
-    """That distance is the one from the `end` of the newest trajectory, as in the public code, or
-    from the position when the `next` round begins, t(k+1); (A2) and (A3), read literally, have
-    t(k)."""
+    """The point from which that distance is measured: the `end` of the newest trajectory, as in the
+    public code, or the position when the `next` round begins, t(k+1); (A2) and (A3), read
+    literally, have t(k)."""
     arrival_m: float = 0.05
-    """A drone has arrived when it is this close to its target, m."""
+    """The distance from its target within which a drone has arrived, m."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("round_s", "input_sampling_s", "state_sampling_s", "collision_sampling_s"):
             check_number(name, getattr(self, name), above=0.0, unit="s")
         check_integer("horizon_rounds", self.horizon_rounds, at_least=3)
@@ -182,14 +183,14 @@ class MlrDmpcConfig:
 
     @classmethod
     def published(cls, **others: Any) -> MlrDmpcConfig:
-        """Return the method of the paper with the parameters of its public simulation.
+        """Return the parameters of the paper and its public simulation.
 
-        That is fixed planes, the trigger HT, and (A2) and (A3) by positions. The text gives only
-        0.25 m and rounds of 0.2 s; (13a) sums the distance to the target, the simulation has its
+        They have fixed planes, the trigger HT, and (A2) and (A3) by positions. The text gives only
+        0.25 m and rounds of 0.2 s. (13a) sums the distance to the target; the simulation has its
         last term alone.
 
         Args:
-            **others: parameters that differ, such as `trigger="RR"`.
+            **others: Parameters that differ, such as `trigger="RR"`.
         """
         paper: dict[str, Any] = {
             "collision_sampling_s": 0.1,
@@ -205,10 +206,10 @@ class MlrDmpcConfig:
         return cls(**{**paper, **others})
 
     def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
-        """The parameters with which N drones fly: planes are turned by (2 / N)^2 of `turn_rad`.
+        """Return the parameters for N drones, whose planes are turned by (2 / N)^2 of `turn_rad`.
 
-        In a large swarm nothing is so symmetric as to stay stuck, and the turn costs time. With
-        relinearised planes that is so for more than four drones, which are not turned at all.
+        Large swarms are not symmetric enough to stay in a deadlock, and the turn costs time.
+        Relinearized planes are therefore not turned for more than four drones.
         """
         share = min(1.0, 2.0 / max(num_drones, 1)) ** 2
         if self.planes == "relinearised" and num_drones > _MOST_TURNED:
@@ -217,35 +218,35 @@ class MlrDmpcConfig:
 
     @property
     def num_inputs(self) -> int:
-        """Jerks of a plan (h_s)."""
+        """The number of jerks of a plan (h_s)."""
         return round(self.horizon_rounds * self.round_s / self.input_sampling_s)
 
     @property
     def num_states(self) -> int:
-        """Instants at which bounds of the state hold (h_b)."""
+        """The number of instants at which bounds of the state hold (h_b)."""
         return round(self.horizon_rounds * self.round_s / self.state_sampling_s)
 
     @property
     def num_samples(self) -> int:
-        """Instants at which distances are kept (h_c): T_c, 2 T_c, ... to the end of the plan."""
+        """The number of collision samples (h_c): T_c, 2 T_c, ... to the end of the plan."""
         return round(self.horizon_rounds * self.round_s / self.collision_sampling_s)
 
     @property
     def samples_per_round(self) -> int:
-        """By how many collision samples a plan is older after a round."""
+        """The number of collision samples per round."""
         return round(self.round_s / self.collision_sampling_s)
 
     @cached_property
     def sampled_distance_m(self) -> float:
         """The scaled distance that is kept at samples (d_hat_min), m.
 
-        With `between_samples` it is so great that `distance_m` is kept between them too, (24).
+        With `between_samples` it is large enough to keep `distance_m` between them too, (24).
 
-        For the scaled difference r of two references, let V and A bound |r'| and |r''|. Between two
-        samples, T_c apart, r is at most A T_c^2 / 8 off its chord, which is at most V T_c long. A
-        chord of that length whose ends keep the distance h keeps sqrt(h^2 - (V T_c / 2)^2).
+        Let V and A bound |r'| and |r''| of the scaled difference r of two references. Between two
+        samples, T_c apart, r deviates by at most A T_c^2 / 8 from its chord, which is at most V T_c
+        long. A chord of that length whose ends keep the distance h keeps sqrt(h^2 - (V T_c / 2)^2).
 
-        Bounds hold at state samples, T_b apart. Between them a speed exceeds its own by at most
+        Bounds hold at state samples, T_b apart. Between them a speed exceeds its bound by at most
         j T_b^2 / 8 and an acceleration by at most j T_b / 2, where j bounds the jerk.
         """
         if not self.between_samples:
@@ -259,5 +260,5 @@ class MlrDmpcConfig:
 
     @property
     def inverse_scaling(self) -> FloatArray:
-        """(3,) diagonal of the inverse of Theta."""
+        """The diagonal (3,) of the inverse of Theta."""
         return 1.0 / np.array(self.scaling)

@@ -30,13 +30,13 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
 from swarm_envs.baselines.mlr_dmpc.unit_planner import Planner, PlanningOptions
 from swarm_envs.state import FloatArray
 
-_CONTINUOUS = 1e-5  # by how much the first state of a plan may differ from the reference, SI
+_CONTINUOUS = 1e-5  # The largest difference of a plan's first state from the reference, SI
 _REPORTED_ROUNDS = 30
 _LOST_M, _LOST_SPEED = 0.5, 10.0
 
 
 class Drone:
-    """One drone, which flies a hover at first; if not `airborne`, it joins by its first plan."""
+    """A drone, which hovers at first; if not `airborne`, it joins with its first plan."""
 
     def __init__(
         self,
@@ -44,27 +44,26 @@ class Drone:
         start: Trajectory,
         view: MembershipView,
         config: MlrDmpcConfig,
-        codec: Codec,
         airborne: bool = True,
     ) -> None:
         self.index, self.flying = index, start
         self.view = view
-        """That to which it is locked: no plan of another one is accepted."""
+        """The view to which it is locked: it accepts no plan of another."""
         self.airborne = airborne
-        """Whether it is in the air."""
+        """True if it is airborne."""
         self.gone = False
-        """Whether it has left the air."""
-        self._config, self._codec = config, codec
+        """True if it is no longer airborne."""
+        self._config = config
         self._granted: dict[tuple[int, int], tuple[int, ...]] = {}
         self.gave_up = -(10**6)
-        """Round in which it last gave up its reference."""
+        """The round in which it last gave up its reference."""
 
     def leave(self) -> None:
-        """Leave the air. The others avoid it until they hear that it has."""
+        """Land. The others avoid the drone until they receive the news."""
         self.gone, self.airborne = True, False
 
     def answers(self, round_: int) -> dict[int, Any]:
-        """Its trajectory, in the slots that it was given, by slot."""
+        """Return its trajectory as messages by slot, for the slots that it was given."""
         kind, drone, plan = MessageKind.ANSWER, self.index, self.flying
         return {
             unit: UnitMessage(kind, round_, unit, self.view.id, drone, plan, donations=rest)
@@ -73,12 +72,12 @@ class Drone:
         }
 
     def minds(self, message: Any) -> bool:
-        """Whether a message can change anything here: the others need not be looked at."""
+        """Return True if a message concerns this drone."""
         named = message.drone == self.index or self.index in getattr(message, "donations", ())
         return named or getattr(message, "members", None) is not None
 
     def accepts(self, message: Any) -> bool:
-        """Whether it would fly a plan, if it heard nothing else in that round."""
+        """Return True if it would fly a plan that was the only message received in a round."""
         if message.kind is not MessageKind.PLAN or message.drone != self.index or self.gone:
             return False
         plan = message.trajectory
@@ -91,10 +90,10 @@ class Drone:
         return bool(np.abs(plan.state - here).max() <= _CONTINUOUS)
 
     def _follows(self, message: Any) -> MembershipView:
-        """The view to which it is locked after a message (Lemma L5, docs/mlr-dmpc/proof.md).
+        """Return the view to which it is locked after a message (Lemma L5).
 
-        A higher one is followed only if it forgets no drone of the present one: else drones of the
-        present one could still be planned for by units that do not know of the others.
+        A higher view is followed only if it covers the present one: units that do not know all its
+        drones could still plan for the others.
         """
         new: MembershipView | None = message.members
         if new is None or new.id <= self.view.id or not new.covers(self.view):
@@ -102,7 +101,7 @@ class Drone:
         return new
 
     def receive(self, inbox: Inbox[Any]) -> Trajectory | None:
-        """Take in a round's messages; the plan that it accepts, flown from the next round on."""
+        """Process a round's messages; return the accepted plan, flown from the next round on."""
         accepted = None
         self._granted = {key: one for key, one in self._granted.items() if key[1] > inbox.round}
         sent = [m for m in inbox.slots.values() if m.kind is not MessageKind.ANSWER]
@@ -123,7 +122,7 @@ class Drone:
         return accepted
 
     def give_up(self, measured: FloatArray, round_: int) -> bool:
-        """Rest at a measured position and velocity (2, 3) far off its reference; whether it did."""
+        """Hover in place if position and velocity (2, 3) are far off the reference; True if so."""
         off = np.linalg.norm(measured - state_at(self.flying, round_, self._config)[:2], axis=1)
         if off[0] <= _LOST_M and off[1] <= _LOST_SPEED:
             return False
@@ -137,7 +136,7 @@ class Drone:
 
 
 class SwarmNodes(ABC):
-    """The drones and compute units of a swarm, and what they say and hear in each round."""
+    """The drones and compute units of a swarm, which exchange messages in each round."""
 
     def __init__(
         self, drones: Sequence[Drone], targets: FloatArray, options: PlanningOptions, codec: Codec
@@ -146,23 +145,23 @@ class SwarmNodes(ABC):
         self.units: list[Any] = [
             self.make_unit(unit, targets, 0) for unit in range(options.num_units)
         ]
-        """By number; None where a unit is dead."""
+        """The compute units by index; None if a unit is dead."""
         self.reports: dict[int, UnitRound] = {}
-        """What each unit did in its last round, by number."""
+        """The report of each unit's last round, by index."""
         self._inboxes: dict[int, Inbox[Any]] = {}
 
     @abstractmethod
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> Any:
-        """A compute unit that starts, or is back, in a round, with what it then knows."""
+        """Return a compute unit that starts, or comes back, in a round."""
 
     def message_bytes(self, message: Any) -> int:
-        """Bytes of a message in a compute unit's slot."""
+        """Return the size of a message in a compute unit's slot, bytes."""
         return len(self.codec.pack(message))
 
     def send(
         self, k: int, targets: FloatArray, alive: Collection[int], present: Collection[int]
     ) -> tuple[DroneStates, dict[int, Any], dict[int, int]]:
-        """What drones and units that are on say in round k: states, messages by slot, senders."""
+        """Return the messages of round k: drones' states, units' messages by slot, senders."""
         slots, senders = {}, {}
         for unit in range(self.options.num_units):
             if unit not in alive:
@@ -181,7 +180,7 @@ class SwarmNodes(ABC):
         return self._states(k, targets, present), slots, senders
 
     def _states(self, k: int, targets: FloatArray, present: Collection[int]) -> DroneStates:
-        """What the drones say in round k, with targets (N, 3) as messages carry them."""
+        """Return the drones' messages of round k, with targets (N, 3) as messages carry them."""
         drones, config = self.drones, self.options.config
         exact = np.array([state_at(drone.flying, k, config) for drone in drones])
         kinematics = self.codec.carried(exact)
@@ -205,7 +204,7 @@ class SwarmNodes(ABC):
     def receive(
         self, log: RoundLog[Any], alive: Collection[int], present: Collection[int]
     ) -> dict[int, Trajectory]:
-        """Take in what arrived of a round; the plans that drones accept, by drone."""
+        """Process the messages that arrived in a round; return the plans accepted, by drone."""
         first_unit = len(self.drones)
         self._inboxes = {unit: log.inbox(first_unit + unit) for unit in alive}
         accepted = {}
@@ -218,7 +217,7 @@ class SwarmNodes(ABC):
         return accepted
 
     def may_fly(self, log: RoundLog[Any]) -> list[list[Trajectory]]:
-        """What each drone may fly next, whichever of a round's messages arrive."""
+        """Return the trajectories that each drone may fly next, whichever messages arrive."""
         return [
             ([drone.flying] if drone.airborne else [])
             + [
@@ -230,13 +229,13 @@ class SwarmNodes(ABC):
         ]
 
     def bytes_sent(self, log: RoundLog[Any]) -> int:
-        """Bytes of all messages of a round."""
+        """Return the size of all messages of a round, bytes."""
         states = sum(map(len, self.codec.pack_states(log.states)))
         return states + sum(self.message_bytes(message) for message in log.slots.values())
 
 
 class RecoveryNodes(SwarmNodes):
-    """Nodes that plan on whatever is lost. `informed`: whether units know the hovers."""
+    """Nodes with this package's recovery; `informed`: True if units know the hovers."""
 
     def __init__(
         self,
@@ -251,7 +250,7 @@ class RecoveryNodes(SwarmNodes):
         members = frozenset(range(len(hovers))) - joins.keys()
         self._view = MembershipView(ViewId(0, 0), tuple(range(options.num_units)), members)
         drones = [
-            Drone(i, one, self._view, options.config, codec, i not in joins)
+            Drone(i, one, self._view, options.config, i not in joins)
             for i, one in enumerate(hovers)
         ]
         super().__init__(drones, targets, options, codec)
@@ -260,7 +259,7 @@ class RecoveryNodes(SwarmNodes):
             unit.information.trackers.locate(indices, numbers, -1, hovers.__getitem__)
 
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> ComputeUnit:
-        """A unit that knows the first view, and of targets what drones will say."""
+        """Return a unit that knows the first view and the targets."""
         options = self.options
         information = SwarmInformation(
             unit, self._view, options.num_units, targets, options.config, since

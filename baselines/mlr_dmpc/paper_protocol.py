@@ -1,7 +1,4 @@
-"""The paper's own protocol: Algorithms 1 and 2 line by line; and the one that ignores loss.
-
-Drones and compute units that use one protocol: this package's, or the paper's.
-"""
+"""The paper's protocol, Algorithms 1 and 2 line by line, and the protocol that ignores loss."""
 
 from __future__ import annotations
 
@@ -38,26 +35,26 @@ _UNKNOWN = 1
 
 
 class PaperKind(IntEnum):
-    """What a message in a compute unit's slot carries."""
+    """The kind of a message in a compute unit's slot."""
 
     EMPTY = 0  # Priorities only
     TRAJECTORY = 1  # A new trajectory
-    REQUEST = 2  # Asks a drone for its trajectory
-    ANSWER = 3  # A drone's trajectory, in the slot of who asked
+    REQUEST = 2  # A request for a drone's trajectory
+    ANSWER = 3  # A drone's trajectory, in the slot of the unit that requested it
 
 
 class PaperMessage(NamedTuple):
     """The message in a compute unit's slot."""
 
-    kind: PaperKind  # What it carries
-    round: int  # When it is sent
-    unit: int  # Whose slot it is
-    drone: int = NONE  # Whose trajectory it carries, or who is asked
-    trajectory: Trajectory | None = None  # The trajectory
+    kind: PaperKind
+    round: int  # The round in which it is sent
+    unit: int  # The unit whose slot it is
+    drone: int = NONE  # The drone of the trajectory or request
+    trajectory: Trajectory | None = None
     priorities: tuple[int, ...] = ()  # (N,) of all drones
 
     def pack(self) -> bytes:
-        """The message as bytes."""
+        """Return the message as bytes."""
         out = bytes([self.kind, self.drone & 0xFF])
         if self.trajectory is not None:
             out += pack_trajectory(self.trajectory, self.kind is PaperKind.ANSWER)
@@ -65,19 +62,19 @@ class PaperMessage(NamedTuple):
 
 
 class PaperDrone(Drone):
-    """A drone that accepts whatever is newer, and answers who asks."""
+    """A drone that accepts any newer plan and answers requests."""
 
     _asked: tuple[int, ...] = ()
 
     def answers(self, round_: int) -> dict[int, PaperMessage]:
-        """Its trajectory, in the slots of those who asked in the last round, by slot."""
+        """Return its trajectory as messages by slot, for units that requested it."""
         return {
             unit: PaperMessage(PaperKind.ANSWER, round_, unit, self.index, self.flying)
             for unit in self._asked
         }
 
     def accepts(self, message: PaperMessage) -> bool:
-        """Whether it would fly a plan, if it heard nothing else in that round."""
+        """Return True if it would fly a plan that was the only message received in a round."""
         if message.kind is not PaperKind.TRAJECTORY or message.drone != self.index:
             return False
         assert message.trajectory is not None
@@ -86,7 +83,7 @@ class PaperDrone(Drone):
         )
 
     def receive(self, inbox: Inbox[PaperMessage]) -> Trajectory | None:
-        """Take in a round's messages; the plan that it accepts: the newest, of the highest unit."""
+        """Process a round's messages; return the accepted plan: the newest, of the highest unit."""
         asking = [m for m in inbox.slots.values() if m.kind is PaperKind.REQUEST]
         self._asked = tuple(m.unit for m in asking if m.drone == self.index)
         plans = [m.trajectory for m in inbox.slots.values() if self.accepts(m) and m.trajectory]
@@ -97,12 +94,12 @@ class PaperDrone(Drone):
 
 
 class _UnitState(IntEnum):
-    """Of Algorithm 1."""
+    """The state of a unit in Algorithm 1."""
 
-    RUN_DMPC = 0  # plans
-    WAIT = 1  # learns which trajectories it lacks
-    REQUEST_TRAJECTORY = 2  # asks
-    WAIT_FOR_UPDATE = 3  # leaves its slot to the answer
+    RUN_DMPC = 0  # Plans
+    WAIT = 1  # Learns which trajectories it lacks
+    REQUEST_TRAJECTORY = 2  # Requests one
+    WAIT_FOR_UPDATE = 3  # Leaves its slot to the answer
 
 
 @dataclass
@@ -110,19 +107,20 @@ class PaperUnit:
     """Compute unit w as published: Algorithm 1, with Algorithm 2 for its information trackers.
 
     Where text and pseudocode disagree, it follows the pseudocode: the text of 4.2.1 deprecates only
-    the tracker of line 13, the pseudocode all. Ambiguities as in the public code: no match of
-    metadata deprecates; an answer in a unit's slot counts as that unit's message; all units ask for
-    the lowest number first. Priorities follow from the newest of several candidates, where
-    Appendix A.1 takes the first, and a plan that fails its check is sent as EMPTY.
+    the tracker of line 13, the pseudocode all. Ambiguities are resolved as in the public code:
+    metadata without a match deprecate a tracker; an answer in a unit's slot counts as that unit's
+    message; all units request the lowest number first. Priorities follow from the newest of several
+    candidates, where Appendix A.1 takes the first, and a plan that fails its check is sent as
+    EMPTY.
     """
 
     unit: int
     candidates: list[dict[Identity, Trajectory]]
-    """D_iw by drone, at the start empty where nothing is known."""
-    targets: FloatArray  # (N, 3) m, as last heard
+    """D_iw by drone; empty if none is known."""
+    targets: FloatArray  # (N, 3) m, as last received
     planner: Planner
-    report: UnitRound = field(init=False)  # What the unit did in the last round
-    state: _UnitState = _UnitState.REQUEST_TRAJECTORY  # Where the unit stands in Algorithm 1
+    report: UnitRound = field(init=False)  # The unit's activity in the last round
+    state: _UnitState = _UnitState.REQUEST_TRAJECTORY
 
     def __post_init__(self) -> None:
         self.deprecated = [not known for known in self.candidates]
@@ -169,29 +167,24 @@ class PaperUnit:
             self.deprecated[drone] = match is None
             if match is not None:
                 self.candidates[drone] = {identity: match}
-        if any(len(known) > 1 for known in self.candidates):
-            self._set_all_deprecated()
-        if len(inbox.slots) != self.planner.options.num_units:
-            self._set_all_deprecated()
+        ambiguous = any(len(known) > 1 for known in self.candidates)
+        if ambiguous or len(inbox.slots) != self.planner.options.num_units:
+            self.deprecated = [True] * len(self.deprecated)
         for message in inbox.slots.values():
             if message.trajectory is not None:
                 known = self.candidates[message.drone]
                 known[message.trajectory.identity] = message.trajectory
 
-    def _set_all_deprecated(self) -> None:
-        self.deprecated = [True] * len(self.deprecated)
-
     def _run(
         self, message: PaperMessage, inbox: Inbox[PaperMessage] | None, own: Levels, round_: int
     ) -> PaperMessage:
         """Return the message of state RUN_DMPC: lines 13 to 20 of Algorithm 1."""
-        heard = (
-            [] if inbox is None else [m.priorities for m in inbox.slots.values() if m.priorities]
-        )
+        slots = {} if inbox is None else inbox.slots
+        received = [m.priorities for m in slots.values() if m.priorities]
         joint = own
-        if heard:
-            first = np.array(heard[0], dtype=np.int64)
-            joint = prio_consensus(first, [dict(enumerate(levels)) for levels in heard[1:]])
+        if received:
+            first = np.array(received[0], dtype=np.int64)
+            joint = prio_consensus(first, [dict(enumerate(levels)) for levels in received[1:]])
         chosen = rank_by_priority(joint, round_)[: self.planner.options.num_units]
         drone = chosen[(round_ + self.unit) % self.planner.options.num_units]
         if len(self.candidates[drone]) != 1:
@@ -219,10 +212,10 @@ class PaperUnit:
 
 
 class TrustingUnit(PaperUnit):
-    """DMPC that ignores loss (Sec. 5.4): whatever was sent is taken to be flown. It collides."""
+    """DMPC that ignores loss (Sec. 5.4): drones are assumed to fly every plan. They collide."""
 
     def update_information_trackers(self, inbox: Inbox[PaperMessage]) -> None:
-        """Every plan heard has arrived at its drone."""
+        """Update the candidates as if every received plan had arrived at its drone."""
         states = inbox.states
         self.targets[states.present] = states.target[states.present]
         for message in inbox.slots.values():
@@ -231,10 +224,10 @@ class TrustingUnit(PaperUnit):
 
 
 class PaperNodes(SwarmNodes):
-    """Nodes that follow the paper (arguments as for `RecoveryNodes`).
+    """Nodes that follow the paper, with the arguments of `RecoveryNodes`.
 
     Raises:
-        ValueError: drones are to join: the paper has no way to.
+        ValueError: Drones are to join, for which the paper has no protocol.
     """
 
     def __init__(
@@ -246,28 +239,28 @@ class PaperNodes(SwarmNodes):
         joins: Mapping[int, int],
     ) -> None:
         if joins:
-            raise ValueError(f"drones {sorted(joins)} join, which only recovery=True can handle")
+            raise ValueError(f"drones {sorted(joins)} join, which only recovery=True supports")
         codec = Codec(len(hovers), options.num_units, options.config)
         nobody = MembershipView(ViewId(0, 0), (), frozenset())
-        drones = [PaperDrone(i, one, nobody, options.config, codec) for i, one in enumerate(hovers)]
+        drones = [PaperDrone(i, one, nobody, options.config) for i, one in enumerate(hovers)]
         self._hovers = hovers if informed else []
         super().__init__(drones, targets, options, codec)
 
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
-        """A unit with the information given before the first round, or with none."""
+        """Return a unit with the information given before the first round, or with none."""
         known = [] if since else self._hovers
         candidates = [{one.identity: one} for one in known] or [{} for _ in targets]
         return PaperUnit(unit, candidates, targets.copy(), Planner(self.options))
 
     def message_bytes(self, message: PaperMessage) -> int:
-        """Bytes of a message in a compute unit's slot."""
+        """Return the size of a message in a compute unit's slot, bytes."""
         return len(message.pack())
 
 
 class TrustingNodes(PaperNodes):
-    """Nodes that ignore loss: units know what drones fly when they start, and what was sent."""
+    """Nodes that ignore loss, whose units know the drones' trajectories when they start."""
 
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> TrustingUnit:
-        """A unit that knows what drones fly."""
+        """Return a unit that knows the drones' trajectories."""
         candidates = [{drone.flying.identity: drone.flying} for drone in self.drones]
         return TrustingUnit(unit, candidates, targets.copy(), Planner(self.options))

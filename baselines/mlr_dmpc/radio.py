@@ -1,6 +1,6 @@
-"""Synchronous rounds: every node sends in its own slot, and the radio loses some of it.
+"""The radio: every node sends in its own slot of synchronous rounds, and messages may be lost.
 
-Jams, outages of receivers, single messages and bursts are lost by keyed draws.
+Losses of single messages, outages of receivers and bursts are drawn by keyed hashes.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ def _names(who: Who) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Jam:
-    """Rounds in which what some send does not reach some others.
+    """Rounds in which the messages of some nodes do not reach some others.
 
     Raises:
-        ValueError: the rounds are not in order, or a name is unknown.
+        ValueError: The rounds are not in order, or a name is unknown.
     """
 
     first_round: int
-    """First round that is jammed."""
+    """The first round that is jammed."""
     last_round: int
-    """Last round that is jammed."""
+    """The last round that is jammed."""
     senders: Who = "all"
-    """Whose messages are lost."""
+    """The nodes whose messages are lost."""
     receivers: Who = "all"
-    """To whom they are lost."""
+    """The nodes that do not receive them."""
     both_ways: bool = False
-    """Whether the receivers' messages to the senders are lost as well."""
+    """True if the receivers' messages to the senders are lost as well."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("first_round", "last_round"):
             check_integer(name, getattr(self, name), at_least=0)
         check_bool("both_ways", self.both_ways)
@@ -62,53 +62,53 @@ class Jam:
             for name in _names(getattr(self, field)):
                 if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", str(name)):
                     raise ValueError(
-                        f"{field} has {name!r}, which names no drone: write all, drones, units, "
+                        f"{field} has {name!r}, which names no drone: use all, drones, units, "
                         "'drone 3' or 'unit 0'"
                     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class GilbertElliott:
-    """A channel by receiver that is good or bad, and turns at random between rounds.
+    """A channel per receiver that is good or bad and changes at random between rounds.
 
     Raises:
-        ValueError: a probability is outside [0, 1].
+        ValueError: A probability is outside [0, 1].
     """
 
     turns_bad: float
-    """Probability that a good channel is bad in the next round."""
+    """The probability that a good channel is bad in the next round."""
     turns_good: float
-    """Probability that a bad channel is good in the next round."""
+    """The probability that a bad channel is good in the next round."""
     loss_when_bad: float = 1.0
-    """Share of messages that a bad channel loses."""
+    """The share of messages that a bad channel loses."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("turns_bad", "turns_good", "loss_when_bad"):
             check_number(name, getattr(self, name), at_least=0.0, at_most=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LossModel:
-    """A message arrives if none of these loses it; what one sends to oneself always arrives.
+    """The causes of message loss; a node's message to itself always arrives.
 
     Raises:
-        ValueError: a probability is outside [0, 1].
+        ValueError: A probability is outside [0, 1].
     """
 
     unit_loss: float = 0.0
-    """Probability that a compute unit misses a message."""
+    """The probability that a compute unit misses a message."""
     drone_loss: float = 0.0
-    """Probability that a drone misses a message."""
+    """The probability that a drone misses a message."""
     outage: float = 0.0
-    """Probability that a receiver misses a whole round."""
+    """The probability that a receiver misses a whole round."""
     bursts: GilbertElliott | None = None
-    """Channel of each receiver."""
+    """The channel of each receiver, or None."""
     jams: tuple[Jam, ...] = ()
-    """Windows in which messages are lost for certain."""
+    """Periods in which all messages between certain nodes are lost."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("unit_loss", "drone_loss", "outage"):
             check_number(name, getattr(self, name), at_least=0.0, at_most=1.0)
         check_type("bursts", self.bursts, GilbertElliott | None)
@@ -118,10 +118,10 @@ class LossModel:
 
     @classmethod
     def of(cls, loss: float | str | LossModel) -> LossModel:
-        """A model from a share of messages lost, the name of a preset, or a model.
+        """Return a model for a share of messages lost, the name of a preset, or a model.
 
         Raises:
-            ValueError: a share outside [0, 1], or an unknown name.
+            ValueError: The share is outside [0, 1], or the name is unknown.
         """
         if isinstance(loss, LossModel):
             return loss
@@ -142,11 +142,11 @@ PRESETS = {
     "bursts": LossModel(bursts=GilbertElliott(turns_bad=0.02, turns_good=0.2)),
     "blackout": LossModel(jams=(Jam(first_round=0, last_round=9, receivers="units"),)),
 }
-"""The reference's: even losses, bursts of five rounds on average, two seconds of deaf units."""
+"""The reference's losses: uniform, bursts of five rounds on average, deaf units for two seconds."""
 
 
 class LossProcess:
-    """What arrives in each round, by seed, round, sender and receiver; drones come before units."""
+    """The losses of each round, drawn by seed, round, sender and receiver (drones before units)."""
 
     def __init__(self, model: LossModel, num_drones: int, num_units: int, seed: int) -> None:
         self._model, self._seed = model, seed
@@ -159,7 +159,7 @@ class LossProcess:
         self._bad: list[BoolArray] = []
 
     def arrivals(self, round_: int) -> BoolArray:
-        """(senders, receivers) whether a message of a round arrives."""
+        """Return (senders, receivers) True if a message of a round arrives."""
         model, nodes = self._model, np.arange(self._nodes)
         arrived = np.ones((self._nodes, self._nodes), dtype=bool)
         if self._rates.any():
@@ -178,7 +178,7 @@ class LossProcess:
         return arrived
 
     def _channel(self, bursts: GilbertElliott, round_: int) -> BoolArray:
-        """(receivers,) whose channel is bad, stepped forward from round 0."""
+        """Return (receivers,) True if the channel is bad, stepped forward from round 0."""
         nodes = np.arange(self._nodes)
         while len(self._bad) <= round_:
             draw = self._draws(_TURN, len(self._bad), 0, nodes)
@@ -193,7 +193,7 @@ class LossProcess:
     def _draws(
         self, kind: int, round_: int, senders: int | npt.NDArray[np.int64], receivers: _Ints
     ) -> FloatArray:
-        """Uniform in [0, 1) by hashing what they are keyed by."""
+        """Return draws, uniform in [0, 1), as hashes of their keys."""
         key = _mixed(np.array([self._seed], dtype=np.uint64) + np.uint64(kind << 48))
         key = _mixed(key ^ np.uint64(round_))
         key = _mixed(key ^ (np.asarray(senders).astype(np.uint64) << np.uint64(20)))
@@ -219,7 +219,7 @@ _Ints = npt.NDArray[np.int64]
 
 
 def _mixed(key: _UINT) -> _UINT:
-    """The finaliser of splitmix64 (Steele et al. 2014), applied twice by its callers' chaining."""
+    """Apply the finalizer of splitmix64 (Steele et al. 2014)."""
     key = key + np.uint64(0x9E3779B97F4A7C15)
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -231,27 +231,27 @@ M = TypeVar("M")  # The messages in compute units' slots
 
 @dataclass(frozen=True)
 class Inbox(Generic[M]):
-    """What a node has heard in a round."""
+    """The messages that a node has received in a round."""
 
-    round: int  # When it was sent
-    states: DroneStates  # From drones' slots
-    slots: dict[int, M]  # From compute units' slots
+    round: int  # The round in which they were sent
+    states: DroneStates  # Messages in drones' slots
+    slots: dict[int, M]  # Messages by compute unit's slot
 
 
 @dataclass(frozen=True)
 class RoundLog(Generic[M]):
-    """All messages of a round, and to whom they came: enough to replay it."""
+    """All messages of a round and their receivers, enough to replay it."""
 
-    round: int  # When it was sent
-    states: DroneStates  # From drones' slots
-    slots: dict[int, M]  # By compute unit's slot
+    round: int  # The round in which they were sent
+    states: DroneStates  # Messages in drones' slots
+    slots: dict[int, M]  # Messages by compute unit's slot
     senders: dict[int, int]
-    """Node that sent in each unit's slot: a drone where the slot was given to it."""
+    """The node that sent in each unit's slot: a drone where the slot was given to it."""
     arrived: BoolArray
-    """(senders, receivers) by node, drones first; whether a message sent there came through."""
+    """(senders, receivers) by node, drones first: True if a message arrived."""
 
     def inbox(self, node: int) -> Inbox[M]:
-        """What a node has heard."""
-        heard = self.arrived[:, node]
-        slots = {unit: m for unit, m in self.slots.items() if heard[self.senders[unit]]}
-        return Inbox(self.round, self.states.heard(heard[: len(self.states.present)]), slots)
+        """Return the messages that a node has received."""
+        arrived = self.arrived[:, node]
+        slots = {unit: m for unit, m in self.slots.items() if arrived[self.senders[unit]]}
+        return Inbox(self.round, self.states.heard(arrived[: len(self.states.present)]), slots)

@@ -1,4 +1,4 @@
-"""A program solved by row generation: only those of its rows enter that a plan would break."""
+"""Row generation: a program is solved with only those of its rows that a plan would break."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ _MOST_PROGRAMS = 30
 
 
 class ProgramRows(NamedTuple):
-    """Every row of a program, as what it bounds; those that are in the program, or need not be."""
+    """Every row of a program, and flags of those that are in it already or need not be."""
 
     base: FloatArray  # (S, 3) positions at the collision samples for variables of zero, m
     by_variables: FloatArray  # (S, n) positions of an axis by its variables
     normals: FloatArray  # (R, S, 3) of half-spaces
-    offsets: FloatArray  # (R, S) least normal . p, m.
-    done: BoolArray  # (R, S) half-spaces in the program, or out of reach
+    offsets: FloatArray  # (R, S) least normal . p, m
+    done: BoolArray  # (R, S) True for half-spaces in the program or out of reach
     soft_offsets: FloatArray
-    """(C,) least normal . p at the last sample with the soft margin wide open, m."""
+    """(C,) least normal . p at the last sample with the full soft margin, m."""
     soft_scales: FloatArray
-    """(C,) by how much a unit of its soft variable closes a margin, m; 0 if it has none."""
-    soft_done: BoolArray  # (C,) soft rows in the program, or out of reach
+    """(C,) reduction of the margin per unit of its soft variable, m; 0 if it has none."""
+    soft_done: BoolArray  # (C,) True for soft rows in the program or out of reach
     bounded_base: FloatArray  # (B, 3) bounded quantities for variables of zero
     bounded_by_variables: FloatArray  # (B, n) bounded quantities of an axis by its variables
-    lower: FloatArray  # (B, 3) least bounded quantities
-    upper: FloatArray  # (B, 3) largest bounded quantities
-    bounds_done: BoolArray  # (2, B, 3) bounds in the program, lower and upper
+    lower: FloatArray  # (B, 3) lower bounds
+    upper: FloatArray  # (B, 3) upper bounds
+    bounds_done: BoolArray  # (2, B, 3) True for bounds in the program, lower and upper
 
 
 @kernel
 def _working_set(rows: ProgramRows, picked: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The rows `picked` (m, 3) of `broken_rows`, now done: matrix (m, 3 n), bound and scale (m,).
+    """Mark rows `picked` (m, 3) as done; return their matrix (m, 3 n), bound and scale (m,).
 
-    They are matrix @ z + scale * (soft variable of the row) >= bound; scale 0 where there is none.
+    A row is matrix @ z + scale * (soft variable of the row) >= bound, with scale 0 if it has none.
     """
     free, count = rows.by_variables.shape[1], picked.shape[0]
     matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
@@ -73,10 +73,10 @@ def _working_set(rows: ProgramRows, picked: IntArray) -> tuple[FloatArray, Float
 
 @kernel
 def broken_rows(rows: ProgramRows, z: FloatArray, threshold: float, stride: int) -> IntArray:
-    """Rows not yet done with slack below a threshold, m, at variables z (n, 3).
+    """Return the rows not yet done with slack below a threshold, m, at variables z (n, 3).
 
-    Of each trajectory's half-spaces only every `stride`-th, the most broken among them: others
-    close in time seldom bind then.
+    Of each trajectory's half-spaces only every `stride`-th is returned, including the most broken:
+    others close in time then seldom bind.
 
     Returns:
         (m, 3) kind (lower, upper, half-space, soft), row, and sample or axis.
@@ -114,7 +114,7 @@ def broken_rows(rows: ProgramRows, z: FloatArray, threshold: float, stride: int)
 
 @kernel
 def _along(normals: FloatArray, positions: FloatArray, r: int, s: int) -> float:
-    """Normal . p of half-space r at sample s."""
+    """Return normal . p of half-space r at sample s."""
     return (
         normals[r, s, 0] * positions[s, 0]
         + normals[r, s, 1] * positions[s, 1]
@@ -124,39 +124,39 @@ def _along(normals: FloatArray, positions: FloatArray, r: int, s: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A quadratic program for one plan, with what its solution is checked against."""
+    """The quadratic program of a plan, with the limits by which its solution is accepted."""
 
     state: FloatArray  # (3, 3) at the start, as a message carries it
-    slope: FloatArray  # (n, 3) of the cost
-    rows: ProgramRows  # What the solution must satisfy
-    shifted: FloatArray  # (n, 3) variables of the plan that is flown
-    shifted_slack: float  # Least slack of the half-spaces at the plan that is flown, m
-    in_reach: int  # Trajectories and obstacles with a half-space that may bind
-    accepted_offsets: FloatArray  # (R, S) least normal . p of an accepted plan, m.
-    accepted_lower: FloatArray  # (B, 3) of the bounded quantities of an accepted plan
-    accepted_upper: FloatArray  # (B, 3) likewise
+    slope: FloatArray  # (n, 3) linear term of the cost
+    rows: ProgramRows
+    shifted: FloatArray  # (n, 3) variables of the present trajectory
+    shifted_slack: float  # Least slack of the half-spaces at the present trajectory, m
+    in_reach: int  # The number of trajectories and obstacles with a half-space that may bind
+    accepted_offsets: FloatArray  # (R, S) least normal . p of an accepted plan, m
+    accepted_lower: FloatArray  # (B, 3) lower bounds of an accepted plan
+    accepted_upper: FloatArray  # (B, 3) upper bounds of an accepted plan
     stride: int  # Samples from one half-space of a trajectory to the next in the first programs
 
 
 class RowSolution(NamedTuple):
-    """What was found."""
+    """The result of `solve_by_rows`."""
 
     z: FloatArray  # (n, 3) variables
-    failure: str  # Why there is no optimum, or nothing
-    solve_ms: float  # In the solver, CPU time of this thread, ms
-    num_rows: int  # Rows of the last program
+    failure: str  # The reason that there is no optimum, or an empty string
+    solve_ms: float  # The time in the solver, CPU time of this thread, ms
+    num_rows: int  # The number of rows of the last program
     active: IntArray  # (m, 3) rows that hold with equality, as `broken_rows` names them
 
 
 def solve_by_rows(problem: Program, first: IntArray = NO_ROWS) -> RowSolution:
-    """The optimum of a program: solved with ever more rows until it breaks none of the others.
+    """Return the optimum of a program, solved with more and more rows until it breaks no other.
 
-    `first`: rows (m, 3) as in `active`, to try as active first.
+    `first` are rows (m, 3), as in `active`, that are active at first.
     """
     rows, stride, solve_ms = problem.rows, problem.stride, 0.0
     parts, picked, active = [_working_set(rows, first)], first, np.ones(len(first), dtype=bool)
     more = broken_rows(rows, problem.shifted, _FIRST_SLACK, stride)
-    z, failure = -problem.slope, f"no end of rows after {_MOST_PROGRAMS} programs"
+    z, failure = -problem.slope, f"rows still broken after {_MOST_PROGRAMS} programs"
     free = len(z)
     for programs in range(_MOST_PROGRAMS + 1):
         parts.append(_working_set(rows, more))

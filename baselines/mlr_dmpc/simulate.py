@@ -1,4 +1,4 @@
-"""A swarm's flight without any environment: references that are followed perfectly."""
+"""A simulation of MLR-DMPC without an environment, in which references are followed perfectly."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from swarm_envs.state import FloatArray
 class Violation(NamedTuple):
     """Two references that came too close at a collision sample."""
 
-    time_s: float  # When
-    first: int  # A drone
-    second: int  # Another
+    time_s: float
+    first: int  # The lower index of the two drones
+    second: int
     distance_m: float  # Their scaled distance
 
 
@@ -32,39 +32,39 @@ class MlrDmpcResult:
     """A simulated flight of a swarm under MLR-DMPC."""
 
     reference_times: FloatArray
-    """(time,) at 100 Hz, s."""
+    """The times (time,) of the references at 100 Hz, s."""
     reference_positions: FloatArray
-    """(time, N, 3) of the references, m; NaN for who is not in the air."""
+    """The positions (time, N, 3) of the references, m; NaN for drones that are not airborne."""
     targets: FloatArray
-    """(N, 3) at the end, m."""
+    """The targets (N, 3) at the end, m."""
     arrival_time_s: float | None
-    """When all were near their targets for good, s; None: they never were."""
+    """The time from which all drones stayed near their targets, s; None if there is none."""
     arrival_times_s: FloatArray
-    """(N,) when each was, s; NaN: it never was."""
+    """The time (N,) from which each drone stayed near its target, s; NaN if there is none."""
     solve_ms: FloatArray
-    """(plans,) in the solver for each, ms."""
+    """The time (plans,) in the solver for each plan, ms."""
     solver_failures: int
-    """Plans for which no trajectory was found or accepted although the flown one was feasible."""
+    """The number of plans that failed although the present trajectory was feasible."""
     least_shifted_slack_m: float
-    """Least slack of any row at the plan that was flown; by Theorem T1 not negative."""
+    """The least slack of any row at the present trajectory, m; by Theorem T1 not negative."""
     violations: tuple[Violation, ...]
     """References too close at collision samples, by more than 1e-6 m."""
     least_distance_m: float
-    """Exact minimum of the scaled distance of any pair, also between samples, m."""
+    """The exact minimum of the scaled distance of any pair, also between samples, m."""
     least_sampled_distance_m: float
-    """Least scaled distance at the collision samples, m."""
+    """The least scaled distance at the collision samples, m."""
     unreachable: tuple[Unreachable, ...]
-    """Targets that other drones rest on."""
+    """Targets on which other drones rest."""
     deaf: tuple[int, ...]
-    """Drones that accepted none of at least the last 20 plans for them: they hear nothing. A flight
-    ends when all have arrived but these, and those in `unreachable`."""
+    """Drones that accepted none of at least the last 20 plans for them. A flight ends when all
+    drones have arrived except these and those of `unreachable`."""
     reports: tuple[SwarmRound, ...]
-    """What happened in each round."""
+    """The report of each round."""
     log: tuple[RoundLog[Any], ...]
-    """All messages of each round, and to whom they came."""
+    """All messages of each round and their receivers."""
 
 
-Targets = FloatArray | Callable[[float], FloatArray]  # (N, 3), m, or what gives them at a time, s
+Targets = FloatArray | Callable[[float], FloatArray]  # (N, 3), m, or a function of time, s
 
 REFERENCE_RATE = 100.0  # Samples of the reference positions per second
 _DAY_S = 86_400
@@ -82,24 +82,24 @@ def simulate(
     progress: bool = False,
     **options: Any,
 ) -> MlrDmpcResult:
-    """Fly a swarm from starts to targets.
+    """Simulate a swarm from starts to targets.
 
     Args:
-        starts: (N, 3) where the drones hover, m.
-        targets: (N, 3) where they are to go, m, or a function of time in s that gives that.
-        compute_units: M, at most N.
-        duration_s: longest flight, s.
-        config: parameters.
-        stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
-        progress: whether to show a bar.
-        options: further ones of `MlrDmpcSwarm`, such as `loss`, `recovery` or `seed`.
+        starts: The positions (N, 3) at which the drones hover at first, m.
+        targets: The targets (N, 3), m, or a function of time, s, that returns them.
+        compute_units: The number M of compute units, at most N.
+        duration_s: The longest duration of the flight, s.
+        config: The parameters, or None for the defaults.
+        stop_on_arrival: True to end when all have arrived; ignored with moving targets.
+        progress: True to show a progress bar.
+        options: Further options of `MlrDmpcSwarm`, such as `loss`, `recovery` or `seed`.
 
     Returns:
         References, statistics and all messages.
 
     Raises:
-        ValueError: see `MlrDmpcSwarm`; also a duration that is not positive or longer than a day,
-            or moving targets that are at some round outside the box or too close to each other.
+        ValueError: See `MlrDmpcSwarm`; also for a duration that is not positive or longer than a
+            day, and for moving targets that are ever outside the box or too close to each other.
     """
     check_number("duration_s", duration_s, above=0.0, at_most=_DAY_S, unit="s")
     config = config or MlrDmpcConfig()
@@ -165,7 +165,7 @@ class _FlightRecorder:
                 self._violations.append(Violation(time, int(i), int(j), float(gap[i, j, s])))
 
     def over(self) -> bool:
-        """Whether all who can have arrived, or nothing will change any more."""
+        """Return True if all drones that can arrive have arrived."""
         swarm = self.swarm
         flying = [drone for drone in swarm.nodes.drones if drone.airborne]
         waiting = any(not d.airborne and not d.gone for d in swarm.nodes.drones)
@@ -184,7 +184,7 @@ class _FlightRecorder:
         )
 
     def result(self) -> MlrDmpcResult:
-        """The flight as a whole."""
+        """Return the result of the whole flight."""
         swarm, config = self.swarm, self.swarm.config
         references = np.concatenate(self._references, axis=1).swapaxes(0, 1)
         away = ~(np.concatenate(self._errors, axis=1) <= config.arrival_m)

@@ -1,4 +1,4 @@
-"""The whole swarm, stepped by rounds: drones, compute units and the radio between them."""
+"""The swarm, stepped by rounds: drones, compute units and the radio between them."""
 
 from __future__ import annotations
 
@@ -23,61 +23,61 @@ from swarm_envs.state import FloatArray
 
 __all__ = ["MlrDmpcSwarm"]
 
-_MOST_UNITS = 254  # messages name units in a byte
+_MOST_UNITS = 254  # Messages name units in a byte
 _DEAF_PLANS = 20
-_SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
+_SETTLED_ROUNDS = 35  # Rounds at rest after which a drone is assumed to stay
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitOutage:
-    """Rounds in which a compute unit is dead. It comes back knowing nothing."""
+    """Rounds in which a compute unit is dead. It comes back without any information."""
 
     unit: int
-    """Index of the unit."""
+    """The index of the unit."""
     first_round: int
-    """First round without it."""
+    """The first round without the unit."""
     last_round: int | None = None
-    """Last round without it; None: it stays dead."""
+    """The last round without the unit; None if it stays dead."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("unit", "first_round"):
             check_integer(name, getattr(self, name), at_least=0)
         if self.last_round is not None:
             check_integer("last_round", self.last_round, at_least=0)
 
     def covers(self, round_: int) -> bool:
-        """Whether the unit is dead in a round."""
+        """Return True if the unit is dead in a round."""
         return self.first_round <= round_ and (self.last_round is None or round_ <= self.last_round)
 
 
 @dataclass(frozen=True)
 class SwarmRound:
-    """What happened in a round."""
+    """The report of a round."""
 
     round: int  # k
-    units: tuple[UnitRound, ...]  # What each living compute unit did
+    units: tuple[UnitRound, ...]  # Reports of the living compute units
     accepted: dict[int, Trajectory]  # Plans that drones accepted, flown from the next round on
     bytes_sent: int  # In all slots together
 
 
 class Deaf(NamedTuple):
-    """A drone that seems to hear nothing."""
+    """A drone that seems to receive nothing."""
 
-    drone: int  # Which
-    plans: int  # How many plans in a row it has not accepted
+    drone: int
+    plans: int  # The number of plans in a row that it has not accepted
 
     def __str__(self) -> str:
         return (
             f"drone {self.drone} has accepted none of the last {self.plans} plans for it: it seems "
-            "to hear nothing"
+            "to receive nothing"
         )
 
 
 class Unreachable(NamedTuple):
-    """A target that a drone cannot take."""
+    """A target that a drone cannot reach."""
 
-    drone: int  # Whose target it is
+    drone: int  # The drone that has the target
     other: int  # The drone that rests on it
 
     def __str__(self) -> str:
@@ -91,23 +91,23 @@ class MlrDmpcSwarm:
     """A swarm under MLR-DMPC.
 
     Args:
-        starts: (N, 3) where the drones hover at first, m.
-        targets: (N, 3) where they are to go, m.
-        config: parameters.
-        compute_units: M, at most as many as drones.
-        loss: share of messages lost, a preset's name or a model.
-        recovery: True: by trackers; "paper": Algorithms 1 and 2 line by line; False: loss is
-            ignored, and drones collide.
-        seed: of losses and detours: the same seed gives the same flight.
-        informed: whether the units know the starts, as in the public simulation.
-        outages: of compute units.
-        joins: round at which a drone, by index, switches on; the others are there from the start.
-        leaves: round in which a drone, by index, leaves the air, clear of the others.
-        obstacles: half-spaces for the plans.
+        starts: The positions (N, 3) at which the drones hover at first, m.
+        targets: The targets (N, 3), m.
+        config: The parameters, or None for the defaults.
+        compute_units: The number M of compute units, at most as many as drones.
+        loss: The share of messages lost, the name of a preset, or a model.
+        recovery: The recovery from message loss: True for this package's trackers, "paper" for
+            Algorithms 1 and 2 line by line, False to ignore loss, so that drones collide.
+        seed: The seed of losses and detours; the same seed gives the same flight.
+        informed: True if the units know the starts, as in the public simulation.
+        outages: The outages of compute units.
+        joins: The round at which a drone, by index, switches on; the others are on from the start.
+        leaves: The round in which a drone, by index, lands, clear of the others.
+        obstacles: A function that returns half-spaces for the plans, or None.
 
     Raises:
-        ValueError: starts or targets outside the box or too close to each other, more units than
-            drones or than messages can name, or options that are none.
+        ValueError: Starts or targets are outside the box or too close to each other, there are more
+            units than drones or than messages can name, or an option is out of range.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class MlrDmpcSwarm:
         starts = checked_points("starts", starts, given)
         self.config = given.for_swarm(len(starts))
         self.targets = checked_points("targets", targets, self.config, len(starts))
-        """(N, 3) where the drones are to go, m."""
+        """The targets (N, 3), m."""
         if compute_units > min(len(starts), _MOST_UNITS):
             raise ValueError(
                 f"compute_units is {compute_units}, but must be at most "
@@ -141,7 +141,7 @@ class MlrDmpcSwarm:
                 "plans for another one"
             )
         self.round = 0
-        """The round that comes next."""
+        """The next round."""
         announce_compilation(out_of_reach)
         self._joins = checked_indices("joins", joins or {}, len(starts))
         self._leaves = checked_indices("leaves", leaves or {}, len(starts))
@@ -161,21 +161,21 @@ class MlrDmpcSwarm:
         nodes = RecoveryNodes if recovery is True else PaperNodes if recovery else TrustingNodes
         self.nodes: SwarmNodes = nodes(hovers, self.targets, options, informed, self._joins)
         """Drones and compute units."""
-        self._missed: dict[int, int] = {}  # plans in a row that a drone has not accepted
+        self._missed: dict[int, int] = {}  # Plans in a row that a drone has not accepted
         self.log: list[RoundLog[Any]] = []
         """All messages."""
         self.may_fly: list[list[Trajectory]] = [[one] for one in hovers]
-        """By drone, what it may be flying from the next round on, as far as the last round's
-        messages are lost or not; empty where it is not in the air."""
+        """The trajectories, by drone, that it may fly from the next round on, whichever of the last
+        round's messages were lost; empty if it is not airborne."""
 
     @property
     def flying(self) -> list[Trajectory]:
-        """What each drone flies in the round that comes next."""
+        """The trajectory of each drone in the next round."""
         return [drone.flying for drone in self.nodes.drones]
 
     @property
     def airborne(self) -> list[bool]:
-        """Which drones are in the air."""
+        """True for each drone that is airborne."""
         return [drone.airborne for drone in self.nodes.drones]
 
     @property
@@ -186,7 +186,7 @@ class MlrDmpcSwarm:
 
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
-        """Targets on which other drones in the air have rested for long."""
+        """Targets on which other airborne drones have rested for long."""
         config, targets = self.config, self.targets
         flying = {drone.index: drone.flying for drone in self.nodes.drones if drone.airborne}
         ends = {drone: end_position(one, config) for drone, one in flying.items()}
@@ -206,15 +206,15 @@ class MlrDmpcSwarm:
     def run_round(
         self, targets: FloatArray | None = None, measured: FloatArray | None = None
     ) -> SwarmRound:
-        """Plan, send and receive: one round.
+        """Run a round, in which units plan, and all nodes send and receive.
 
         Args:
-            targets: (N, 3) from now on, m.
-            measured: (N, 2, 3) positions and velocities at the start of the round; a drone that is
-                far off its reference gives it up. None: all are on their references.
+            targets: The targets (N, 3) from now on, m; None if they stay.
+            measured: The positions and velocities (N, 2, 3) at the start of the round; a drone that
+                is far off its reference gives it up. None if all are on their references.
 
         Raises:
-            ValueError: targets outside the box or too close to each other.
+            ValueError: Targets are outside the box or too close to each other.
         """
         k, nodes = self.round, self.nodes
         if targets is not None:
@@ -242,10 +242,10 @@ class MlrDmpcSwarm:
         return SwarmRound(k, reports, accepted, nodes.bytes_sent(log))
 
     def reference(self, times: FloatArray) -> FloatArray:
-        """What the drones follow (N, T, 4, 3): position, velocity, acceleration and jerk.
+        """Return the references (N, T, 4, 3): position, velocity, acceleration and jerk.
 
         Args:
-            times: (T,) since the start of the round that comes next, s, within it.
+            times: The times (T,) since the start of the next round, s, within it.
         """
         out = np.empty((len(self.nodes.drones), len(times), 4, 3))
         for i, one in enumerate(self.flying):

@@ -1,11 +1,11 @@
-"""What a compute unit knows of the swarm, in which view it is, and what follows for plans.
+"""A compute unit's information on the swarm, its view, and the half-spaces of guarantees.
 
-A plan that was sent but not heard is avoided by what it is known to have kept. Drone j's plan q of
-round r, by unit v, has kept n . Theta^-1 (q - p) >= d against the trajectory p that drone i flew,
-with n the normal of the plane (15) between p and j's old trajectory c, if v knew p. If i still
-flies p, a new plan p' of i with n . Theta^-1 (p' - p) <= 0 keeps n . Theta^-1 (q - p') >= d,
-whatever q is. Half-spaces of this kind leave no slack to what is flown: half of `SPARE_M` goes into
-the rounding of its state.
+A plan that was sent but not received is avoided by its guarantee. Drone j's plan q of round r, by
+unit v, satisfies n . Theta^-1 (q - p) >= d for the trajectory p that drone i flew, with n the
+normal of the plane (15) between p and j's old trajectory c, if v had p. If i still flies p, a new
+plan p' of i with n . Theta^-1 (p' - p) <= 0 satisfies n . Theta^-1 (q - p') >= d for any q. The
+present trajectory has no slack to these half-spaces: half of `SPARE_M` covers the rounding of its
+state.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
 from swarm_envs.state import BoolArray, FloatArray
 
 LISTENING_ROUNDS = 2
-"""A unit that comes back is silent for so long: a slot given away before stays given away."""
+"""Rounds for which a unit that comes back is silent, as it may have given its slots away before."""
 _ANNOUNCED_ROUNDS = 20
 _LONE_ROUNDS = 15
 
 
 _SILENCE = 11.5
-"""A unit is left out when only one silence in exp(11) would be as long by loss alone."""
-_LEAST_SILENT_ROUNDS = 6  # Rounds of silence below which no unit is left out of a view
+"""A unit is excluded when only one silence in exp(11.5) would be as long by loss alone."""
+_LEAST_SILENT_ROUNDS = 6  # Rounds of silence below which no unit is excluded
 
 
 class Membership:
@@ -52,21 +52,21 @@ class Membership:
         self._adopt(view, since, num_drones)
         self._unit, self._since = unit, since
         self._highest = view.id
-        # (M,) for how many rounds each unit has been silent, weighed by how much else was lost: a
-        # round in which most was says little about a missing one; in a blackout nobody is left out.
+        # (M,) rounds of silence, and its evidence of failure: a round in which most messages were
+        # lost adds little, so that no unit is excluded in a blackout.
         self._silent = np.zeros(num_units, dtype=np.int64)
         self._evidence = np.zeros(num_units)
         self.joining: BoolArray = np.zeros(num_drones, dtype=bool)
-        """(N,) the drones that have announced that they are not in the air yet."""
+        """(N,) True for drones that have announced that they are not airborne yet."""
         self.gone: BoolArray = np.zeros(num_drones, dtype=bool)
-        """(N,) the drones that have announced that they left the air."""
+        """(N,) True for drones that have announced that they have landed."""
         self._heard_of = self.drones.copy()
         self._behind_since: int | None = None
         self._others_behind = False
         self._retry = since + LISTENING_ROUNDS
 
     def update(self, inbox: Inbox[messages.UnitMessage], present: frozenset[int]) -> bool:
-        """Take in a round, in which units were `present`; whether another view is now in force."""
+        """Process a round in which units were `present`; return True if the view has changed."""
         drones, states = len(self.view.drones), inbox.states
         lost = max(drones - int(states.present.sum()), 0)
         silent = ~np.isin(np.arange(len(self._silent)), list(present))
@@ -97,10 +97,10 @@ class Membership:
         return self.view is not before
 
     def propose(self, round_: int) -> bool:
-        """Adopt a view of one's own if the present one no longer fits; whether it did."""
+        """Adopt a new view if the present one no longer fits; return True if it did."""
         if round_ < self._since + LISTENING_ROUNDS:
             return False
-        if self._highest > self.view.id:  # of which nobody says who belongs to it
+        if self._highest > self.view.id:  # No message has named its members
             waiting = self._behind_since
             if waiting is None or round_ - waiting < _LONE_ROUNDS:
                 return False
@@ -117,30 +117,29 @@ class Membership:
 
     @property
     def member(self) -> bool:
-        """Whether the unit belongs to the highest view that it knows of."""
+        """True if the unit belongs to the highest view of any message."""
         return self._unit in self.view.units and self._highest <= self.view.id
 
     def announced(self, round_: int) -> messages.MembershipView | None:
-        """The view, as long as a member may not have heard of it."""
+        """Return the view as long as a member may not have received it, else None."""
         new = self.view.id.epoch > 0 and round_ - self.adopted < _ANNOUNCED_ROUNDS
         return self.view if new or self._others_behind else None
 
     def _silent_units(self) -> set[int]:
-        """Units of the view that have been silent for too long for loss alone."""
+        """Return units of the view whose silence is too long to be due to message loss."""
         silent = (self._silent >= _LEAST_SILENT_ROUNDS) & (self._evidence >= _SILENCE)
         return {unit for unit in self.view.units if silent[unit]}
 
     def _proposed(self, round_: int) -> bool:
-        """Adopt a view with all members, of an identity that was never used before.
+        """Adopt a view with all members and an identity that was never used before (Lemma L6).
 
-        Lemma L6 of docs/mlr-dmpc/proof.md.
-        Epochs grow by at least one with each proposal, and in a round r none is above r + 1. So a
+        Each proposal raises the epoch by at least one, and in round r none is above r + 1. So a
         unit that comes back uses none that it may have used before.
         """
         units = {*self.view.units} - self._silent_units() | {self._unit}
         units |= {*np.flatnonzero(self._silent < _LEAST_SILENT_ROUNDS).tolist()}
         id_ = messages.ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
-        self._retry = round_ + 2 * (self._retry - self._since)  # less and less often
+        self._retry = round_ + 2 * (self._retry - self._since)  # Exponential backoff
         drones, gone = self._heard_of & ~self.gone, self.gone
         members = (frozenset(np.flatnonzero(some).tolist()) for some in (drones, gone))
         view = messages.MembershipView(id_, tuple(sorted(units)), *members)
@@ -151,18 +150,19 @@ class Membership:
     def _adopt(self, view: messages.MembershipView, round_: int, num_drones: int) -> None:
         self.view = view
         self.adopted = round_
-        """Round at which the view was adopted."""
+        """The round in which the view was adopted."""
         self.drones: BoolArray = np.isin(np.arange(num_drones), list(view.drones))
-        """(N,) the drones of the view."""
+        """(N,) True for drones of the view."""
 
 
 _GIVEN_UP_ROUNDS = 2
 
 
 class SwarmInformation:
-    """Information of compute unit w: trackers of all drones, the view, announced selections.
+    """The information of compute unit w: trackers of all drones, the view, announced selections.
 
-    It starts, or comes back, in round `since`, with the view at deployment and targets (N, 3), m.
+    The unit starts, or comes back, in round `since` with the view at deployment and targets
+    (N, 3), m.
     """
 
     def __init__(
@@ -179,13 +179,13 @@ class SwarmInformation:
         self.trackers = InformationTrackers(len(targets))
         self.targets = np.array(targets)
         self.donated: dict[tuple[int, int], int] = {}
-        """Drone to which a unit (first) has given its slot in a round (second)."""
+        """The drone to which a unit (first of the key) gave its slot in a round (second)."""
         self.requests: dict[int, tuple[messages.Missing, ...]] = {}
-        """What each unit lacked in the last round, as far as heard."""
+        """The trajectories that each unit requested in the last round."""
         self.reported: dict[int, messages.UnitMessage] = {}
-        """The last round's messages of units."""
+        """The messages received from units in the last round."""
         self.planned: list[messages.Missing] = []
-        """The last round's plans, as far as heard, the unit's own first: others may lack them."""
+        """The plans of the last round, the unit's own first, which others may lack."""
         self._selections: dict[int, tuple[messages.ViewId, tuple[int, ...]]] = {}
         self._complete: dict[int, list[tuple[int, frozenset[int]]]] = {}
         self._gave_up = np.full(len(targets), -(10**6))
@@ -197,42 +197,42 @@ class SwarmInformation:
         return self.membership.view
 
     def selection(self, round_: int) -> tuple[int, ...] | None:
-        """Drones that may be replanned in a round (A_ET), by rank, if that is known."""
+        """Return drones that may be replanned in a round (A_ET), by rank; None if unknown."""
         view, chosen = self._selections.get(round_, (None, None))
         return chosen if view == self.view.id else None
 
     def select(self, round_: int, chosen: tuple[int, ...]) -> None:
-        """Note which drones may be replanned in a round."""
+        """Store the drones that may be replanned in a round."""
         self._selections[round_] = self.view.id, chosen
 
     @property
     def flying(self) -> BoolArray:
-        """(N,) drones of the view that have not left the air."""
+        """(N,) True for drones of the view that have not landed."""
         return self.membership.drones & ~self.membership.gone
 
     def ready(self) -> bool:
-        """Whether every drone was heard in the view, so that no drone can accept an older plan."""
+        """Return True if every drone has locked to the view and can accept no older plan."""
         located = self.trackers.located | ~self.membership.drones
         return bool(located.all()) and self.membership.member
 
     def missing(self) -> list[messages.Missing]:
-        """Trajectories that may be flown and are not known."""
+        """Return trajectories of unknown contents that may be flown."""
         return [messages.Missing(*one) for one in self.trackers.missing(self.flying)]
 
     def has_given_up(self, round_: int) -> BoolArray:
-        """Return the drones (N,) that gave up their references lately: no distance holds then."""
+        """Return (N,) True for drones that gave up their references lately: no distance holds."""
         since = round_ - self._gave_up
         return np.asarray(since <= _GIVEN_UP_ROUNDS * self._config.horizon_rounds)
 
     def had_trajectory(self, unit: int, drone: int, since: int, until: int) -> bool:
-        """Return whether a unit certainly had all that a drone may fly, in one of the rounds."""
+        """Return True if a unit certainly had all candidates of a drone in one of the rounds."""
         return any(
             since <= round_ <= until and drone not in lacking
             for round_, lacking in self._complete.get(unit, [])
         )
 
     def update(self, inbox: Inbox[messages.UnitMessage], own: messages.UnitMessage | None) -> None:
-        """Take in what was heard in the last round, and what the unit itself sent."""
+        """Process the messages of the last round and the unit's own message."""
         last = inbox.round
         for message in inbox.slots.values():
             for ahead, drone in enumerate(message.donations, start=1):
@@ -300,7 +300,7 @@ class SwarmInformation:
     def _account(
         self, unit: int, message: messages.UnitMessage | None, last: int, given: set[int]
     ) -> None:
-        """Add what a member's slot may have sent to a drone in the last round."""
+        """Add the plans that may have been sent in a member's slot in the last round."""
         if message is not None and message.trajectory is not None:
             self.trackers.learn(message.drone, message.trajectory)
             if message.kind is messages.MessageKind.PLAN and message.view == self.view.id:
@@ -333,9 +333,9 @@ def guaranteed_planes(
     round_: int,
     config: MlrDmpcConfig,
 ) -> HalfSpaces | None:
-    """Half-spaces that keep drone i clear of drone j's unknown plans, if any (round k).
+    """Return half-spaces that keep drone i clear of drone j's unknown plans in round k, or None.
 
-    None are known for a drone that is not in the air: who planned for j has not minded its hover.
+    A drone that is not airborne has none, as plans for j have not avoided its hover.
     """
     if info.has_given_up(round_)[[drone, other]].any() or info.membership.joining[drone]:
         return None
@@ -360,7 +360,7 @@ def guaranteed_planes(
 
 
 def assign_to_units(info: SwarmInformation, chosen: list[int], round_: int) -> tuple[int, ...]:
-    """Selected drones, by rank, so that no unit gets one whose trajectory it lacks."""
+    """Return the selected drones by rank, avoiding units that lack the drone's trajectory."""
     size = len(info.view.units)
     lacks = {unit: {m.drone for m in requests} for unit, requests in info.requests.items()}
     lacks[info.unit] = {i for i in chosen if info.trackers.sole(i) is None}
@@ -374,7 +374,7 @@ def assign_to_units(info: SwarmInformation, chosen: list[int], round_: int) -> t
 
 
 def with_relay(info: SwarmInformation, message: messages.UnitMessage) -> messages.UnitMessage:
-    """The message, with a trajectory that another unit lacks if this one has it, or may lack."""
+    """Return the message with a trajectory that another unit has requested or may lack."""
     order = sorted(info.requests, key=lambda unit: (unit - info.unit) % 256)
     asked = [request for unit in order for request in info.requests[unit]]
     for request in [*asked, *info.planned]:

@@ -1,4 +1,4 @@
-"""One trajectory of one drone: the program (13)-(15), solved by row generation, and checked."""
+"""The program (13)-(15) of one trajectory of one drone, solved by row generation and checked."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
 from swarm_envs.state import FloatArray, IntArray
 
 TOLERANCE = 1e-6
-"""By how much a plan may break a bound, SI; a half-space by half of that, as two drones may."""
+"""The tolerance of bounds, SI; that of half-spaces is half, as two drones share it."""
 ACCEPTED = "accepted"  # The outcome of a plan that is sent and flown
 _BOUND_MARGIN = 2e-5
 _BOUND_ROUNDING = 2e-6
 _ROW_ROUNDING = 1e-6
 _STRIDE_S = 0.3
-_RELINEARISATIONS = 6  # most programs of a plan after the first
-_NEAR_M = 0.3  # candidates this much further off than they must be have rows
-_SETTLED_M = 0.02  # the end of a plan moves less: it is not solved again
+_RELINEARIZATIONS = 6  # The most programs of a plan after the first
+_NEAR_M = 0.3  # Candidates within the required distance plus this have rows
+_SETTLED_M = 0.02  # A plan whose end moves less is not solved again
 _NEGLIGIBLE_WEIGHT = 1e-9
 
 
@@ -56,14 +56,14 @@ def program(
     planes: Sequence[HalfSpaces] = (),
     around: Trajectory | None = None,
 ) -> Program:
-    """The program of a plan from where `own` will be at the start of a round.
+    """Return the program of a plan from the state of `own` at the start of a round.
 
-    Planes to drones that are not planned in the same round are those of `around`, a plan from then
-    on that keeps its distances, if there is one; these rows then are as wide as that needs. Bounds
-    are those of what is flown, or each solution would wear them down a little more.
+    Planes to drones that are not planned in the same round are those of `around`, if given: a plan
+    from then on that keeps its distances. Bounds are relaxed as for the present trajectory; with
+    those of `around`, each solution would relax them a little more.
 
-    The plan that is flown stays feasible although its state is rounded at the new start: see
-    `_asked`.
+    The present trajectory stays feasible although its state is rounded at the new start: see
+    `_required_slack`.
     """
     fixed = condensed(config)
     since = config.round_s * (start_round - own.identity.start_round)
@@ -74,7 +74,7 @@ def program(
         positions, jerk = _samples_left(around, 0.0, fixed)[0], around.jerk
     between = voronoi_planes(positions, neighbors, config)
     if around is not None:
-        both = neighbors.concurrent  # here both drones need the same plane
+        both = neighbors.concurrent  # Both drones need the same plane
         same = voronoi_planes(flown, neighbors.some(both), config)
         between.normals[both], between.offsets[both] = same
     parts = [between, *planes]
@@ -84,9 +84,11 @@ def program(
     offset[0] -= target
     weights = soft_weights(positions[-1], target, neighbors.positions[:, -1], config)
     rounding = _ROW_ROUNDING if around is None else 0.0
-    build = HalfSpaces(spaces.normals, spaces.offsets + _asked(slack, ROW_MARGIN, rounding))
-    lower = fixed.lower + _asked(bounded - fixed.lower, _BOUND_MARGIN, _BOUND_ROUNDING)
-    upper = fixed.upper - _asked(fixed.upper - bounded, _BOUND_MARGIN, _BOUND_ROUNDING)
+    build = HalfSpaces(
+        spaces.normals, spaces.offsets + _required_slack(slack, ROW_MARGIN, rounding)
+    )
+    lower = fixed.lower + _required_slack(bounded - fixed.lower, _BOUND_MARGIN, _BOUND_ROUNDING)
+    upper = fixed.upper - _required_slack(fixed.upper - bounded, _BOUND_MARGIN, _BOUND_ROUNDING)
     rows = _program_rows(fixed, state, build, weights, config, (lower, upper))
     return Program(
         state,
@@ -102,12 +104,12 @@ def program(
     )
 
 
-def _asked(slack: FloatArray, margin: float, rounding: float) -> FloatArray:
-    """What rows ask for beyond their offsets: a margin, or what is flown gives less its rounding.
+def _required_slack(slack: FloatArray, margin: float, rounding: float) -> FloatArray:
+    """Return the slack that rows require: a margin, or the present slack less its rounding.
 
     As an instant is planned for at most every second round of the horizon, roundings seldom use up
-    the margin. Where they have, a row asks for nothing beyond its offset, or for a little more than
-    what is flown gives: for less, the optimum would be refused, round after round.
+    the margin. Where they have, a row requires no slack, or a little more than the present
+    trajectory has: with less, the optimum would be rejected in each round.
     """
     worn = np.minimum(slack + _ROW_ROUNDING, 0.0)
     return np.asarray(np.minimum(margin, np.maximum(slack - rounding, worn)))
@@ -146,7 +148,7 @@ def _program_rows(
 def _samples_left(
     trajectory: Trajectory, since: float, fixed: Condensed
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions (S, 3), m, and bounded quantities (B, 3) of what is left of a trajectory."""
+    """Return positions (S, 3), m, and bounded quantities (B, 3) of a trajectory's remainder."""
     times = since + np.concatenate([fixed.collision_times, fixed.state_times])
     states = trajectory.states(times)
     samples = len(fixed.collision_times)
@@ -158,17 +160,17 @@ def _samples_left(
 
 
 class Planned(NamedTuple):
-    """A trajectory, and how it came about."""
+    """A planned trajectory and its statistics."""
 
-    trajectory: Trajectory  # The new one if it is accepted, else the one that is flown
-    accepted: bool  # Whether every constraint holds, so that it may be sent
-    reason: str  # `accepted`, or why not
+    trajectory: Trajectory  # The new one if accepted, else the present one
+    accepted: bool  # True if every constraint holds, so that it may be sent
+    reason: str  # `accepted`, or the reason against it
     shifted_slack: float
-    """Least slack of the rows at the trajectory that is flown, m; by Theorem T1 never negative."""
-    solve_ms: float  # In the solver, all programs together, CPU time of this thread, ms
-    total_ms: float  # From call to return, CPU time of this thread, ms
-    num_rows: int  # Rows of the last program
-    in_reach: int  # Trajectories and obstacles that have rows
+    """The least slack of the rows at the present trajectory, m; by Theorem T1 never negative."""
+    solve_ms: float  # The time in the solver, all programs together, CPU time of this thread, ms
+    total_ms: float  # The time from call to return, CPU time of this thread, ms
+    num_rows: int  # The number of rows of the last program
+    in_reach: int  # The number of trajectories and obstacles that have rows
 
 
 def plan_trajectory(
@@ -180,9 +182,9 @@ def plan_trajectory(
     config: MlrDmpcConfig,
     planes: Sequence[HalfSpaces] = (),
 ) -> Planned:
-    """Replan from where a drone will be at the start of a round: solveOptimization, (13).
+    """Plan from the state of `own` at the start of a round: solveOptimization, (13).
 
-    `neighbors`: what the others may fly from then on. `planes`: further half-spaces for the drone.
+    `neighbors` are the trajectories that others may fly from then on, `planes` further half-spaces.
 
     Returns:
         The plan if every constraint holds as it will be sent, rounded to float32; else `own`.
@@ -191,7 +193,7 @@ def plan_trajectory(
     task = _Task(own, start_round, compute_unit, neighbors, target, config, planes)
     best = first = _best(task)
     solve_ms = first.solve_ms
-    for _ in range(_RELINEARISATIONS):
+    for _ in range(_RELINEARIZATIONS):
         if best.reason != ACCEPTED or not best.held_back:
             break
         found = _best(task, best)
@@ -216,7 +218,7 @@ def plan_trajectory(
 
 
 class _Task(NamedTuple):
-    """What `plan_trajectory` is called with."""
+    """The arguments of `plan_trajectory`."""
 
     own: Trajectory
     start_round: int
@@ -231,21 +233,21 @@ class _Solution(NamedTuple):
     """A program's optimum as a plan."""
 
     problem: Program
-    plan: Trajectory  # as it would be sent
-    path: FloatArray  # (S, 3) of the plan
-    reason: str  # `accepted`, or why not
-    solve_ms: float  # in the solver
-    num_rows: int  # of the last program
-    active: IntArray  # (m, 3) half-spaces that hold with equality, as `broken_rows` names them
-    held_back: bool  # by planes that may be taken anew
-    with_rows: IntArray  # (K,) candidates that have rows, or are near to the plan
+    plan: Trajectory  # The plan as it would be sent
+    path: FloatArray  # (S, 3) positions of the plan, m
+    reason: str  # `accepted`, or the reason against it
+    solve_ms: float  # The time in the solver, ms
+    num_rows: int  # The number of rows of the last program
+    active: IntArray  # (m, 3) rows that hold with equality, as `broken_rows` names them
+    held_back: bool  # True if an active plane may be relinearized
+    with_rows: IntArray  # (K,) candidates that have rows, or are near the plan
 
 
 def _best(task: _Task, around: _Solution | None = None) -> _Solution:
-    """The optimum behind planes of what is flown, or of a solution of before.
+    """Return the optimum with planes around the present trajectory, or around a solution.
 
-    With relinearised planes, only candidates that come near and those planned in the same round
-    have rows. If a solution comes nearer than it may to others, it is found again with their rows.
+    With relinearized planes, only candidates that come near and those planned in the same round
+    have rows. If a solution comes too near to others, the program is solved again with their rows.
     """
     neighbors, config = task.neighbors, task.config
     near_m = config.sampled_distance_m + max(config.soft_m, _NEAR_M)
@@ -262,7 +264,7 @@ def _best(task: _Task, around: _Solution | None = None) -> _Solution:
         apart = least_distances(found.path, neighbors.positions, config.inverse_scaling)
         near = apart < near_m
         near[chosen] = False
-        others = np.flatnonzero(near)  # they had no rows: nothing has kept the plan off them
+        others = np.flatnonzero(near)  # Near the plan, but without rows
         chosen = np.concatenate([chosen, others])
         missed = (apart[others] < config.sampled_distance_m + SPARE_M).any()
         if found.reason != ACCEPTED or not missed:
@@ -276,7 +278,7 @@ def _solve(task: _Task, chosen: IntArray, around: _Solution | None) -> _Solution
     problem = program(task.own, task.start_round, among, task.target, config, task.planes, plan)
     found = solve_by_rows(problem, NO_ROWS if around is None else around.active)
     jerk = fixed.jerks.at(problem.state, found.z)
-    jerk[-1] = 0.0  # it is not sent: the plan ends at rest
+    jerk[-1] = 0.0  # The last jerk is not sent
     identity = Identity(task.start_round, task.compute_unit)
     plan = Trajectory(identity, problem.state, jerk, config.input_sampling_s)
     reason = found.failure or broken(plan, problem, fixed)
@@ -297,10 +299,10 @@ def _solve(task: _Task, chosen: IntArray, around: _Solution | None) -> _Solution
 
 
 def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:
-    """What a plan breaks, with the amount, or `accepted`; independent of how it was found.
+    """Return `accepted`, or the constraint that a plan breaks and by how much.
 
-    Half-spaces hold to half of `TOLERANCE`, bounds to all of it, unless the trajectory that is
-    flown holds them less: then as well as that does.
+    Half-spaces hold to half of `TOLERANCE` and bounds to all of it, or as well as the present
+    trajectory holds them. The check is independent of the solver.
     """
     # Each comparison is written so that NaN fails it.
     rest = fixed.rest_by_state @ plan.state + fixed.rest_by_jerk @ plan.jerk

@@ -1,13 +1,12 @@
-"""How every compute unit plans: priorities (Appendix A, in 8 bit), detours and trajectories.
+"""The planner of a compute unit: priorities (Appendix A, in 8 bit), detours and trajectories.
 
-A drone at rest is in a deadlock if its pull to the target is balanced by those that it touches
-(Chen et al. 2024, Theorem 1 and eq. (13), as the paper's Appendix A.4 uses them): at rest, the
-optimality conditions of program (13) of DMPC-Swarm say that the pull is a sum of contact forces,
-none of which pulls.
+A drone at rest is in a deadlock if contacts with others balance its pull to the target (Chen et al.
+2024, Theorem 1 and eq. (13), as in the paper's Appendix A.4): at rest, by the optimality conditions
+of program (13) of DMPC-Swarm, the pull is balanced by a sum of repelling contact forces.
 
-Others then make room (Appendix B.1). The paper starts when the whole swarm is still. Here a drone
-that is still, with its plan at an end away from its target, is enough, so that one knot does not
-wait for drones that fly elsewhere.
+Other drones then make room (Appendix B.1). In the paper, this starts when the whole swarm is at
+rest. Here, it starts when a drone is at rest and its plan ends away from its target, so that a
+deadlock need not wait for drones that fly elsewhere.
 """
 
 from __future__ import annotations
@@ -27,26 +26,26 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, states_by_round
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned, plan_trajectory
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
-_WALLS = np.concatenate([np.eye(3), -np.eye(3)])  # how the faces of the box push: inwards
+_WALLS = np.concatenate([np.eye(3), -np.eye(3)])  # Inward normals of the faces of the box
 
 
 def deadlocked(
     ends: FloatArray, speeds: FloatArray, targets: FloatArray, config: MlrDmpcConfig
 ) -> BoolArray:
-    """Who is in a deadlock (N,), by ends of plans (N, 3), speeds now (N,) and targets (N, 3).
+    """Return (N,) True for drones in a deadlock, by ends of plans (N, 3) and speeds (N,).
 
-    A drone is if it is slower than `deadlock_speed`, its plan ends farther than `deadlock_m` from
-    its target, and non-negative contact forces of still drones within `contact_factor` times the
-    distance kept, and of the walls of the box, balance the pull of its target but for
-    `deadlock_residual` of it.
+    A drone is in a deadlock if it is slower than `deadlock_speed`, its plan ends farther than
+    `deadlock_m` from its target, and repelling contact forces balance the pull of its target up to
+    `deadlock_residual` of it. Drones at rest within `contact_factor` times the distance, and walls
+    of the box, are in contact.
     """
     still, pull = speeds <= config.deadlock_speed, targets - ends
     length, distance = np.linalg.norm(pull, axis=1), config.sampled_distance_m
-    scaled, who = ends * config.inverse_scaling, np.flatnonzero(still)
-    found = cKDTree(scaled[who]).query_pairs(
+    scaled, resting = ends * config.inverse_scaling, np.flatnonzero(still)
+    found = cKDTree(scaled[resting]).query_pairs(
         config.contact_factor * distance, output_type="ndarray"
     )
-    pairs = np.concatenate([who[found], who[found[:, ::-1]]])
+    pairs = np.concatenate([resting[found], resting[found[:, ::-1]]])
     low, high = np.array(config.box)
     near_m = (config.contact_factor - 1.0) * distance
     walls = np.concatenate([ends - low, high - ends], axis=1) <= near_m
@@ -61,44 +60,44 @@ def deadlocked(
 
 
 def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
-    """What is left of a pull (3,) when contacts push along (K, 3), and none pulls."""
+    """Return the residual of a pull (3,) against non-negative forces along contacts (K, 3)."""
     from scipy.optimize import nnls
 
     lengths = np.linalg.norm(contacts, axis=1)
-    along = lengths > 1e-9  # two that would end at one place push nowhere
+    along = lengths > 1e-9  # Equal ends have no direction of contact
     if not along.any():
         return float(np.linalg.norm(pull))
     return float(nnls((contacts[along] / lengths[along, None]).T, -pull)[1])
 
 
-NOBODY = -1  # Stands for the drone that is made room for where there is none
+NOBODY = -1  # In `_Detours.for_whom`, for a drone that makes no room
 
 
 class _Detours(NamedTuple):
-    """Who makes room at present."""
+    """The drones that make room at present."""
 
     # (N,) the drone that each makes room for, itself if it steps aside, or `NOBODY`
     for_whom: IntArray
-    # (N, 3) where each flies meanwhile, m; meaningless for those who make no room
+    # (N, 3) the targets of detours, m; meaningless for drones that make no room
     targets: FloatArray
-    since: IntArray  # (N,) round at which each last began to make room
+    since: IntArray  # (N,) the round at which each last began to make room
 
     def current(self, targets: FloatArray) -> FloatArray:
-        """Where each drone flies now (N, 3), m: to its target (N, 3), unless it makes room."""
+        """Return the present targets (N, 3), m, for own targets (N, 3)."""
         return np.where((self.for_whom == NOBODY)[:, None], targets, self.targets)
 
 
 class SwarmSnapshot(NamedTuple):
-    """What the planner knows of a swarm."""
+    """The state of the swarm that the planner uses."""
 
     positions: FloatArray  # (N, 3) when round k + 1 begins, m
-    velocities: FloatArray  # (N, 3) likewise, m/s
-    ends: FloatArray  # (N, 3) where the plans end, m
+    velocities: FloatArray  # (N, 3) when round k + 1 begins, m/s
+    ends: FloatArray  # (N, 3) the ends of the plans, m
     targets: FloatArray  # (N, 3) own targets, m
 
 
 def no_detours(n: int) -> _Detours:
-    """Nobody makes room."""
+    """Return detours in which no drone makes room."""
     return _Detours(np.full(n, NOBODY), np.zeros((n, 3)), np.full(n, -(10**6)))
 
 
@@ -109,15 +108,15 @@ def next_detours(
     config: MlrDmpcConfig,
     rng: np.random.Generator,
 ) -> _Detours:
-    """Who makes room from now on: some stop, some begin. A pure function of its arguments.
+    """Return the detours from now on; a pure function of its arguments and the generator's state.
 
-    Drone i makes room for the nearest drone j that is stuck, no nearer to its target than i, within
-    range, and that i is in the way of or moves towards. It flies sideways of j's way until j's plan
-    ends at its target, but no longer than `detour_rounds`; with fixed planes for all
-    of these. App. B.1 has it until the deadlock resolves or these conditions end, and away from j,
-    with noise, where this is beside j's way. A stuck drone that finds nobody steps aside itself.
-    Who rests at its target stays there. The generator draws alike for every drone, whoever needs
-    it.
+    Drone i makes room for the nearest drone j in a deadlock that is within range and no nearer to
+    its target than i, if i is ahead of j, approaches it, or must pass it. It moves to the side of
+    j's path until j's plan ends at its target, but for at most `detour_rounds`; with fixed planes,
+    for all of them. In App. B.1 it does so until the deadlock resolves or these conditions end, and
+    moves away from j, with noise; here it moves beside j's path. If no drone makes room for one in
+    a deadlock, it steps aside itself. Drones near their targets stay there. The same number of
+    draws is made for every drone, needed or not.
     """
     noise = rng.normal(size=(len(swarm.positions), 3))
     speeds = np.linalg.norm(swarm.velocities, axis=1)
@@ -144,34 +143,34 @@ def next_detours(
 
 
 def _whom(swarm: SwarmSnapshot, stuck: BoolArray, config: MlrDmpcConfig) -> IntArray:
-    """(N,) the nearest of the stuck (N,) that each should make room for, or `NOBODY`."""
-    index, who = np.arange(len(stuck)), np.flatnonzero(stuck)
-    if not len(who):
+    """Return (N,) the nearest of the stuck (N,) that each should make room for, or `NOBODY`."""
+    index, others = np.arange(len(stuck)), np.flatnonzero(stuck)
+    if not len(others):
         return np.full(len(stuck), NOBODY)
     position, left = swarm.positions, swarm.targets - swarm.positions
     distance = np.linalg.norm(left, axis=1)
-    between = position[:, None] - position[who]
+    between = position[:, None] - position[others]
     gap = np.linalg.norm(between, axis=-1)
-    ahead = np.einsum("ijk,jk->ij", between, left[who]) > 0.5 * gap * distance[who]
+    ahead = np.einsum("ijk,jk->ij", between, left[others]) > 0.5 * gap * distance[others]
     closing = np.einsum("ijk,ik->ij", between, swarm.velocities) < 0.0
-    meets = np.einsum("ijk,ik->ij", between, left) < -0.5 * gap * distance[:, None]
-    at_home = distance <= 0.9 * config.sampled_distance_m
-    allowed = (gap < config.detour_range_m) & (ahead | closing | meets)
-    allowed &= (distance[:, None] <= distance[who]) & ~at_home[:, None]
-    allowed &= (distance[:, None] != distance[who]) | (index[:, None] < who)
-    nearest = who[np.argmin(np.where(allowed, gap, np.inf), axis=1)]
+    passes = np.einsum("ijk,ik->ij", between, left) < -0.5 * gap * distance[:, None]
+    at_target = distance <= 0.9 * config.sampled_distance_m
+    allowed = (gap < config.detour_range_m) & (ahead | closing | passes)
+    allowed &= (distance[:, None] <= distance[others]) & ~at_target[:, None]
+    allowed &= (distance[:, None] != distance[others]) | (index[:, None] < others)
+    nearest = others[np.argmin(np.where(allowed, gap, np.inf), axis=1)]
     return np.where(allowed.any(axis=1), nearest, NOBODY)
 
 
 def _places(
     swarm: SwarmSnapshot, for_whom: IntArray, noise: FloatArray, config: MlrDmpcConfig
 ) -> FloatArray:
-    """(N, 3) where to make room: away from the other, beside its way, m."""
+    """Return the targets (N, 3) of detours: away from the other drone, beside its path, m."""
     other = np.maximum(for_whom, 0)
-    way = _unit(swarm.targets[other] - swarm.positions[other])
+    ahead = _unit(swarm.targets[other] - swarm.positions[other])
     away = _unit(swarm.positions - swarm.positions[other])
     side = away + 0.5 * noise
-    side -= np.sum(side * way, axis=1, keepdims=True) * way
+    side -= np.sum(side * ahead, axis=1, keepdims=True) * ahead
     step = config.detour_step_m * _unit(_unit(side) + 0.5 * away)
     lower, upper = np.array(config.box)
     return np.clip(
@@ -180,17 +179,17 @@ def _places(
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Vectors (N, 3) of length one, or zero where they were."""
+    """Return vectors (N, 3) of length one; zero stays zero."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.maximum(length, 1e-9)
 
 
-JUST_PLANNED = 0  # Priority of a drone that has just been planned: it wins over the maximum
+JUST_PLANNED = 0  # Priority of a drone that has just been planned, which overrides all others
 DEADLOCKED = 1  # Priority of a drone in a deadlock
 _LEAST, _MOST = 2, 254
 REINITIALISED = 255  # Priority of a drone whose trajectory restarts
 _FINEST, _COARSEST = 1e-4, 30.0
-_AGE_ROUNDS = 4  # added to ages by `WT`
+_AGE_ROUNDS = 4  # Rounds that `WT` adds to ages
 
 Levels = npt.NDArray[np.int64]  # (N,) priorities as messages carry them, 8 bit
 
@@ -202,8 +201,8 @@ def _urgency(
 
     `WT` is between `HT` and `DT`: ages count four rounds more, so that a drone whose plan still
     ends far from its target is planned again before all others had their turn. Distances (N,) from
-    the target, m, count as a share of the box's diagonal; ages (N,), rounds since a drone was last
-    planned, as a share of N / M.
+    the target, m, are divided by the box's diagonal; ages (N,), the rounds since a drone was last
+    planned, by N / M.
     """
     share = distances / float(np.linalg.norm(np.subtract(*config.box)))
     turns = ages * num_units / len(ages)
@@ -214,7 +213,7 @@ def _urgency(
 def prio_consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
     """Return the joint priorities (N,): prioConsensus of Algorithm 1, (11), the largest.
 
-    Where any unit sends zero they are zero (Appendix A): that drone was just planned.
+    They are zero if any unit sends zero (Appendix A): that drone was just planned.
     """
     joint = own.copy()
     zero = own == JUST_PLANNED
@@ -229,8 +228,8 @@ def prio_consensus(own: Levels, others: Iterable[Mapping[int, int]]) -> Levels:
 def rank_by_priority(priorities: Levels, round_: int) -> list[int]:
     """Return drones by priority, highest first: selectUAV of Algorithm 1.
 
-    The first M are A_ET(k), those that may be planned; selectUAV takes number (k + w) mod M of
-    them. Ties go round, so that no drone always comes last.
+    The first M are A_ET(k), which may be planned; selectUAV takes number (k + w) mod M of them. The
+    order of ties rotates with the round, so that no drone is always last.
     """
     count = len(priorities)
     turn = (np.arange(count) - round_) % count
@@ -238,27 +237,27 @@ def rank_by_priority(priorities: Levels, round_: int) -> list[int]:
 
 
 Obstacles = Callable[[Trajectory, int], HalfSpaces | None]
-"""Half-spaces for a drone that flies a trajectory and is planned from the start of a round on."""
+"""A function from a drone's present trajectory and the first round of its plan to half-spaces."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningOptions:
-    """How compute units plan."""
+    """The options of all compute units' planners."""
 
     config: MlrDmpcConfig
-    """Parameters."""
+    """The parameters."""
     num_drones: int
-    """N."""
+    """The number N of drones."""
     num_units: int
-    """M."""
+    """The number M of compute units."""
     seed: int = 0
-    """Of detours' noise, alike for all units."""
+    """The seed of the noise of detours, the same for all units."""
     obstacles: Obstacles | None = None
-    """Further half-spaces."""
+    """The half-spaces of obstacles, or None."""
 
 
 class Planner:
-    """Plans for one compute unit; remembers who makes room for whom."""
+    """The planner of one compute unit, which stores the present detours."""
 
     def __init__(self, options: PlanningOptions) -> None:
         self.options = options
@@ -269,7 +268,7 @@ class Planner:
     ) -> Levels:
         """Return priorities (N,) for plans from round k + 1 on: calcPrio of Algorithm 1.
 
-        They follow from the newest candidates. It also decides which drones make room.
+        They follow from the newest candidates. The detours are updated too.
         """
         options, config = self.options, self.options.config
         swarm, ages = _snapshot(trajectories, targets, round_, config)
@@ -279,7 +278,7 @@ class Planner:
         points = swarm.ends if config.measure == "end" else swarm.positions
         distances = np.linalg.norm(self._targets - points, axis=1)
         urgencies = _urgency(distances, ages, options.num_units, config)
-        # In 8 bit, from 2 to 254, finer where they are small; the order is kept.
+        # 8 bit, from 2 to 254, with finer steps for small urgencies; the order is kept.
         share = np.minimum(np.log1p(urgencies / _FINEST) / math.log1p(_COARSEST / _FINEST), 1.0)
         out = np.asarray(_LEAST + np.rint(share * (_MOST - _LEAST)), dtype=np.int64)
         speeds = np.linalg.norm(swarm.velocities, axis=1)
@@ -295,7 +294,7 @@ class Planner:
         round_: int,
         planes: Sequence[HalfSpaces] = (),
     ) -> Planned:
-        """Replan for a drone that flies `own`, from round k + 1, among `neighbors` and `planes`."""
+        """Plan from round k + 1 on for a drone that flies `own`, as `plan_trajectory` does."""
         options, start = self.options, round_ + 1
         walls = None if options.obstacles is None else options.obstacles(own, start)
         return plan_trajectory(

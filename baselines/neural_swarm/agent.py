@@ -1,10 +1,10 @@
 """The agents of Neural-Swarm2: the tracking controller (Sec. VI) and the planner (Sec. V).
 
-Both emit set-points; the tracking loop that follows them is the environment's, configured as the
-agent declares. `TrackingAgent` emits those of the task's reference; `PlanAgent` plans when goals
-are set, and emits those of its plan. What they compensate is the force that a deep set predicts,
-fitted to flights inside the environment, never the environment's own model; without it the
-controller is the paper's baseline, identical in everything else.
+Both return setpoints, which the environment's tracking loop follows with the configuration that the
+agent requires. `TrackingAgent` returns the task's reference; `PlanAgent` plans when goals are set,
+and returns its plan. They compensate the force predicted by a deep set that was fitted to flights
+in the environment, never the environment's own model. Without it the controller is the paper's
+baseline, identical in everything else.
 """
 
 from __future__ import annotations
@@ -37,30 +37,30 @@ from swarm_envs.vehicles import GRAM_FORCE, Team
 __all__ = ["BELIEFS", "load_belief"]
 
 BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
-"""Files of the shipped deep sets, by the force model of the environment they were fitted in."""
+"""The files of the shipped deep sets, by the environment's force model of their flights."""
 MAX_DRONES = 6
-"""More drones than this are refused: planning one after another gets slow and finds no way."""
-_LONGEST_S = 6.0  # of a plan: more time makes it cheaper, but not by much
-_SPARE_S = 1.5  # of the clock: what is left for settling at the goals
-_CLEARANCE = 1.6  # over the sum of radii where starts and goals allow it: below 1.5 is a near miss
-_HOVER_SHARE = 1.2  # force bound over the force when hovering, where that is above the paper's
+"""The most drones of a plan: with more, sequential planning is slow and finds no paths."""
+_LONGEST_S = 6.0  # The longest plan; more time makes it hardly cheaper
+_SPARE_S = 1.5  # The time left for settling at the goals
+_CLEARANCE = 1.6  # Clearance over the sum of radii if starts and goals allow it (near miss: 1.5)
+_HOVER_SHARE = 1.2  # Force bound over the force when hovering, where that exceeds the paper's
 
 
 def load_belief(truth: str = "learned") -> InteractionModel:
-    """The deep set of the compensated controller and the planner: fitted to simulated flights.
+    """Return the deep set of the compensated controller and the planner.
 
-    See `weights/MODEL_CARD.md` for the flights and the errors.
+    It was fitted to simulated flights; `weights/MODEL_CARD.md` has the flights and the errors.
 
     Args:
-        truth: name of the environment's force model in whose flights it was fitted.
+        truth: The name of the environment's force model of these flights.
 
     Raises:
-        ValueError: no deep set ships for that model.
+        ValueError: No deep set is shipped for that model.
     """
     if truth not in BELIEFS:
         raise ValueError(
             f"no belief ships for an environment with the force model {truth!r}, only for "
-            f"{' and '.join(BELIEFS)}; fit one to flights there, by `python -m "
+            f"{' and '.join(BELIEFS)}; fit one to flights there by `python -m "
             f"swarm_envs.training.belief --collection.interactions {truth} --out DIR`, and load "
             "its weights"
         )
@@ -78,8 +78,8 @@ class TrackingAgent(SetpointAgent):
     """Follows the task's reference with the tracking loop of Neural-Swarm2.
 
     Args:
-        controller: configuration of the loop; None for the paper's baseline, uncompensated.
-        decision_rate: set-points per second.
+        controller: The configuration of the loop; None for the paper's uncompensated baseline.
+        decision_rate: The number of setpoints per second.
     """
 
     def __init__(self, controller: ControllerConfig | None = None, decision_rate: int = 48) -> None:
@@ -94,35 +94,35 @@ class TrackingAgent(SetpointAgent):
     def compensated(
         cls, belief: InteractionModel | None = None, decision_rate: int = 48
     ) -> TrackingAgent:
-        """The agent that feeds forward the force of a model; by default `load_belief()`."""
+        """Return the agent that feeds forward the force of a model, by default `load_belief()`."""
         return cls(ControllerConfig(feedforward=belief or load_belief()), decision_rate)
 
     @classmethod
     def adaptive(cls) -> TrackingAgent:
-        """The agent that estimates the force in flight, by `Indi`, and knows no model."""
+        """Return the agent that estimates the force in flight by `Indi`, without a model."""
         return cls(ControllerConfig(adaptation=Indi()))
 
     @classmethod
     def compensated_adaptive(cls, belief: InteractionModel | None = None) -> TrackingAgent:
-        """The agent that feeds a model's force forward, and estimates what that leaves over."""
+        """Return the agent that feeds a model's force forward and estimates the residual."""
         return cls(ControllerConfig(feedforward=belief or load_belief(), adaptation=Indi()))
 
     def reference(self, view: View) -> Reference:
-        """The task's reference at this time."""
+        """Return the task's reference at this time."""
         return view.reference(view.time)
 
 
 def compensated_detour(belief: InteractionModel | None = None) -> DetourAgent:
-    """`DetourAgent` over the paper's controller, which feeds `load_belief()` or another forward."""
+    """Return a `DetourAgent` with the compensated controller; None for `load_belief()`."""
     return DetourAgent(ControllerConfig(feedforward=belief or load_belief()))
 
 
 class PlanAgent(PlannedAgent[SwarmPlan]):
-    """Plans at every change of goals, with its own model of the forces, and flies the plan.
+    """Plans at every change of goals with its own model of the forces, and follows the plan.
 
     Args:
-        belief: force model of planner and controller; None for `load_belief()`.
-        decision_rate: set-points per second.
+        belief: The force model of planner and controller; None for `load_belief()`.
+        decision_rate: The number of setpoints per second.
     """
 
     def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
@@ -132,21 +132,21 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
         super().__init__(tracking.requires)
 
     def check(self, task: Task) -> None:
-        """Refuse a task to which there is no plan."""
+        """Raise ValueError for a task that it cannot plan."""
         super().check(task)
         if len(task.team) > MAX_DRONES:
             raise ValueError(
                 f"PlanAgent got {len(task.team)} drones, but plans for at most {MAX_DRONES}; for "
-                "more use an agent that does not plan all together, such as 'tracking+compensated'"
+                "more use an agent without joint planning, such as 'tracking+compensated'"
             )
         if task.obstacles:
             raise ValueError(
-                f"PlanAgent knows no obstacles, but there are {len(task.obstacles)}; make the "
-                "environment without"
+                f"PlanAgent cannot avoid obstacles, but the task has {len(task.obstacles)}; make "
+                "the environment without"
             )
 
     def plan(self, task: Task, view: View, seed: int) -> SwarmPlan:
-        """A plan that keeps the predicted forces within bounds; look if it converged."""
+        """Return a plan that bounds the predicted forces; it may not have converged."""
         starts, goals = view.setpoint.position.copy(), view.goals.copy()
         bounds = bounds_for(task, self._model, starts, goals)
         needed = float(shortest_time(np.abs(goals - starts), SPEED_LIMIT, ACCELERATION_LIMIT).max())
@@ -160,7 +160,7 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
 def bounds_for(
     task: Task, model: InteractionModel, starts: FloatArray, goals: FloatArray
 ) -> PlanningBounds:
-    """Bounds that leave room for tracking, as far as starts and goals (N, 3) allow."""
+    """Return bounds that leave room for tracking, as far as starts and goals (N, 3) allow."""
     margin = float(task.radius.max())
     room = [_room(points, task.radius) for points in (starts, goals)]
     low, high = task.arena[0] + margin, task.arena[1] - margin
@@ -177,7 +177,7 @@ def bounds_for(
 
 
 def _room(points: FloatArray, radius: FloatArray) -> float:
-    """Smallest distance of two points (N, 3) over the sum of their radii, less a rounding."""
+    """Return the least ratio of two points' distance to the sum of their radii, less a rounding."""
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     np.fill_diagonal(apart, np.inf)
     return float((apart / (radius[:, None] + radius[None])).min()) * (1.0 - 1e-9)
@@ -186,7 +186,7 @@ def _room(points: FloatArray, radius: FloatArray) -> float:
 def _force_bounds(
     team: Team, model: InteractionModel, starts: FloatArray, goals: FloatArray
 ) -> dict[str, float]:
-    """The paper's bounds, g, or more where hovering at starts and goals needs it."""
+    """Return the paper's bounds, g, raised where hovering at starts and goals needs it."""
     bounds: dict[str, float] = {}
     for points in (starts, goals):
         together = np.abs(hover_force(model, points, team))

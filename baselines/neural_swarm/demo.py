@@ -1,9 +1,9 @@
 """The demonstration: stacked swaps with and without compensation, as table, picture and video.
 
-The flight test of Neural-Swarm2 (Fig. 8): drones in a stack change places and cross half way in
-one vertical line, so that the lowest flies through the downwash of the others. Both controllers fly
-the same swaps with the same gains, filters and trajectories; they differ in the force that they
-compensate alone.
+In the flight test of Neural-Swarm2 (Fig. 8), drones in a stack swap sides and cross halfway in one
+vertical line, so that the lowest flies through the downwash of the others. Both controllers fly the
+same swaps with the same gains, filters and trajectories; they differ only in the force that they
+compensate.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ SCENARIOS: Mapping[str, str] = {
     "L2S": "a large above a small",
     "SS2S": "two small above a small",
 }
-"""The teams, uppermost first, and what they are."""
-CONTROLLERS = ("without", "compensated")  # How the summary names the two sides
+"""The teams, uppermost drone first, and their descriptions."""
+CONTROLLERS = ("without", "compensated")  # The names of the two controllers in the summary
 VIDEO_TEAM, VIDEO_S, VIDEO_FPS = "L2S", 5.0, 24
-"""What is filmed, for how long, s, and with how many frames per second."""
+"""The team, the duration, s, and the frame rate, 1/s, of the video."""
 _HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
 
 
@@ -61,25 +61,25 @@ def run_demo(
     *,
     video_s: float = VIDEO_S,
 ) -> dict[str, Any]:
-    """Fly every swap twice, and write `summary.json`, `demo.png` and `demo.mp4` into `out`.
+    """Simulate every swap twice, and write `summary.json`, `demo.png` and `demo.mp4` into `out`.
 
-    Where pybullet cannot be imported the compiled engine flies; where ffmpeg does not work the
-    video is a GIF. The summary says so in `notes`.
+    The compiled engine is used if pybullet cannot be imported, and the video is a GIF if ffmpeg
+    does not work; the `notes` of the summary then report it.
 
     Args:
-        out: folder, made if missing.
-        seed: seeds of the swaps are drawn from it.
-        swaps: randomised swaps of each scenario.
-        video: whether to make the video.
-        progress: whether to show progress bars on stderr.
-        video_s: length of the video, s.
+        out: The output folder, created if missing.
+        seed: The seed from which the seeds of the swaps are drawn.
+        swaps: The number of randomized swaps of each scenario.
+        video: True to write the video.
+        progress: True to show progress bars on stderr.
+        video_s: The duration of the video, s.
 
     Returns:
-        What `summary.json` holds; `format_table` prints it.
+        The content of `summary.json`, which `format_table` formats.
 
     Raises:
-        ValueError: `seed` or `swaps` is impossible.
-        OSError: the folder cannot be written.
+        ValueError: `seed` or `swaps` is out of range.
+        OSError: The folder cannot be written.
     """
     check_integer("seed", seed, at_least=0)
     check_integer("swaps", swaps)
@@ -102,7 +102,7 @@ def run_demo(
         team: Comparison(f"{team} ({text})", *([f.record(e) for e in range(swaps)] for f in sides))
         for (team, text), sides in zip(SCENARIOS.items(), flown.values(), strict=True)
     }
-    headline = f"Stacked swaps through each other's downwash, {swaps} randomised each"
+    headline = f"Stacked swaps through each other's downwash, {swaps} randomized each"
     plot_comparisons(out / "demo.png", list(comparisons.values()), headline)
     summary: dict[str, Any] = {
         "seed": seed,
@@ -130,7 +130,7 @@ def run_demo(
 
 
 def _scenario(sides: Sequence[Flights]) -> dict[str, Any]:
-    """What the summary holds of one team: flights and statistics of both sides, their ratio."""
+    """Return a team's entry of the summary: flights and statistics by controller, their ratio."""
     entry: dict[str, Any] = {}
     worst = []
     for name, flights in zip(CONTROLLERS, sides, strict=True):
@@ -160,7 +160,7 @@ def _flight(flights: Flights, e: int) -> dict[str, Any]:
 
 
 def _film(path: Path, comparison: Comparison, duration_s: float, progress: bool) -> Path:
-    """Film the swap whose error without compensation is the middle one; return the video's path."""
+    """Film the swap of median error without compensation; return the path of the video."""
     from swarm_envs.viewing.comparison import SideBySide
     from swarm_envs.viewing.video import write_video_or_gif
 
@@ -177,23 +177,23 @@ def _film(path: Path, comparison: Comparison, duration_s: float, progress: bool)
 
 
 def _notes(engine: str, file: str | None) -> list[str]:
-    """What is otherwise than on a machine that has everything."""
+    """Return notes on optional dependencies that were missing."""
     notes = []
     if engine == "batch":
-        notes.append("pybullet cannot be imported here, so the compiled engine flew")
+        notes.append("pybullet cannot be imported here, so the compiled engine was used")
     if file is not None and file.endswith(".gif"):
         notes.append("ffmpeg does not work here, so the video is a GIF")
     return notes
 
 
 def crashed_flights(summary: Mapping[str, Any]) -> int:
-    """Number of flights that ended early: their worst error is a lower bound."""
+    """Return the number of flights that ended early, whose worst error is a lower bound."""
     entries = summary["scenarios"].values()
     return sum(int(entry[name]["crashed"]) for entry in entries for name in CONTROLLERS)
 
 
 def format_table(summary: Mapping[str, Any]) -> str:
-    """The summary as a table for the terminal: medians, quartiles, ratios."""
+    """Return the summary as a table for the terminal: medians, quartiles, ratios."""
     head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse", "crashed")
     rows = [head]
     for team, entry in summary["scenarios"].items():

@@ -1,8 +1,8 @@
-"""Agents for the tasks that downwash decides, with and without a model of the force.
+"""Agents for the tasks dominated by downwash, with and without a model of the force.
 
-All fly from rest to rest to their goals, or follow the reference where goals move. They differ in
-their controllers and in the choice of places. Their numbers were tuned on these tasks, with other
-seeds than the benchmark's: `python -m examples.tune_agents`.
+All fly from rest to rest to their goals, or follow the reference if goals move. They differ in
+their controllers and in the assignment of goals. Their parameters were tuned on these tasks with
+seeds other than the benchmark's, by `python -m examples.tune_agents`.
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["TUNED", "DownwashSettings", "place_heavy_on_top"]
 
-_INTEGRAL_LIMIT = 3.0  # Holds the largest force of these tasks, m
+_INTEGRAL_LIMIT = 3.0  # Compensates the largest force of these tasks, m
 _PEAK = 7.5132  # Largest acceleration from rest to rest over a distance of 1 m in 1 s, m/s^2
 
 
 @dataclass(frozen=True, kw_only=True)
 class DownwashSettings:
-    """Every number of an agent of these tasks, and what it knows."""
+    """The parameters of an agent of these tasks."""
 
     position: float
-    """As of `PositionGains`, 1/s."""
+    """The position gain of `PositionGains`, 1/s."""
     velocity: float
-    """As of `PositionGains`, 1/s."""
+    """The velocity gain of `PositionGains`, 1/s."""
     integral: float
-    """As of `PositionGains`, 1/s."""
+    """The integral gain of `PositionGains`, 1/s."""
     attitude: float = 20.0
-    """`attitude_tilt` of `ControllerConfig`, 1/s. Where it is softer, noise costs less thrust."""
+    """The `attitude_tilt` of `ControllerConfig`, 1/s. With less, noise costs less thrust."""
     rate: float = 25.0
-    """`rate_tilt` of `ControllerConfig`, 1/s."""
+    """The `rate_tilt` of `ControllerConfig`, 1/s."""
     cutoff_hz: float = 0.0
-    """Of `Indi`, which estimates the force in flight; 0 for no estimate."""
+    """The cutoff of `Indi`, which estimates the force in flight, Hz; 0 for no estimate."""
     acceleration: float = 4.6
-    """Largest acceleration on the way to a goal, m/s^2."""
+    """The largest acceleration of a flight to an assigned goal, m/s^2."""
     travel_s: float = 1.6
-    """Time of the way to a place that any may take, s."""
+    """The duration of a flight to a goal that any drone may take, s."""
     believes: bool = False
-    """Whether it feeds `load_belief()` forward."""
+    """True to feed `load_belief()` forward."""
     chooses: bool = False
-    """Whether those with little thrust to spare go on top, where any may take any place."""
+    """True to place drones with little spare thrust on top, if any may take any goal."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("position", "velocity", "integral", "attitude", "rate", "acceleration"):
             check_number(name, getattr(self, name), above=0.0)
         check_number("cutoff_hz", self.cutoff_hz, at_least=0.0, at_most=20.0, unit="Hz")
@@ -63,7 +63,7 @@ class DownwashSettings:
             check_bool(name, getattr(self, name))
 
     def controller(self) -> ControllerConfig:
-        """The tracking loop with these numbers."""
+        """Return the configuration of the tracking loop."""
         return ControllerConfig(
             gains=PositionGains(self.position, self.velocity, self.integral),
             feedforward=load_belief() if self.believes else None,
@@ -74,15 +74,15 @@ class DownwashSettings:
         )
 
     def agent(self) -> RestToRestAgent:
-        """An agent with these numbers."""
+        """Return an agent with these parameters."""
         return RestToRestAgent(self)
 
 
 class RestToRestAgent(TrackingAgent):
-    """Flies from rest to rest to its goals, or follows the reference where goals move.
+    """Flies from rest to rest to its goals, or follows the reference if goals move.
 
     Args:
-        numbers: of its controller and its ways, and what it knows.
+        numbers: The parameters of the agent.
     """
 
     def __init__(self, numbers: DownwashSettings) -> None:
@@ -90,34 +90,34 @@ class RestToRestAgent(TrackingAgent):
         self._numbers = numbers
         self._named = self._follows = True
         self._goals: FloatArray | None = None
-        self._way = np.zeros((0, 3)), np.zeros((0, 3)), 1.0, 0.0
+        self._flight = np.zeros((0, 3)), np.zeros((0, 3)), 1.0, 0.0
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note what the task is like; nothing here is random."""
+        """Begin an episode; the seed is not used."""
         super().reset(env, seed)
         task = env.core.task
         self._follows = not self.goals_rest(task)
         self._named, self._goals = getattr(task.success, "named", True), None
 
     def reference(self, view: View) -> Reference:
-        """The way at this time, or the task's reference."""
+        """Return the point of the flight to the goals at this time, or the task's reference."""
         if self._follows:
             return super().reference(view)
         if self._goals is None or (self._named and not np.array_equal(view.goals, self._goals)):
             self._plan(view)
-        start, places, duration, began = self._way
-        return rest_to_rest(start, places, duration, view.time - began)
+        start, goals, duration, began = self._flight
+        return rest_to_rest(start, goals, duration, view.time - began)
 
     def _plan(self, view: View) -> None:
-        """The way from the set-points of this moment to the goals, or to better places."""
-        places = self._goals = np.array(view.goals)
+        """Plan the flight from the present setpoints to the goals, reassigned if allowed."""
+        goals = self._goals = np.array(view.goals)
         if self._numbers.chooses and not self._named:
-            places = place_heavy_on_top(places, view.team)
+            goals = place_heavy_on_top(goals, view.team)
         start, duration = np.array(view.setpoint.position), self._numbers.travel_s
         if self._named:
-            longest = float(np.linalg.norm(places - start, axis=1).max())
+            longest = float(np.linalg.norm(goals - start, axis=1).max())
             duration = max(0.1, (_PEAK * longest / self._numbers.acceleration) ** 0.5)
-        self._way = start, places, duration, view.time
+        self._flight = start, goals, duration, view.time
 
 
 _PRECISE = DownwashSettings(
@@ -134,7 +134,7 @@ TUNED: Mapping[str, DownwashSettings] = MappingProxyType(
         ),
     }
 )  # fmt: skip
-"""Numbers of the shipped agents, by name."""
+"""The parameters of the shipped agents, by name."""
 
 
 pid, pid_adaptive, downwash_aware, heavy_on_top = (numbers.agent for numbers in TUNED.values())
@@ -142,14 +142,14 @@ pid, pid_adaptive, downwash_aware, heavy_on_top = (numbers.agent for numbers in 
 
 
 def place_heavy_on_top(places: FloatArray, team: Team) -> FloatArray:
-    """(N, 3) the same places, changed within each column: who has little thrust to spare goes up.
+    """Return positions (N, 3), m, permuted in each column so that spare thrust falls with height.
 
     Args:
-        places: (N, 3) of the drones, m.
-        team: N vehicles.
+        places: The positions (N, 3) of the drones, m.
+        team: The N vehicles.
     """
-    # What counts is the force that is left, not its share of the weight: a large drone with a
-    # payload has the same share as a small one without, and can hold twice the force.
+    # The spare force decides, not its ratio to the weight: a large drone with a payload has the
+    # ratio of a small one without, but withstands twice the force.
     spare = np.array([v.mass * (v.thrust_to_weight - 1.0) for v in team])
     chosen = np.empty_like(places)
     columns = np.unique(places[:, :2].round(6), axis=0, return_inverse=True)[1].ravel()

@@ -1,10 +1,10 @@
-"""Flight tests: references, a controller and a force that it may not know; statistics of flights.
+"""Flight tests of controllers under interaction forces, and statistics of flights.
 
-`run_flights` flies one case for many seeds: the compiled engine all of them at once, Bullet one
-after another with the same result. A `FlightTest` has the team, its references and the forces,
-its `ControllerConfig` which force is compensated, with which gains and filters.
+`run_flights` simulates one test for many seeds, with the compiled engine all at once, with Bullet
+one after another. A `FlightTest` has the team, its references and the true forces; the
+`ControllerConfig` has the compensated force, the gains and the filters.
 
-Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
+To compare controllers, use the same seeds: episode `e` then has the same starts and references.
 """
 
 from __future__ import annotations
@@ -55,43 +55,43 @@ __all__ = [
 PAPER_SWAP = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
 """The swap of Neural-Swarm2, Fig. 8: 0.5 m in 4 s. Plane distance and direction are drawn."""
 
-RECOVERY_S = 2.0  # A swap is flown for so much longer than it takes, to see the drones recover
+RECOVERY_S = 2.0  # The time that is simulated after a swap, to show the drones recover
 
 AT_ONCE = 32
-"""Flights in the air at the same time: more need more memory and are no faster."""
+"""The number of flights simulated at once; more need more memory and are no faster."""
 
 
 @dataclass(frozen=True)
 class FlightTest:
-    """What is flown, and under which forces; the controller is what a test compares."""
+    """A flight test: task, force model and simulation, for which controllers are compared."""
 
     task: Task
-    """Team and references, such as `SwapTask(parse_team("L2S"), "stacked", layout)`."""
+    """The task, with team and references: `SwapTask(parse_team("L2S"), "stacked", layout)`."""
     truth: str | Path | InteractionModel = "learned"
     """The force model of the environment. No controller reads it."""
     engine: str = "batch"
-    """`bullet` or `batch`; see `default_engine`."""
+    """The physics engine, `bullet` or `batch`; see `default_engine`."""
     horizon_s: float | None = None
-    """Length of a flight, s; None for the task's own."""
+    """The duration of a flight, s; None for the task's own."""
     randomization: Randomization | None = None
-    """What else differs from episode to episode; None for nothing."""
+    """Further randomization of episodes; None for none."""
     world: str | Hall = "ideal"
-    """Whether it is flown in the ideal world, or in the hall; see `EnvConfig`."""
+    """The ideal world or the hall; see `EnvConfig`."""
     decision_rate: int = 48
-    """Set-points a second, and samples of what is recorded."""
+    """The number of setpoints, and of recorded samples, per second."""
 
     @property
     def seconds(self) -> float:
-        """Length of a flight, s."""
+        """The duration of a flight, s."""
         return self.task.episode_s if self.horizon_s is None else self.horizon_s
 
     @property
     def decisions(self) -> int:
-        """Set-points of a flight that is flown to its end."""
+        """The number of setpoints of a whole flight."""
         return round(self.seconds * self.decision_rate)
 
     def core(self, num_envs: int, **loop: Any) -> SwarmCore:
-        """The environments of as many flights; `loop` says what flies them, as `EnvConfig` does."""
+        """Return environments for `num_envs` flights; `loop` are further fields of `EnvConfig`."""
         config = EnvConfig(
             physics=self.engine,
             interactions=self.truth,
@@ -106,39 +106,39 @@ class FlightTest:
 
 @dataclass(frozen=True)
 class Flights:
-    """E flights of a test by one controller, T samples each. World frame, SI."""
+    """E flights of a test with one controller, T samples each. World frame, SI."""
 
     team: Team
     """The N vehicles."""
     seeds: tuple[int, ...]
-    """(E,) of the episodes."""
+    """The seeds (E,) of the episodes."""
     time: FloatArray
-    """(T,) s since the start."""
+    """The time (T,) since the start, s."""
     samples: IntArray
-    """(E,) samples until the flight ended; later ones repeat its last state."""
+    """The number (E,) of samples until the flight ended; later ones repeat its last state."""
     position: FloatArray
-    """(E, T, N, 3) m."""
+    """The positions (E, T, N, 3), m."""
     velocity: FloatArray
-    """(E, T, N, 3) m/s."""
+    """The velocities (E, T, N, 3), m/s."""
     quaternion: FloatArray
-    """(E, T, N, 4) attitude, (x, y, z, w), body to world."""
+    """The attitudes (E, T, N, 4), (x, y, z, w), body to world."""
     reference: FloatArray
-    """(E, T, N, 3) where the drones should have been, m."""
+    """The reference positions (E, T, N, 3), m."""
     force: FloatArray
-    """(E, T, N, 3) the force of the environment, N."""
+    """The true forces (E, T, N, 3), N."""
     believed: FloatArray
-    """(E, T, N, 3) what the controller compensated in the same step, N; zeros if nothing."""
+    """The forces (E, T, N, 3) that the controller compensated in the same step, N."""
     worst_height_error: FloatArray
-    """(E, N) largest vertical distance to the reference since errors count, m."""
+    """The largest vertical distance (E, N) to the reference since errors count, m."""
     worst_error: FloatArray
-    """(E, N) the same of the whole distance, m."""
+    """The largest distance (E, N) to the reference since errors count, m."""
     crashed: BoolArray
-    """(E,) ended by a collision or a tumble: its errors are not its worst."""
+    """(E,) True if a collision or a tumble ended the flight, so that errors may be too small."""
     metrics: tuple[dict[str, Any], ...]
-    """(E,) see `swarm_envs.envs.evaluation.metrics`."""
+    """The metrics (E,) of `swarm_envs.envs.evaluation.metrics`."""
 
     def record(self, e: int) -> FlightRecord:
-        """Flight `e` as plots and films take it."""
+        """Return flight `e` for plots and videos."""
         shown = slice(0, int(self.samples[e]))
         return FlightRecord(
             team=self.team,
@@ -156,18 +156,18 @@ def swap_test(
     truth: str | Path | InteractionModel = "learned",
     engine: str = "batch",
 ) -> FlightTest:
-    """Stacked swaps of a team, the uppermost drone first."""
+    """Return a test of stacked swaps of a team, the uppermost drone first."""
     task = SwapTask(parse_team(team), "stacked", layout)
     return FlightTest(task, truth, engine, horizon_s=layout.duration_s[1] + RECOVERY_S)
 
 
 def default_engine() -> str:
-    """Bullet where it can be imported, else its compiled engine."""
+    """Return `bullet` if pybullet can be imported, else `batch`, the compiled engine."""
     return "bullet" if bullet_available() else "batch"
 
 
 def progress_bar(title: str, decisions: int, shown: bool = True) -> tqdm[NoReturn]:
-    """A bar that `run_flights` ticks, in seconds of flight at the usual decision rate."""
+    """Return a progress bar for `run_flights`, in seconds of flight at the default rate."""
     return tqdm(
         total=decisions,
         desc=title,
@@ -185,18 +185,18 @@ def run_flights(
     seeds: Sequence[int],
     tick: Callable[[int], object] = lambda decisions: None,
 ) -> Flights:
-    """Fly one episode for each seed. The same seeds give the same flights.
+    """Simulate one episode per seed. The same seeds give the same flights.
 
     Args:
-        test: what is flown, and under which forces.
-        controller: of every drone.
-        seeds: at least one.
-        tick: called along the way with the decisions that were flown since the last call, of all
-            flights together; see `decisions`.
+        test: The flight test.
+        controller: The controller of every drone.
+        seeds: The seeds, at least one.
+        tick: A function called with the number of decisions since the last call, summed over all
+            flights.
 
     Raises:
-        ValueError: no seed is given, or the test cannot be flown.
-        ImportError: Bullet is asked for, and not there.
+        ValueError: No seed is given, or the test is invalid.
+        ImportError: Bullet is required, but not installed.
     """
     if not seeds:
         raise ValueError("no seed was given; give one for each flight")
@@ -224,7 +224,7 @@ def run_flights(
 def _follow_references(
     core: SwarmCore, length: int, tick: Callable[[int], object]
 ) -> dict[str, Any]:
-    """Fly as `TrackingAgent` does, to the end; fields of `Flights`, with room for T samples."""
+    """Simulate `TrackingAgent` to the end; return fields of `Flights` with T samples."""
     arrays: dict[str, Any] = {
         name: np.zeros((core.num_envs, length, *value.shape[1:]))
         for name, value in _sample(core).items()
@@ -233,7 +233,7 @@ def _follow_references(
     yaw = np.zeros((core.num_envs, core.num_drones, 2))
     running, k = np.ones(core.num_envs, dtype=np.bool_), 0
     while running.any():
-        for name, value in _sample(core).items():  # a flight that ends keeps its last state
+        for name, value in _sample(core).items():  # A flight that ends keeps its last state
             arrays[name][running, k:] = value[running, None]
         k += 1
         samples[running] = k
@@ -251,7 +251,7 @@ def _follow_references(
 
 
 def _sample(core: SwarmCore) -> dict[str, FloatArray]:
-    """(E, N, width) what is sampled."""
+    """Return the recorded quantities (E, N, width)."""
     state, drones = core.physics.state, core.world.drones
     return {
         "position": state.position,
@@ -263,25 +263,25 @@ def _sample(core: SwarmCore) -> dict[str, FloatArray]:
     }
 
 
-# ---- What reports of flights share: statistics, whose weights flew, which versions
+# ---- Functions of reports: statistics, models, versions, tables
 
 _PACKAGES = ("numpy", "numba", "pybullet", "gymnasium", "pettingzoo")
 
 
 def quartiles(values: npt.ArrayLike) -> dict[str, float]:
-    """Median and quartiles of numbers, by linear interpolation."""
+    """Return median and quartiles of numbers, by linear interpolation."""
     low, median, high = np.quantile(np.asarray(values), [0.25, 0.5, 0.75]).tolist()
     return {"median": median, "lower_quartile": low, "upper_quartile": high}
 
 
 def describe_spread(statistics: dict[str, float]) -> str:
-    """Write what `quartiles` gave as `median (lower - upper)`."""
+    """Return the result of `quartiles` as `median (lower - upper)`."""
     median, low, high = (statistics[k] for k in ("median", "lower_quartile", "upper_quartile"))
     return f"{median:.1f} ({low:.1f} - {high:.1f})"
 
 
 def describe_model(model: InteractionModel) -> dict[str, str]:
-    """Name of a model and the hash of its weights file, without the place of that file."""
+    """Return the name of a model and the hash of its weights file, without the file's folder."""
     file = Path(model.name)
     if file.is_file():
         return {"name": file.name, "sha256": _sha256(file)}
@@ -294,7 +294,7 @@ def describe_model(model: InteractionModel) -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what computes a flight, by package."""
+    """Return the versions of the packages that affect a flight."""
     found = {"swarm_envs": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         with suppress(metadata.PackageNotFoundError):
@@ -303,11 +303,11 @@ def versions() -> dict[str, str]:
 
 
 def format_columns(rows: Sequence[tuple[str, ...]], rule: bool = True) -> list[str]:
-    """Lines of a table: the first column to the left, others right.
+    """Return the lines of a table, the first column aligned to the left, others to the right.
 
     Args:
-        rows: the head first.
-        rule: draw a line of hyphens below the head.
+        rows: The rows, the head first.
+        rule: True to draw a line of hyphens below the head.
     """
     widths = [max(map(len, column)) for column in zip(*rows)]
     lines = [

@@ -1,7 +1,7 @@
 """RTH3D: labeled multi-robot path planning on 3-D grids (Guo, Feng, Yu, IROS 2022).
 
-`plan` makes a `GridPlan`, `validate` checks one by other code, `max_density` says how many robots
-the highways carry, `make_instance` draws instances of `FAMILIES`.
+`plan` returns a `GridPlan`, `validate` checks one by independent code, `max_density` returns the
+largest density of robots on the highways, `make_instance` draws instances of `FAMILIES`.
 """
 
 from swarm_envs.baselines.rth3d.grid import (

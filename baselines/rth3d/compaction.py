@@ -1,9 +1,9 @@
 """Compaction: every move as early as the order in which robots visit each vertex allows.
 
-A plan fixes, for every vertex, who visits it after whom. Kept with that order, a robot may enter a
-vertex one step after its last move, and not before the previous visitor has left (in the same step
-is early enough). The earliest times are longest paths in the graph of these events; the original
-times satisfy the same inequalities, so no move gets later, and the plan stays valid.
+A plan fixes the order of visitors of every vertex. With that order, a robot may enter a vertex one
+step after its last move, and not before the step in which the previous visitor leaves. The earliest
+times are longest paths in the graph of these events. The original times satisfy the same
+inequalities, so no move gets later, and the plan stays valid.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.grid import Array, Vertices
 from swarm_envs.compiled import kernel
 
-Paths = npt.NDArray[np.int32]  # (T + 1, n) the number of each robot's vertex after each step
+Paths = npt.NDArray[np.int32]  # (T + 1, n) each robot's vertex after each step, as a number
 
 
 @kernel
@@ -27,7 +27,7 @@ def _resolve(
     chain: Array,
     time: Array,
 ) -> None:
-    """Time the move of robot i and of those whom it follows, head first; a ring goes as one."""
+    """Set the times of robot i and of those that it follows; a ring moves at once."""
     length = 0
     ring = False
     while True:
@@ -69,8 +69,9 @@ def advance(
 ) -> int:
     """Move all events of `paths` forward in time, in place; return the new makespan.
 
-    `at` (n,) and `holder` (V,) say who is where at the start; `arrived` (n,) and `left` (V,) are
-    zeros; the others (n,) are for work. The new plan is in the first rows of `paths`.
+    `at` (n,) are the robots' vertices at the start, `holder` (V,) the vertices' robots or -1;
+    `arrived` (n,) and `left` (V,) are zeros; the others (n,) are working memory. The new plan is in
+    the first rows of `paths`.
     """
     steps, count = paths.shape
     makespan = 0
@@ -93,7 +94,7 @@ def advance(
                 time[i] = max(arrived[i] + 1, left[aim[i]])
             elif time[leader] >= 0:
                 time[i] = max(arrived[i] + 1, time[leader])
-            else:  # a call with so many arrays takes longer than all of the above
+            else:  # A call with so many arrays takes longer than all of the above
                 _resolve(i, aim, holder, arrived, left, chain, time)
         for k in range(moving):
             i = movers[k]
@@ -114,9 +115,9 @@ def advance(
 
 
 def compact(paths: Paths, total: int) -> Paths:
-    """Return a plan (T + 1, n) shortened, every vertex visited in the same order.
+    """Return a plan (T + 1, n) shortened, with every vertex visited in the same order.
 
-    Its memory is used for the result. `total`: vertices of the grid.
+    `paths` is overwritten. `total` is the number of vertices of the grid.
     """
     count = paths.shape[1]
     at: Vertices = paths[0].copy()
@@ -125,7 +126,7 @@ def compact(paths: Paths, total: int) -> Paths:
     arrived, left = np.zeros(count, dtype=np.int32), np.zeros(total, dtype=np.int32)
     work = (np.empty(count, dtype=np.int32) for _ in range(4))
     makespan = advance(paths, at, holder, arrived, left, *work)
-    if paths.flags.owndata:  # a view would keep all of it
+    if paths.flags.owndata:  # A view would keep all of its memory
         paths.resize((makespan + 1, count), refcheck=False)
         return paths
     return paths[: makespan + 1]

@@ -1,10 +1,9 @@
-"""Lower bounds: the time to go through a plane, and the steps aside to pass each other.
+"""Lower bounds: the time to cross a plane, and the steps aside to pass each other.
 
-No two robots use one of a plane's edges in the same step.
-
-Of N robots that are a steps or more from a plane with m open edges, and whose goals are b steps or
-more behind it, the first goes through after a steps, the last not before ceil(N / m) more, and then
-has b steps to go. In a step an edge takes one robot, whichever way it goes, because swaps are none.
+No two robots use an edge in the same step, in either direction, as swaps are not allowed. Of N
+robots that are at least a steps from a plane with m open edges, and whose goals are at least b
+steps behind it, the first can cross after a steps, the last has crossed after ceil(N / m) more, and
+then has b steps to go.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ from swarm_envs.state import BoolArray
 def cut_bound(
     starts: Ints, goals: Ints, obstacles: BoolArray, longest: int, table: Neighbors | None
 ) -> int:
-    """Return the largest lower bound of planes across an axis, but at least the longest way.
+    """Return the largest lower bound of planes across an axis, at least `longest`.
 
     Args:
-        starts: (n, 3) vertices.
-        goals: (n, 3) vertices; each can be reached.
-        obstacles: (m1, m2, m3) where nobody may be.
-        longest: the longest of the robots' shortest ways.
-        table: neighbours, to search the ways to planes; None to take straight ones.
+        starts: The start vertices (n, 3).
+        goals: The goal vertices (n, 3), all reachable.
+        obstacles: The obstacles (m1, m2, m3).
+        longest: The longest of the robots' shortest paths.
+        table: The neighbors, to search the paths to planes; None for straight paths.
     """
     best = longest
     for axis in range(3):
@@ -40,7 +39,7 @@ def cut_bound(
             opening = free[c] & free[c + 1]
             steps = -(-int(crossing[c]) // int(opening.sum()))
             if steps + longest - 1 <= best or (table is None and steps + side - 2 <= best):
-                continue  # whoever goes through has fewer steps than its way before and behind
+                continue  # The steps before and behind the plane are fewer than the whole path
             robots = (low <= c) & (c < high)
             before, behind = (
                 _from_plane(p[robots], axis, int(c), opening, obstacles.shape, table)
@@ -69,7 +68,7 @@ def _from_plane(
 
 
 def _staggered(before: Ints, behind: Ints, edges: int) -> int:
-    """Return the bound by the farthest robots, over all distances in front and behind."""
+    """Return the largest bound over all pairs of distances in front of and behind the plane."""
     a, row = np.unique(before, return_inverse=True)
     b, column = np.unique(behind, return_inverse=True)
     count = np.zeros((len(a), len(b)), dtype=np.int64)
@@ -95,8 +94,8 @@ def _passing(lines: npt.NDArray[np.int64], first: Ints, last: Ints) -> int:
 def passing_bound(starts: Ints, goals: Ints) -> int:
     """Return the least steps for robots to pass each other within a line along an axis.
 
-    Of two whose starts and goals are in one line, in opposite orders, one has to leave the line and
-    to come back: two steps more than its distance.
+    Of two robots whose starts and goals are in one line, in opposite orders, one has to leave the
+    line and come back, which takes two steps more than its distance.
     """
     best = 0
     for axis in range(3):

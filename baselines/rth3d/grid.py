@@ -1,4 +1,4 @@
-"""Labeled instances on a 6-connected grid: their checks, lower bounds, and families to draw.
+"""Labeled instances on a 6-connected grid: checks, lower bounds, and families of instances.
 
 A vertex (x, y, z) of a grid of shape (m1, m2, m3) has the number (x m2 + y) m3 + z.
 """
@@ -20,15 +20,15 @@ from swarm_envs.state import BoolArray
 
 __all__ = ["Coordinates", "Shape", "check_shape"]
 
-Array = npt.NDArray[Any]  # Of a kernel's arguments, which are typed when it is compiled
+Array = npt.NDArray[Any]  # An argument of a kernel, typed when it is compiled
 Coordinates = npt.NDArray[np.int32]
-"""(n, 3) vertices as coordinates (x, y, z)."""
+"""Vertices as coordinates (x, y, z), (n, 3)."""
 Vertices = npt.NDArray[np.int32]  # (n,) vertices as numbers
 Shape = tuple[int, int, int]
-"""(m1, m2, m3): vertices along x, y, z."""
+"""The numbers of vertices (m1, m2, m3) along x, y, z."""
 
-_LONGEST_SIDE = 32767  # paths are int16
-_MOST_VERTICES = 2**28  # a flow over several steps numbers them in int32
+_LONGEST_SIDE = 32767  # Paths are int16
+_MOST_VERTICES = 2**28  # A flow over several steps numbers them in int32
 
 
 class PlanNotFound(RuntimeError):
@@ -36,25 +36,25 @@ class PlanNotFound(RuntimeError):
 
 
 class NoHighways(ValueError):
-    """The highways of RTH3D do not fit an instance: other methods may."""
+    """The highways of RTH3D do not fit an instance, for which other methods may succeed."""
 
 
 class NoPlanExists(PlanNotFound, ValueError):
-    """The instance has no plan: proven, whatever the method."""
+    """It is proven that the instance has no plan."""
 
 
 @dataclass(frozen=True, eq=False)
 class GridInstance:
-    """A grid with the starts and goals of its robots. Made by `check_instance`."""
+    """A grid with the starts and goals of its robots, as returned by `check_instance`."""
 
     shape: Shape
-    """Vertices by axis."""
+    """The number of vertices by axis."""
     starts: Coordinates
-    """(n, 3), all different."""
+    """The start vertices (n, 3), all different."""
     goals: Coordinates
-    """(n, 3), all different; robot i must get from `starts[i]` to `goals[i]`."""
+    """The goal vertices (n, 3), all different; robot i must get from `starts[i]` to `goals[i]`."""
     obstacles: BoolArray
-    """(m1, m2, m3), True where nobody may be."""
+    """True for vertices (m1, m2, m3) with an obstacle."""
 
     def fields(self) -> dict[str, Any]:
         """Return shape, starts, goals and obstacles by name."""
@@ -62,10 +62,10 @@ class GridInstance:
 
     @cached_property
     def lengths(self) -> npt.NDArray[np.int32]:
-        """The length (n,) of each robot's shortest way, around obstacles.
+        """The length (n,) of each robot's shortest path around obstacles.
 
         Raises:
-            NoPlanExists: obstacles cut a robot off from its goal.
+            NoPlanExists: Obstacles cut a robot off from its goal.
         """
         if not breaks_pattern(self.obstacles):
             return _pattern_lengths(self)
@@ -82,13 +82,13 @@ class GridInstance:
 
     @cached_property
     def lower_bound(self) -> int:
-        """The steps that no plan can do without.
+        """A lower bound of the makespan of every plan.
 
-        They are the longest of the robots' shortest ways, or more where many have to go through a
-        plane with few openings (`cut_bound`), or to pass each other in a line (`passing_bound`).
+        It is the longest of the robots' shortest paths, or more if many have to cross a plane with
+        few openings (`cut_bound`), or to pass each other in a line (`passing_bound`).
 
         Raises:
-            NoPlanExists: obstacles cut a robot off from its goal.
+            NoPlanExists: Obstacles cut a robot off from its goal.
         """
         longest = int(self.lengths.max())
         detours = breaks_pattern(self.obstacles) != ""
@@ -98,15 +98,15 @@ class GridInstance:
 
     @property
     def density(self) -> float:
-        """The robots per vertex, those of obstacles included, as the paper counts."""
+        """The number of robots per vertex, obstacles included, as in the paper."""
         return len(self.starts) / float(np.prod(self.shape))
 
 
 def _pattern_lengths(instance: GridInstance) -> npt.NDArray[np.int32]:
-    """Return lengths (n,) of shortest ways among columns of the pattern.
+    """Return lengths (n,) of shortest paths among columns of the pattern.
 
-    They are Manhattan distances, or two more where a column stands in the one row, or column, that
-    both vertices share.
+    They are Manhattan distances, or two more if an obstacle is between two vertices of the same row
+    or column.
     """
     columns = np.asarray(instance.obstacles.any(axis=2), dtype=np.int32)
     found = np.abs(instance.starts - instance.goals).sum(axis=1, dtype=np.int32)
@@ -119,14 +119,14 @@ def _pattern_lengths(instance: GridInstance) -> npt.NDArray[np.int32]:
 
 
 def numbers(points: npt.NDArray[np.integer], shape: Shape) -> Vertices:
-    """Return the numbers of vertices that are given as coordinates (..., 3)."""
+    """Return the numbers of vertices with coordinates (..., 3)."""
     wide = points.astype(np.int64)
     found = (wide[..., 0] * shape[1] + wide[..., 1]) * shape[2] + wide[..., 2]
     return found.astype(np.int32)
 
 
 def points(vertices: npt.NDArray[np.integer], shape: Shape) -> Coordinates:
-    """Return the coordinates (..., 3) of vertices that are given by their numbers."""
+    """Return the coordinates (..., 3) of vertices with the given numbers."""
     return np.stack(np.unravel_index(vertices, shape), axis=-1).astype(np.int32)
 
 
@@ -134,7 +134,7 @@ def check_shape(shape: Sequence[int]) -> Shape:
     """Return the shape as three integers; a grid of two sides is one vertex high.
 
     Raises:
-        ValueError: not two or three integers of at least 1, or too many vertices to number.
+        ValueError: It is not two or three integers of at least 1, or has too many vertices.
     """
     sides = () if isinstance(shape, str) or not isinstance(shape, Iterable) else tuple(shape)
     valid = all(isinstance(m, int | np.integer) and not isinstance(m, bool) for m in sides)
@@ -153,7 +153,7 @@ def check_obstacles(obstacles: npt.ArrayLike | None, shape: Shape) -> BoolArray:
     """Return the obstacles as booleans of the grid's shape.
 
     Raises:
-        ValueError: another shape, or not booleans.
+        ValueError: They have another shape or are not booleans.
     """
     if obstacles is None:
         return np.zeros(shape, dtype=np.bool_)
@@ -169,18 +169,14 @@ def check_obstacles(obstacles: npt.ArrayLike | None, shape: Shape) -> BoolArray:
 
 
 def check_pattern(obstacles: BoolArray) -> None:
-    """Refuse obstacles other than whole columns at (3i + 1, 3j + 1) (Sec. V-A).
-
-    Raises:
-        NoHighways: naming the first vertex that breaks the pattern.
-    """
+    """Raise NoHighways for obstacles other than whole columns at (3i + 1, 3j + 1) (Sec. V-A)."""
     wrong = breaks_pattern(obstacles)
     if wrong:
-        raise NoHighways(f"{wrong}, or take method='auto'")
+        raise NoHighways(f"{wrong}, or use method='auto'")
 
 
 def breaks_pattern(obstacles: BoolArray) -> str:
-    """Return the first vertex that breaks the pattern, and the rule; empty if none does."""
+    """Return a message on the first vertex that breaks the pattern; empty if none does."""
     columns: BoolArray = np.asarray(obstacles.any(axis=2))
     outside = columns.copy()
     outside[1::3, 1::3] = False
@@ -206,16 +202,16 @@ def check_vertices(
     """Return vertices as an (n, 3) array, all different, in the grid and free.
 
     Raises:
-        ValueError: naming the first robot for which it is not so, and why.
+        ValueError: They are not; the message names the first robot and the reason.
     """
     as_numbers(name, given)
     found = np.asarray(given)
     if found.ndim != 2 or found.shape[1] not in (2, 3) or (found.shape[1] == 2 and shape[2] > 1):
-        raise ValueError(f"{name} have shape {found.shape}, but must be (n, 3), one row a robot")
+        raise ValueError(f"{name} have shape {found.shape}, but must be (n, 3), one row per robot")
     if not np.issubdtype(found.dtype, np.integer):
         raise ValueError(f"{name} are of type {found.dtype}, but must be integers: grid vertices")
     if len(found) == 0:
-        raise ValueError(f"{name} are empty, but at least one robot must be planned for")
+        raise ValueError(f"{name} are empty, but there must be at least one robot")
     if found.shape[1] == 2:
         found = np.column_stack([found, np.zeros(len(found), dtype=found.dtype)])
     outside = ((found < 0) | (found >= np.array(shape))).any(axis=1)
@@ -230,11 +226,11 @@ def check_vertices(
 
 
 def _check_free(name: str, found: Coordinates, vertices: Vertices, obstacles: BoolArray) -> None:
-    """Refuse vertices with obstacles, and those that two robots have."""
+    """Raise ValueError for vertices with obstacles or with two robots."""
     blocked = obstacles.reshape(-1)[vertices]
     if blocked.any():
         robot = int(np.argmax(blocked))
-        raise ValueError(f"{name}[{robot}] is {_text(found[robot])}, where an obstacle stands")
+        raise ValueError(f"{name}[{robot}] is {_text(found[robot])}, but there is an obstacle")
     order = np.argsort(vertices, kind="stable")
     twins = np.flatnonzero(np.diff(vertices[order]) == 0)
     if twins.size:
@@ -255,10 +251,10 @@ def check_instance(
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
 ) -> GridInstance:
-    """Return an instance as a user gives it, checked (arguments as for `plan`).
+    """Return a checked instance, by the arguments of `plan`.
 
     Raises:
-        ValueError: what is wrong, at which robot, and the rule.
+        ValueError: An argument is invalid; the message names the robot and the rule.
     """
     sides = check_shape(shape)
     walls = check_obstacles(obstacles, sides)
@@ -266,7 +262,7 @@ def check_instance(
     last = check_vertices("goals", goals, sides, walls)
     if len(first) != len(last):
         raise ValueError(
-            f"there are {len(first)} starts, but {len(last)} goals; give each robot one"
+            f"there are {len(first)} starts, but {len(last)} goals; give each robot one of both"
         )
     return GridInstance(sides, first, last, walls)
 
@@ -292,7 +288,7 @@ def building_columns(shape: Shape) -> BoolArray:
 def _uniform(draw: _Draw) -> _Pair:
     free = np.flatnonzero(~draw.obstacles)
     count = draw.robots
-    if count is None:  # a third of the vertices, less those of buildings
+    if count is None:  # A third of the vertices, less those of buildings
         count = int(np.prod(draw.shape)) // 3 - int(draw.obstacles.sum())
     if not 1 <= count <= len(free):
         raise ValueError(f"count is {count}, but must be from 1 to the {len(free)} free vertices")
@@ -301,7 +297,7 @@ def _uniform(draw: _Draw) -> _Pair:
 
 
 def _balanced_choice(draw: _Draw) -> Coordinates:
-    """Return vertices, 9 in every 3 x 3 x 3 block, or 6 with buildings, in random order."""
+    """Return random vertices, 9 in every 3 x 3 x 3 block, or 6 with buildings."""
     a, b, c = (side // 3 for side in draw.shape)
     blocks = np.arange(np.prod(draw.shape)).reshape(a, 3, b, 3, c, 3)
     blocks = blocks.transpose(0, 2, 4, 1, 3, 5).reshape(-1, 27)
@@ -322,7 +318,7 @@ def _mirror(draw: _Draw) -> _Pair:
 
 
 def _rings(draw: _Draw) -> _Pair:
-    """Return concentric square rings in each plane, every third one; goals by point reflection."""
+    """Return every third concentric square ring in each plane; goals by point reflection."""
     m1, m2, _ = draw.shape
     x, y = np.indices((m1, m2))
     depth = np.minimum.reduce([x, y, m1 - 1 - x, m2 - 1 - y])
@@ -333,9 +329,9 @@ def _rings(draw: _Draw) -> _Pair:
 
 
 def _moved_blocks(draw: _Draw, parts: Shape | None = None) -> _Pair:
-    """Return a third of each part of the grid, the parts moved by a random permutation.
+    """Return a third of the vertices, with goals in randomly permuted parts of the grid.
 
-    If not given, parts are all blocks of 3 x 3 x 3.
+    By default, the parts are all blocks of 3 x 3 x 3.
     """
     parts = parts or (draw.shape[0] // 3, draw.shape[1] // 3, draw.shape[2] // 3)
     starts, goals = _balanced_choice(draw), _balanced_choice(draw)
@@ -373,11 +369,11 @@ def _ends(draw: _Draw) -> _Pair:
 
 
 class Family(NamedTuple):
-    """A kind of instance."""
+    """A family of instances."""
 
-    summary: str  # In a line
+    summary: str
     draw: Callable[[_Draw], _Pair]  # Draws starts and goals
-    sides: int = 1  # Every side must be a multiple of it
+    sides: int = 1  # The number of which every side must be a multiple
     free_count: bool = False  # True if the number of robots may be chosen
     buildings: bool = False  # True if there are obstacles
 
@@ -385,40 +381,40 @@ class Family(NamedTuple):
 FAMILIES: Mapping[str, Family] = {
     "uniform": Family("starts and goals uniformly random", _uniform, free_count=True),
     "quasi-random": Family("random, every 3 x 3 x 3 block holds 9 of each", _quasi, 3),
-    "mirror": Family("quasi-random starts, goals reflected at the centre", _mirror, 3),
-    "rings": Family("concentric square rings, goals reflected at the centre", _rings),
+    "mirror": Family("quasi-random starts, goals reflected at the center", _mirror, 3),
+    "rings": Family("concentric square rings, goals reflected at the center", _rings),
     "blocks": Family(
-        "27 blocks change places, as the paper says", partial(_moved_blocks, parts=(3, 3, 3)), 9
+        "27 blocks permuted, as in the paper", partial(_moved_blocks, parts=(3, 3, 3)), 9
     ),
-    "small-blocks": Family("all 3 x 3 x 3 blocks change places", _moved_blocks, 3),
+    "small-blocks": Family("all 3 x 3 x 3 blocks permuted", _moved_blocks, 3),
     "buildings": Family(
         "uniform, between tall buildings", _uniform, free_count=True, buildings=True
     ),
     "quasi-buildings": Family(
         "random, between tall buildings, every block holds 6 of each", _quasi, 3, buildings=True
     ),
-    "shift": Family("uniform starts, goals half the side x further, cyclically", _shift, 3),
+    "shift": Family("uniform starts, goals shifted by half of side x, cyclically", _shift, 3),
     "reflection": Family("uniform starts, goals reflected along x", _reflection, 3),
-    "layers": Family("uniform starts, the layers along z in another order", _layers, 3),
-    "ends": Family("a full third of the grid, to the other end in random order", _ends, 3),
+    "layers": Family("uniform starts, layers along z permuted", _layers, 3),
+    "ends": Family("a full third of the grid moves to the other end in random order", _ends, 3),
 }
-"""Every family by its name."""
+"""The families by name."""
 
 
 def make_instance(
     family: str, shape: Shape, count: int | None = None, seed: int = 0
 ) -> GridInstance:
-    """Return a drawn instance.
+    """Return a random instance.
 
     Args:
-        family: a name in `FAMILIES`.
-        shape: (m1, m2, m3).
-        count: robots, for families that leave it free; a third of the vertices by default, less
-            those of buildings.
-        seed: of the generator; the same seed gives the same instance.
+        family: The name of the family, in `FAMILIES`.
+        shape: The shape (m1, m2, m3) of the grid.
+        count: The number of robots, if the family leaves it free; by default a third of the
+            vertices, less those of buildings.
+        seed: The random seed; the same seed gives the same instance.
 
     Raises:
-        ValueError: an unknown family, a shape that it cannot have, or a count it cannot hold.
+        ValueError: The family is unknown, or the shape or the count does not fit it.
     """
     if count is not None:
         check_integer("count", count)
@@ -431,10 +427,10 @@ def make_instance(
         )
     if count is not None and not kind.free_count:
         free = ", ".join(repr(name) for name, other in FAMILIES.items() if other.free_count)
-        raise ValueError(f"count is {count}, but {family!r} fixes it; leave it out, or take {free}")
+        raise ValueError(f"count is {count}, but {family!r} fixes it; omit it, or use {free}")
     generator = np.random.default_rng(seed)
     walls = building_columns(sides) if kind.buildings else np.zeros(sides, dtype=np.bool_)
     starts, goals = kind.draw(_Draw(sides, count, generator, walls))
     if len(starts) == 0:
-        raise ValueError(f"shape is {sides}, which is too small for one robot of {family!r}")
+        raise ValueError(f"shape is {sides}, but {family!r} needs a larger one for any robot")
     return GridInstance(sides, starts, goals, walls)

@@ -1,7 +1,7 @@
-"""RTH3D as an agent: a plan on a grid for every set of goals, flown as a spline.
+"""RTH3D as an agent: a plan on a grid for every set of goals, followed as a spline.
 
-Starts and goals need not stand on the grid: each drone begins and ends on a vertex near its own,
-matched so that the squared ways sum to the least, and the flight is checked before it is flown.
+Starts and goals need not be on the grid: they are assigned to vertices with the least sum of
+squared distances. The flight is checked before it begins.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
 __all__ = ["GridAgent"]
 
-MOST_SMOOTHED = 1000  # More drones than this fly the unsmoothed splines
-_SPACING_M = 0.4  # horizontal spacing where drones are small enough
-_OBSTACLE_M = 0.1  # distance to obstacles beside the radius, m, where the grid leaves as much
+MOST_SMOOTHED = 1000  # The most drones whose splines are smoothed
+_SPACING_M = 0.4  # The least horizontal spacing
+_OBSTACLE_M = 0.1  # The distance from obstacles and walls beyond the radius, m
 
 
 @dataclass(frozen=True)
 class Lattice:
     """A grid in space."""
 
-    origin: FloatArray  # (3,) where the vertex (0, 0, 0) stands, m
+    origin: FloatArray  # (3,) position of the vertex (0, 0, 0), m
     spacing: FloatArray  # (3,) m
-    shape: tuple[int, int, int]  # Vertices by axis
+    shape: tuple[int, int, int]  # Number of vertices by axis
 
     def points(self) -> FloatArray:
         """Return the positions (X, Y, Z, 3) of the vertices, m."""
@@ -49,33 +49,33 @@ class Lattice:
         """Return a vertex (N, 3) for each point (N, 3) among the free ones (X, Y, Z).
 
         Raises:
-            ValueError: there are fewer free vertices than points.
+            ValueError: There are fewer free vertices than points.
         """
         cells = np.argwhere(free)
         if len(cells) < len(points):
             raise ValueError(
                 f"{len(points)} drones, but the grid {self.shape} in the arena has {len(cells)} "
-                "free vertices; give a smaller spacing"
+                "free vertices; use a smaller spacing"
             )
-        places = self.origin + self.spacing * cells
-        square = ((points[:, None] - places) ** 2).sum(axis=-1)
+        vertices = self.origin + self.spacing * cells
+        square = ((points[:, None] - vertices) ** 2).sum(axis=-1)
         return np.asarray(cells[linear_sum_assignment(square)[1]])
 
 
 class GridAgent(PlannedAgent[SplineFlight]):
-    """An agent that plans every set of goals on a grid and flies the plan.
+    """An agent that plans every set of goals on a grid and follows the plan.
 
     Args:
-        spacing: (x, y, z) of the grid, m, wide enough that drones keep 1.5 times the sum of their
-            radii whatever the plan, or it is refused; None for 0.4 m, or more for large drones, and
-            a quarter more in height.
-        method: as for `plan`.
-        controller: configuration of the tracking loop; None for its default, which
-            assumes no interaction force.
-        share: of the time that a stage lasts, in which it is flown where limits allow.
+        spacing: The spacing (x, y, z) of the grid, m, with which drones must keep 1.5 times the sum
+            of their radii in any plan; None for 0.4 m, or more for large drones, and a quarter more
+            in height.
+        method: The method of `plan`.
+        controller: The configuration of the tracking loop; None for its default, which assumes no
+            interaction force.
+        share: The share of a stage's duration that its flight takes, if limits allow.
 
     Raises:
-        ValueError: a number is out of range.
+        ValueError: A number is out of range.
     """
 
     def __init__(
@@ -97,11 +97,11 @@ class GridAgent(PlannedAgent[SplineFlight]):
         return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def plan(self, task: Task, view: View, seed: int) -> SplineFlight:
-        """Return paths on the grid, as smooth and as slow as the stage allows.
+        """Return a smooth flight along paths on the grid, as slow as the stage allows.
 
         Raises:
-            ValueError: a spacing at which drones could meet, too few vertices, or starts or goals
-                so close to each other that the way onto the grid is not free.
+            ValueError: The spacing is too small for the drones, there are too few vertices, or
+                starts or goals are so close that drones come too close before the grid.
         """
         flight = self._fly(task, view.setpoint.position, view.goals, seed)
         stage_s = task.motion.stage_s or view.horizon_s
@@ -159,13 +159,13 @@ def _free(task: Task, lattice: Lattice) -> BoolArray:
 
 
 def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
-    """Return the flight, smoothed and as fast as limits allow, if no drone comes near another."""
+    """Return the flight, smoothed and as fast as limits allow, if drones keep their distance."""
     least = NEAR_MISS * 2.0 * float(task.radius.max())
     close = smallest_distance(flight, (1.0, 1.0, 1.0))
     if close < least:
         raise ValueError(
-            f"on the way between the grid and starts or goals, drones would come as close as "
-            f"{close:.3f} m, but must keep {least:.3f} m; spread them, or use another spacing"
+            f"between the grid and starts or goals, drones would come as close as {close:.3f} m, "
+            f"but must keep {least:.3f} m; spread them, or use another spacing"
         )
     if flight.num_robots > MOST_SMOOTHED:
         return _clear(task, faster(flight, SPEED_LIMIT, ACCELERATION_LIMIT))
@@ -189,8 +189,8 @@ def _clear(task: Task, flight: SplineFlight) -> SplineFlight:
         gap = obstacle_distances(obstacle_rows(task.obstacles), points.reshape(-1, 3)).min()
         if gap < float(task.radius.max()):
             raise ValueError(
-                f"the way around corners comes within {gap:.3f} m of an obstacle; use a smaller "
-                "spacing"
+                f"the spline comes within {gap:.3f} m of an obstacle at a corner, but must keep "
+                f"{float(task.radius.max()):.3f} m; use a smaller spacing"
             )
     return flight
 

@@ -1,4 +1,4 @@
-"""A grid plan: its paths, the phases of planning it, its file, and a picture of it."""
+"""Grid plans: paths, the phases of planning, files, and plots."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from swarm_envs.files import read_npz, written_whole
 
 __all__ = ["plot_grid_plan"]
 
-VERSION = 1  # Of the file format; a file of another version is refused
+VERSION = 1  # The version of the file format
 _KEPT = ("method", "winner", "seed", "bound", "before_compaction")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
@@ -38,11 +38,11 @@ _MOST_DOTS = 6000
 class PhaseRecord:
     """A phase of planning."""
 
-    name: str  # Of the phase
+    name: str
     makespan: int
-    """Steps that it takes in the plan as first written; of "compaction" and "pibt", those of the
-    whole plan afterwards."""
-    seconds: float  # Wall time of planning it
+    """The steps of its part of the plan before compaction; for "compaction" and "pibt", those of
+    the whole plan afterwards."""
+    seconds: float  # Wall time of the phase
 
 
 class PlanTimeout(TimeoutError):
@@ -51,20 +51,20 @@ class PlanTimeout(TimeoutError):
 
 @dataclass
 class PlanningClock:
-    """Records the phases of planning and knows when the time limit ends."""
+    """The record of the phases of planning, and its limits."""
 
     deadline: float = float("inf")  # By `time.monotonic`
     watch: Callable[[str], None] | None = None  # Called with the name of each phase when it begins
     configurations: int | None = None
-    """The most that the complete search makes; None for its default."""
+    """The most configurations of the complete search; None for its default."""
     phases: list[PhaseRecord] = field(default_factory=list)  # The phases so far
 
     @contextmanager
     def phase(self, name: str) -> Iterator[Callable[[int], None]]:
-        """Time a phase of planning; the yielded function takes the phase's makespan.
+        """Time a phase of planning; the yielded function records the phase's makespan.
 
         Raises:
-            PlanTimeout: the time limit ended before the phase began.
+            PlanTimeout: The time limit ended before the phase began.
         """
         self.check(name)
         with self.last_phase(name) as record:
@@ -72,7 +72,7 @@ class PlanningClock:
 
     @contextmanager
     def last_phase(self, name: str) -> Iterator[Callable[[int], None]]:
-        """Time a phase that runs even after the limit, because the plan exists already."""
+        """Time a phase that runs even after the time limit, as there is already a plan."""
         if self.watch is not None:
             self.watch(name)
         makespan = 0
@@ -91,27 +91,27 @@ class PlanningClock:
         return self.configurations is not None or self.deadline < float("inf")
 
     def halved(self) -> PlanningClock:
-        """Return the same clock, for a part of planning that may take half of the time left."""
+        """Return a clock for a part of planning that may take half of the remaining time."""
         now = time.monotonic()
         return dataclasses.replace(self, deadline=(now + max(self.deadline, now)) / 2)
 
     @property
     def remaining(self) -> float:
-        """The seconds until the time limit ends."""
+        """The remaining time, s."""
         return self.deadline - time.monotonic()
 
     def check(self, what: str) -> None:
         """Raise PlanTimeout if the time limit has ended."""
         if self.remaining <= 0:
             raise PlanTimeout(
-                f"the time limit ended at {what!r}, and there is no valid plan yet; give more "
-                "time, or method='pibt', which is faster and promises nothing"
+                f"the time limit ended at {what!r}, and there is no valid plan yet; allow more "
+                "time, or use method='pibt', which is faster but has no guarantee"
             )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GridPlan(GridInstance):
-    """The paths of all robots, and the way they were found."""
+    """The paths of all robots, and the record of their planning."""
 
     def __repr__(self) -> str:
         sides = " x ".join(map(str, self.shape))
@@ -119,28 +119,28 @@ class GridPlan(GridInstance):
         return f"GridPlan({len(self.starts)} robots on {sides}, {found})"
 
     moves: npt.NDArray[np.int8]
-    """(T, n) move of each robot in each step: 0 and 1 down and up x, 2 and 3 y, 4 and 5 z, 6 a
+    """The move (T, n) of each robot in each step: 0 and 1 down and up x, 2 and 3 y, 4 and 5 z, 6 a
     wait; T is the makespan."""
     method: str
-    """The name of the method that was asked for."""
+    """The name of the requested method."""
     winner: str
-    """The method that found the paths: of `auto`, "pibt", "rth3d-lba", "lacam", "pibt halfway" or
-    "negotiation"."""
+    """The name of the method that found the paths: with `auto`, "pibt", "rth3d-lba", "lacam", "pibt
+    halfway" or "negotiation"."""
     seed: int
-    """Of the planner."""
+    """The seed of the planner."""
     bound: int | None
-    """Guaranteed maximum of the makespan, given the steps of balancing; None for PIBT and LaCAM*,
+    """The guaranteed bound of the makespan, given the steps of balancing; None for PIBT and LaCAM*,
     which have none."""
     before_compaction: int | None
-    """Makespan of RTH3D's phases one after another; None if the paths are not by it alone."""
+    """The makespan of RTH3D's phases one after another; None if other methods contributed."""
     phases: tuple[PhaseRecord, ...]
-    """Every phase of planning, with its makespan and its seconds."""
+    """The phases of planning."""
     valid: bool
     """True if `validate` has found the paths feasible; `plan` returns no others."""
 
     @cached_property
     def paths(self) -> npt.NDArray[np.int16]:
-        """The vertices (T + 1, n, 3): `paths[t, i]` is where robot i is after t steps.
+        """The vertices (T + 1, n, 3): `paths[t, i]` is the vertex of robot i after t steps.
 
         They use six times the memory of `moves`.
         """
@@ -152,32 +152,32 @@ class GridPlan(GridInstance):
 
     @property
     def makespan(self) -> int:
-        """The steps until the last robot is at its goal."""
+        """The number of steps until the last robot is at its goal."""
         return len(self.moves)
 
     @property
     def ratio(self) -> float:
         """The makespan over the lower bound, at least 1; 1 if no robot has to move.
 
-        A plan of ratio 1 is proven to have the shortest makespan. Others may have it, too.
+        A plan of ratio 1 has the shortest makespan. Other plans may have it, too.
         """
         return self.makespan / self.lower_bound if self.lower_bound else 1.0
 
     @property
     def seconds(self) -> float:
-        """The wall time of all phases."""
+        """The wall time of all phases, s."""
         return sum(phase.seconds for phase in self.phases)
 
     def check(self) -> ValidationReport:
-        """Return the report of another validation."""
+        """Validate the paths again, and return the report."""
         return validate(self.paths, **self.fields())
 
     def save(self, path: str | Path) -> None:
-        """Write the plan as .npz, whole or not at all.
+        """Write the plan to an .npz file, atomically.
 
         Raises:
-            ValueError: another suffix.
-            OSError: the file cannot be written.
+            ValueError: The suffix is another.
+            OSError: The file cannot be written.
         """
         about: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
         about["phases"] = [dataclasses.asdict(phase) for phase in self.phases]
@@ -197,8 +197,8 @@ class GridPlan(GridInstance):
         """Return the plan of a file; its paths are validated again.
 
         Raises:
-            ValueError: the file is no plan, is damaged, or its paths are not feasible.
-            OSError: it cannot be read.
+            ValueError: The file is no plan, is damaged, or its paths are not feasible.
+            OSError: The file cannot be read.
         """
         path = _checked_path(path)
         try:
@@ -243,19 +243,18 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
 
 
 def _check_steps(name: str, steps: Any, makespan: int) -> None:
-    """Refuse what is no number of steps, or one that the plan contradicts."""
+    """Raise ValueError if steps are neither None nor an integer of at least the makespan."""
     if steps is not None and not (isinstance(steps, int) and makespan <= steps):
-        raise ValueError(f"its {name} is {steps!r}, which is none of a plan of {makespan} steps")
+        raise ValueError(f"its {name} is {steps!r}, but must be None or at least {makespan}")
 
 
 def plot_grid_plan(path: Path, plan: GridPlan) -> None:
-    """Draw a plan as .png: five moments seen from above, and the distances to the goals.
+    """Plot a plan to a .png file: five top views in time, and the distances to the goals.
 
-    A robot keeps the colour of its goal's place along the long side: at the end the colours are
-    sorted.
+    A robot's color is the x coordinate of its goal: at the end the colors are sorted.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: The file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -286,7 +285,7 @@ def _draw_distances(axes: Any, plan: GridPlan) -> None:
     ideal = np.maximum(plan.lower_bound - steps, 0)
     axes.plot(steps, left.max(axis=1), color="tab:red", label="farthest robot")
     axes.plot(steps, left.mean(axis=1), color="tab:blue", label="mean")
-    axes.plot(steps, ideal, color="0.6", linestyle=":", label="no plan is faster")
+    axes.plot(steps, ideal, color="0.6", linestyle=":", label="lower bound")
     axes.set(
         xlabel="step", ylabel="Manhattan distance to the goal", xlim=(0, max(len(left) - 1, 1))
     )

@@ -1,7 +1,7 @@
-"""`plan` and its methods: RTH3D as the paper outlines it, PIBT, LaCAM*, and the best of them.
+"""`plan` and its methods: RTH3D as in the paper, PIBT, LaCAM*, and the best of them.
 
-Algorithm 1 of the paper is `rth3d`, its lines 3 to 5 are `rta3d`, and the steps stand in the
-files of `unlabeled_mrpp` and `rubik`.
+Algorithm 1 of the paper is `rth3d`, and its lines 3 to 5 are `rta3d`; their steps are in
+`unlabeled_mrpp` and `rubik`.
 """
 
 from __future__ import annotations
@@ -51,21 +51,22 @@ from swarm_envs.errors import check_integer, check_name, check_number
 class _Solution:
     paths: Paths  # (T + 1, n) vertices of the given grid
     method: str  # The method that found them, as `GridPlan.winner`
-    bound: int | None = None  # Of the makespan, guaranteed; None without one
+    bound: int | None = None  # Guaranteed bound of the makespan, if any
     before_compaction: int | None = None  # Makespan of RTH3D's phases one after another
 
     @property
     def makespan(self) -> int:
-        """The steps of the plan."""
+        """The number of steps of the plan."""
         return len(self.paths) - 1
 
 
 Solver = Callable[[GridInstance, int, PlanningClock], _Solution]
-"""Finds paths from an instance, a seed and a clock."""
+"""A function that returns paths for an instance, a seed and a clock."""
 
 SIDE_STEPS = 9
-"""Steps of the five shuffles beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they
-run over m - 1 edges at most), 5 where they change lanes, park and form a column."""
+"""Steps of the five shuffles beyond m1 + 2 m2 + 2 m3: 1 for each in which robots step out and back
+(they run over m - 1 edges at most), 5 for that in which they change lanes, park and form a column.
+"""
 
 
 def rth3d(
@@ -76,7 +77,7 @@ def rth3d(
     match: Matching,
     balance: Callable[..., Paths] = balance,
 ) -> _Solution:
-    """Return the plan of RTH3D (Algorithm 1), compacted; nothing in it is random."""
+    """Return the plan of RTH3D (Algorithm 1), compacted; it does not depend on the seed."""
     highways = choose_highways(instance)
     balanced = unlabeled_mrpp(highways, instance, balance, clock)
     table = rubik_table(highways, balanced)
@@ -106,10 +107,10 @@ def _pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
     best = search.improve()
     if best is None:
         if clock.remaining <= 0:
-            raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
+            raise PlanTimeout("the time limit ended before pibt had a plan; allow more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
-            "try another seed, or method='auto', which has other methods as well"
+            "try another seed, or method='auto', which tries other methods as well"
         )
     return _Solution(best, "pibt")
 
@@ -122,10 +123,10 @@ def _lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution
 def auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
     """Return the shortest plan of several methods.
 
-    1. PIBT, until its plan cannot be as short as the lower bound: on random instances it mostly is.
-    2. Where highways fit, RTH3D-LBA, which always succeeds; elsewhere LaCAM*, in half of the time.
-    3. PIBT to its end, with restarts: shorter than the others unless crowds meet.
-    4. For crowds, while more than 2 % may be gained: PIBT to places halfway, then negotiation.
+    1. PIBT, until its plan cannot be as short as the lower bound; on random instances it mostly is.
+    2. RTH3D-LBA, which always succeeds, if highways fit; else LaCAM*, in half of the time.
+    3. PIBT to its end, with restarts, whose plan is the shortest unless dense crowds cross.
+    4. While a plan may be more than 2 % too long: PIBT to vertices halfway, then negotiation.
     """
     pibt, best, failure = None, None, None
     try:
@@ -150,7 +151,7 @@ def auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
 def _try_lacam(
     instance: GridInstance, seed: int, clock: PlanningClock
 ) -> tuple[_Solution | None, Exception | None]:
-    """Return LaCAM*'s plan, or the reason why it has found none, though there may be one."""
+    """Return LaCAM*'s plan, or the error if it has found none, though there may be one."""
     try:
         return _lacam(instance, seed, clock), None
     except NoPlanExists:
@@ -160,7 +161,7 @@ def _try_lacam(
 
 
 def _shorten(instance: GridInstance, seed: int, clock: PlanningClock, best: _Solution) -> _Solution:
-    """Return a shorter plan than one that is far from the lower bound, or that plan."""
+    """Return the best plan, shortened if it is far from the lower bound."""
     for name, search in (("pibt halfway", search_halfway), ("negotiation", negotiate)):
         if best.makespan > GOOD_ENOUGH * instance.lower_bound:
             with suppress(PlanTimeout), clock.phase(name) as record:
@@ -181,7 +182,7 @@ METHODS: Mapping[str, Solver] = {
     "lacam": _lacam,
     "auto": auto,
 }
-"""Every method by its name."""
+"""The methods by name."""
 
 
 def plan(
@@ -198,35 +199,35 @@ def plan(
     """Return collision-free paths on a 6-connected grid for robots that each have their own goal.
 
     Args:
-        starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.
-        goals: (n, 3) integers, all different: where each must get.
-        shape: (m1, m2, m3), or (m1, m2) with (n, 2) starts and goals.
-        obstacles: booleans of that shape, True anywhere, or for `"rth3d"` and `"rth3d-lba"` on
-            whole columns at x = 3i + 1, y = 3j + 1; or None.
+        starts: The vertices (x, y, z) at which robots start, (n, 3) integers, all different.
+        goals: The vertices at which robots end, (n, 3) integers, all different.
+        shape: The shape of the grid, (m1, m2, m3), or (m1, m2) with (n, 2) starts and goals.
+        obstacles: Booleans of that shape, or None. For `"rth3d"` and its variants, only whole
+            columns at x = 3i + 1, y = 3j + 1.
         method: `"rth3d"` (any matchings) and `"rth3d-lba"` (small shifts) always succeed up to
             `max_density(shape, obstacles)`; `"rth3d-lba-paper"` matches and balances as published;
-            `"pibt"` takes any density and promises nothing; `"lacam"` takes any, too, and given
-            enough configurations finds the shortest plan, or shows that none exists; `"auto"` is
-            the best of `"rth3d-lba"` and `"pibt"`, or where the former does not fit, of `"lacam"`
-            and `"pibt"`. If that is not near the lower bound, it also tries PIBT from both ends to
-            places halfway, and negotiated congestion (PathFinder).
-        seed: of the choices of PIBT and LaCAM*; the others make none. The same seed gives the same
-            plan, unless a time limit cuts it short.
-        time_limit: wall-clock limit, s, without compilation; a phase that has begun may exceed it.
-            The best plan so far is returned; if there is none, PlanTimeout is raised.
-        watch: called with the name of each phase when it begins.
-        configurations: the maximum number that LaCAM* makes in each connected part of the grid.
-            None: 1,000,000, or what fits into 0.8 GB. Without a time limit it makes as many again
-            after its first plan to improve it, at least 1,000 (fewer for over 1,000 robots).
+            `"pibt"` accepts any density, without guarantee; `"lacam"` does so too, and with enough
+            configurations finds the shortest plan, or proves that none exists; `"auto"` is the best
+            of `"pibt"` and `"rth3d-lba"`, or `"lacam"` if highways do not fit. If that is not near
+            the lower bound, it also tries PIBT from both ends to vertices halfway, and negotiated
+            congestion (PathFinder).
+        seed: The seed of PIBT and LaCAM*; the other methods use none. The same seed gives the same
+            plan, unless a time limit ends the search.
+        time_limit: The wall-clock limit without compilation, s; a phase that has begun may exceed
+            it. The best plan so far is returned; if there is none, PlanTimeout is raised.
+        watch: A function called with the name of each phase when it begins.
+        configurations: The most configurations of LaCAM* in each connected part of the grid; None
+            for 1,000,000, or as many as fit into 0.8 GB. Without a time limit it makes as many
+            again after its first plan to improve it, at least 1,000 (fewer for over 1,000 robots).
 
     Returns:
         A plan that `validate` has found feasible.
 
     Raises:
-        ValueError: starts, goals, shape or obstacles are invalid, or the method cannot take them.
-        NoPlanExists: the instance has no plan, which is proven; a ValueError and a PlanNotFound.
-        PlanTimeout: the time ended before there was a valid plan.
-        PlanNotFound: none was found, though there may be one.
+        ValueError: Starts, goals, shape or obstacles are invalid, or not supported by the method.
+        NoPlanExists: It is proven that no plan exists; a ValueError and a PlanNotFound.
+        PlanTimeout: The time ended before there was a valid plan.
+        PlanNotFound: No plan was found, though there may be one.
     """
     check_integer("seed", seed, at_least=0)
     if time_limit is not None:

@@ -1,4 +1,4 @@
-"""The validation of grid plans: step by step, by other code than the planners'."""
+"""The validation of grid plans, step by step, by code that planners do not use."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
 MOVES = np.array([*np.kron(np.eye(3), [[-1], [1]]), np.zeros(3)], dtype=np.int8)
-"""(7, 3) the step along x, y and z that each number of a plan's `moves` stands for."""
+"""The step (7, 3) along x, y and z of each number in a plan's `moves`."""
 _REASONS = (
     "",
     "does not begin at its start",
@@ -38,17 +38,17 @@ _REASONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationReport:
-    """The verdict on a plan."""
+    """The result of validating a plan."""
 
     ok: bool  # True if the plan is feasible (Sec. II-A)
-    # A rule that is broken, by which robot and when: the ends are checked first, then every step;
-    # empty if the plan is feasible
+    # A broken rule with robot and time, from the ends or else the first such step; empty if the
+    # plan is feasible
     reason: str
-    time: int | None = None  # Step after which it is broken
-    robot: int | None = None  # That breaks it
-    makespan: int = 0  # Last step in which anyone moves
-    sum_of_costs: int = 0  # Sum over the robots of the last step in which each moves
-    moves: int = 0  # Moves along edges, of all robots
+    time: int | None = None  # The time step at which the rule is broken
+    robot: int | None = None  # The robot that breaks it
+    makespan: int = 0  # The last step in which any robot moves
+    sum_of_costs: int = 0  # The sum over robots of the last step in which each moves
+    moves: int = 0  # The number of moves along edges, of all robots
 
     def __bool__(self) -> bool:
         return self.ok
@@ -58,15 +58,15 @@ class ValidationReport:
 def follow_paths(
     paths: Array, ways: Array, deltas: Array, arrived: Array, last: Array, moves: Array
 ) -> tuple[int, int]:
-    """Walk all paths; return (the first step in which a rule is broken or 0, moves along edges).
+    """Follow all paths; return the first step in which a rule is broken or 0, and the moves.
 
     Args:
-        paths: (T + 1, n) vertices.
-        ways: (V,) bit k says whether the edge k of a vertex leads to a vertex that is free.
-        deltas: (7,) differences of the numbers of the vertices along each edge, and 0 of a wait.
-        arrived: (V,) zeros. When a robot last came to a vertex, times 8, plus by which edge.
-        last: (n,) zeros; on return the last step in which each robot has moved.
-        moves: (T, n) on return the edge of each move, 6 of a wait.
+        paths: The vertices (T + 1, n).
+        ways: (V,) with bit k set if edge k of a vertex leads to a free vertex.
+        deltas: The differences (7,) of vertices' numbers along each edge, and 0 for a wait.
+        arrived: (V,) zeros, overwritten by 8 times the last arrival at a vertex plus its edge.
+        last: (n,) zeros, overwritten by the last step in which each robot moves.
+        moves: (T, n), overwritten by the edge of each move, 6 for a wait.
     """
     steps, count = paths.shape
     moved = 0
@@ -105,7 +105,7 @@ def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
 
 
 def _fault(before: Coordinates, now: Coordinates, obstacles: BoolArray) -> tuple[int, int]:
-    """Return the rule that is broken by a step that breaks one, and the robot that does."""
+    """Return the rule that an invalid step breaks, and the robot that breaks it."""
     sides = np.array(obstacles.shape)
     lengths = np.abs(now - before).sum(axis=1)
     outside = np.logical_or(now < 0, now >= sides).any(axis=1)
@@ -159,7 +159,7 @@ def as_vertices(paths: npt.NDArray[np.integer], shape: Shape) -> Paths:
 
 
 def _places(vertices: Vertices, shape: Shape) -> Coordinates:
-    """Return the coordinates (n, 3) of vertices; three times -1 where one is outside."""
+    """Return the coordinates (n, 3) of vertices, -1 for a vertex outside the grid."""
     return np.where(vertices[:, None] < 0, -1, points(np.maximum(vertices, 0), shape))
 
 
@@ -175,30 +175,30 @@ def validate(
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
 ) -> ValidationReport:
-    """Return a verdict on a plan by the definition of a feasible one (Sec. II-A).
+    """Return a report on the feasibility of a plan (Sec. II-A).
 
-    Everyone begins at its start and ends at its goal; each step is a wait or a move along one edge
-    of the grid; nobody is on an obstacle, or on another's vertex, or swaps with another. To follow,
-    into a vertex that is left in the same step, is allowed, in rings of three or more too.
+    Every robot begins at its start and ends at its goal. Each step is a wait or a move along one
+    edge of the grid. No robot is on an obstacle or on another's vertex, or swaps with another. A
+    robot may enter a vertex that another leaves in the same step, also in rings of three or more.
 
     Args:
-        paths: (T + 1, n, 3) integers: where each robot is after each step.
-        starts: (n, 3) integers.
-        goals: (n, 3) integers.
-        shape: of the grid.
-        obstacles: booleans of that shape, anywhere, or None.
+        paths: The vertex (T + 1, n, 3) of each robot after each step, integers.
+        starts: The start vertices (n, 3), integers.
+        goals: The goal vertices (n, 3), integers.
+        shape: The shape of the grid.
+        obstacles: Booleans of that shape, anywhere, or None.
 
     Returns:
-        A report that is true if the plan is feasible, and otherwise says what is wrong.
+        A report that is true if the plan is feasible, and else has the broken rule.
 
     Raises:
-        ValueError: the instance itself is none, or paths are no such array.
+        ValueError: The instance is invalid, or `paths` is no such array.
     """
     instance = check_instance(starts, goals, shape, obstacles)
     given = np.asarray(paths)
     if given.ndim != 3 or given.shape[1:] != instance.starts.shape or len(given) == 0:
-        wanted = f"(T + 1, {len(instance.starts)}, 3) for these starts"
-        raise ValueError(f"paths have shape {given.shape}, but must have {wanted}")
+        expected = f"(T + 1, {len(instance.starts)}, 3) for these starts"
+        raise ValueError(f"paths have shape {given.shape}, but must have {expected}")
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"paths are of type {given.dtype}, but must be integers")
     return check_paths(as_vertices(given, instance.shape), instance)[0]

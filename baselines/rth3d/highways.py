@@ -1,11 +1,11 @@
 """Highways: the slots of a grid and the lanes beside them (Sec. III-B).
 
 The paper's grid is m1 >= m2 >= m3, each a multiple of 3. Here any axis may be the long, the short
-or the high one. The plane of the first two is cut into cells of 3 x 3 vertices; what is left over
-at the far edge of a side that is no multiple of 3 holds robots only before and after the shuffles.
-A *slot* is a vertex in the middle column (x = 3i + 1) of a cell, three to a cell and plane: robots
-between shuffles are on slots, so that each has free lanes on both sides. With an obstacle
-in the middle of a cell, the whole row y = 3j + 1 has no slots.
+or the high one. The plane of the first two is divided into cells of 3 x 3 vertices; the rest at the
+far edge of a side that is no multiple of 3 has robots only before and after the shuffles. A *slot*
+is a vertex in the middle column (x = 3i + 1) of a cell, three per cell and plane. Between shuffles
+robots are on slots, so that each has free lanes on both sides. If an obstacle is in the middle of a
+cell, the whole row y = 3j + 1 has no slots.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from swarm_envs.baselines.rth3d.grid import (
 )
 from swarm_envs.state import BoolArray
 
-CELL = 3  # Side of a cell
+CELL = 3  # The side of a cell
 
 _UPRIGHT = ((0, 1, 2), (1, 0, 2))
 _ALL = (*_UPRIGHT, (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0))
@@ -44,9 +44,9 @@ Axes = tuple[int, int, int]  # The order of the axes
 class Highways:
     """The slots and lanes of a grid whose axes are in the order long, short, high."""
 
-    axes: Axes  # The axes of the given grid that are the long, the short, the high one
-    shape: Shape  # The grid in that order
-    obstacles: BoolArray  # In that order too
+    axes: Axes  # The axes of the given grid in that order
+    shape: Shape  # The shape of the grid in that order
+    obstacles: BoolArray  # The obstacles in that order
 
     @property
     def cells(self) -> int:
@@ -62,12 +62,12 @@ class Highways:
 
     @property
     def capacity(self) -> int:
-        """The number of slots: the most robots that the highways carry."""
+        """The number of slots, the most robots that the highways carry."""
         return self.cells * len(self.rows) * self.shape[2]
 
     @property
     def length(self) -> int:
-        """The steps m1 + 2 m2 + 2 m3 of the shuffles, but for a constant (Proposition IV.2)."""
+        """The steps m1 + 2 m2 + 2 m3 of the shuffles, up to a constant (Proposition IV.2)."""
         return self.shape[0] + 2 * self.shape[1] + 2 * self.shape[2]
 
     @cached_property
@@ -93,7 +93,7 @@ class Highways:
 
 
 def _highways(shape: Shape, obstacles: BoolArray) -> list[Highways]:
-    """Return every order of the axes; the high one stays upright where columns stand."""
+    """Return highways for every order of the axes; with columns, the high axis is z."""
     orders = _UPRIGHT if obstacles.any() else _ALL
     return [
         Highways(axes, tuple(shape[k] for k in axes), obstacles.transpose(axes))  # type: ignore[arg-type]
@@ -102,10 +102,10 @@ def _highways(shape: Shape, obstacles: BoolArray) -> list[Highways]:
 
 
 def choose_highways(instance: GridInstance) -> Highways:
-    """Return the order of the axes with the shortest shuffles, of those that carry all robots.
+    """Return the highways with the shortest shuffles of those that carry all robots.
 
     Raises:
-        NoHighways: none does; the message says how many they would carry.
+        NoHighways: None can carry them.
     """
     check_pattern(instance.obstacles)
     found = _highways(instance.shape, instance.obstacles)
@@ -113,14 +113,14 @@ def choose_highways(instance: GridInstance) -> Highways:
     if most == 0:
         raise NoHighways(
             f"the grid of shape {instance.shape} is too thin: highways need two sides of at least "
-            "3 vertices, upright ones where there are obstacles; method='auto' needs none"
+            "3 vertices, along x and y if there are obstacles; use method='auto'"
         )
     able = [highways for highways in found if highways.capacity >= count]
     if not able:
         raise NoHighways(
             f"there are {count} robots, a density of {instance.density:.4f}, but the highways of a "
             f"grid of shape {instance.shape} carry {most} at most (density "
-            f"{most / np.prod(instance.shape):.4f}); take fewer, or method='auto'"
+            f"{most / np.prod(instance.shape):.4f}); use fewer, or method='auto'"
         )
     return min(able, key=lambda h: (h.length, -h.capacity, h.shape[2]))
 
@@ -128,12 +128,12 @@ def choose_highways(instance: GridInstance) -> Highways:
 def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) -> float:
     """Return the largest density, robots per vertex, that RTH3D supports on a grid.
 
-    It is 1/3 where two sides, upright ones if there are obstacles, are multiples of 3, and 2/9
-    between buildings; less where strips at the edges are too narrow for highways; 0 if it is too
+    It is 1/3 if two sides (with obstacles, those along x and y) are multiples of 3, 2/9 between
+    buildings, less if strips at the edges are too narrow for highways, and 0 if the grid is too
     thin.
 
     Raises:
-        ValueError: the shape is none, or obstacles break the pattern.
+        ValueError: The shape is invalid, or obstacles break the pattern.
     """
     sides = check_shape(shape)
     walls = check_obstacles(obstacles, sides)
@@ -142,7 +142,7 @@ def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) ->
     return most / float(np.prod(sides))
 
 
-Image = npt.NDArray[np.int32]  # (V,) the vertex that each vertex is reflected to
+Image = npt.NDArray[np.int32]  # (V,) the image of each vertex under a reflection
 
 
 def _images(highways: Highways) -> list[Image]:
@@ -163,16 +163,16 @@ def _same(first: Vertices, second: Vertices, total: int) -> bool:
 
 
 def reflection(highways: Highways, starts: Vertices, goals: Vertices) -> Image | None:
-    """Return the reflection that makes the set of goals from that of the starts, or None.
+    """Return the reflection of the set of starts onto that of the goals, or None.
 
-    Of several it is the one that takes the most robots to their own goals.
+    Of several it is the one that maps the most starts to the robots' own goals.
     """
     images = [i for i in _images(highways) if _same(i[starts], goals, len(i))]
     return max(images, key=lambda image: int((image[starts] == goals).sum()), default=None)
 
 
 def reflected(paths: Paths, image: Image, goals: Vertices) -> Paths:
-    """Return paths (T + 1, n) from the goals, the image of paths from the starts."""
+    """Return paths (T + 1, n) from the goals, the images of paths from the starts."""
     holder = np.empty(len(image), dtype=np.int32)
     holder[image[paths[0]]] = np.arange(paths.shape[1], dtype=np.int32)
     return image[paths[:, holder[goals]]]

@@ -1,15 +1,16 @@
 """LaCAM*: a complete search over configurations, whose steps are PIBT's.
 
-A configuration says where all robots are. The search goes into depth: from the configuration on
-top of a stack it makes one more that can follow in a step, by PIBT under constraints. Constraints
-say where some robots go; they grow one robot at a time, breadth-first, so that in the end every
-configuration that can follow has been made. If there is a plan, it is found; if the stack runs
-empty without one, none exists. After the first plan the search continues to shorter ones: whatever
-can no longer lead to one is left out, and where a configuration turns out to be nearer to the
-starts, so do all those behind it. The last plan before the stack runs empty is the shortest.
+A configuration is the positions of all robots. The search is depth-first: from the configuration on
+top of a stack it makes one successor by PIBT under constraints. Constraints fix the next vertices
+of some robots; they grow one robot at a time, breadth-first, so that in the end every successor has
+been made. If there is a plan, it is found; if the stack becomes empty without one, none exists.
+After the first plan the search continues to shorter ones: configurations that can no longer lead to
+one are omitted, and if a shorter path to a configuration is found, its successors are updated. The
+last plan when the stack is empty is the shortest.
 
-Most urgent is who has not been at its goal for long, and of those who began together, who began far
-away. Unlike with the slacks of `pibt`, one robot leads until it arrives, as narrow passages need.
+A robot is urgent if it has long not been at its goal, and of those with equal times, if its start
+is far from its goal. Unlike with the slacks of `pibt`, one robot leads until it arrives, as narrow
+passages require.
 
 Okumura, "LaCAM: Search-Based Algorithm for Quick Multi-Agent Pathfinding" (AAAI 2023), "Improving
 LaCAM for Scalable Eventually Optimal Multi-Agent Pathfinding" (IJCAI 2023).
@@ -46,14 +47,14 @@ from swarm_envs.compiled import kernel
 
 _Longs = npt.NDArray[np.int64]
 
-_MOST_ENTRIES = 100_000_000  # of configurations, robots times configurations: 0.8 GB
-_MOST = 1_000_000  # configurations that are made without a plan, if that is not too much memory
-_MORE_ENTRIES = 1_000_000  # that are made after the first plan, `_MORE` configurations at most
+_MOST_ENTRIES = 100_000_000  # The most robots times configurations, 0.8 GB
+_MOST = 1_000_000  # The most configurations without a plan, if they fit into memory
+_MORE_ENTRIES = 1_000_000  # The most entries after the first plan, and `_MORE` configurations
 _MORE = 1000
-_GLANCE = 250_000  # entries between two looks at the clock
-_RESTART = 1000  # one known configuration in so many sends the search back to the starts
-_SLACK = 1000  # steps beyond the longest way after which no robot gets more urgent
-_EXHAUSTED, _ENDED, _FULL = 0, 1, 2  # why `_search` has returned
+_GLANCE = 250_000  # Entries between two checks of the clock
+_RESTART = 1000  # One in this number of known configurations returns the search to the starts
+_SLACK = 1000  # Steps beyond the longest path after which no robot becomes more urgent
+_EXHAUSTED, _ENDED, _FULL = 0, 1, 2  # Results of `_search`
 
 _TOP, _NODES, _CONSTRAINTS, _EDGES, _MADE, _GOAL, _LOADED = range(7)
 _PARENT, _WHO, _TO, _DEPTH, _NEXT = range(5)
@@ -62,28 +63,28 @@ _PARENT, _WHO, _TO, _DEPTH, _NEXT = range(5)
 class _Nodes(NamedTuple):
     """The configurations that have been found, numbered from 0, the starts."""
 
-    at: Ints  # (M, n) where each robot is
-    away: Ints  # (M, n) for how many configurations each has not been at its goal
-    parent: Ints  # (M,) the configuration before, or -1
-    steps: Ints  # (M,) from the starts, by the parents
-    left: Ints  # (M,) longest way left to a robot
+    at: Ints  # (M, n) each robot's vertex
+    away: Ints  # (M, n) number of configurations since each was at its goal
+    parent: Ints  # (M,) the previous configuration, or -1
+    steps: Ints  # (M,) steps from the starts, by the parents
+    left: Ints  # (M,) longest remaining path of a robot
     hash: _Longs  # (M,)
-    above: Ints  # (M,) on the stack, or -1
-    below: Ints  # (M,) likewise
-    stacked: npt.NDArray[np.bool_]  # (M,) whether it is on the stack
+    above: Ints  # (M,) the configuration above it on the stack, or -1
+    below: Ints  # (M,) the configuration below it on the stack, or -1
+    stacked: npt.NDArray[np.bool_]  # (M,) True if it is on the stack
     first: Ints  # (M,) the first of its constraints that have not been tried, or -1
-    last: Ints  # (M,)
-    edge: Ints  # (M,) the last edge that leads on from it, or -1
-    queue: Ints  # (M,) work
+    last: Ints  # (M,) the last of them
+    edge: Ints  # (M,) the last edge from it, or -1
+    queue: Ints  # (M,) working memory
 
 
 class _Pools(NamedTuple):
     """The constraints and edges of configurations, and the state of the search."""
 
-    constraints: Ints  # (L, 5) parent, who, to which vertex, how many with its parents, next
-    edges: Ints  # (E, 2) the configuration that it leads to, the edge before
+    constraints: Ints  # (L, 5) parent, robot, vertex, number of parents, next
+    edges: Ints  # (E, 2) the configuration that it leads to, the previous edge
     table: Ints  # (H,) configurations by hash, or -1; H is a power of two, more than 2 M
-    state: _Longs  # (7,) top of the stack, three counts, made, the goals or -1, who is loaded
+    state: _Longs  # (7,) top of the stack, three counts, made, the goals or -1, loaded
 
 
 @kernel
@@ -97,7 +98,7 @@ def _hash(at: Array) -> int:
 
 @kernel
 def _place(nodes: _Nodes, table: Array, at: Array, code: int) -> int:
-    """Return the place of a configuration in the hash table, empty if it is new."""
+    """Return the index of a configuration in the hash table, of an empty entry if it is new."""
     mask = table.shape[0] - 1
     place = code & mask
     while table[place] >= 0:
@@ -151,7 +152,7 @@ def _stack(nodes: _Nodes, state: Array, node: int) -> None:
 def _constrain_more(
     nodes: _Nodes, pools: _Pools, node: int, parent: int, who: int, to: int
 ) -> None:
-    """Add a constraint that waits to be tried; a parent of -1 stands for none at all."""
+    """Add a constraint to be tried; with a parent of -1, the empty one."""
     new = pools.state[_CONSTRAINTS]
     pools.state[_CONSTRAINTS] += 1
     entry = pools.constraints[new]
@@ -176,7 +177,7 @@ def _add_edge(nodes: _Nodes, pools: _Pools, node: int, to: int) -> None:
 def _add_node(
     terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, parent: int, code: int
 ) -> int:
-    """Keep the new configuration at the end of `nodes.at`, stack it, and return its number."""
+    """Add the configuration at the end of `nodes.at`, stack it, and return its number."""
     new = int(pools.state[_NODES])
     pools.state[_NODES] += 1
     at, longest = nodes.at[new], 0
@@ -199,7 +200,7 @@ def _add_node(
 
 @kernel
 def _load(terrain: Terrain, robots: Robots, nodes: _Nodes, before: int, node: int) -> None:
-    """Let the robots stand as a configuration says, and queue them; always in the same order."""
+    """Load a configuration's positions, and queue the robots, always in the same order."""
     at, top = nodes.at[node], robots.counts.shape[0] - 1
     if before >= 0:
         for i in range(at.shape[0]):
@@ -220,7 +221,7 @@ def _constrain(terrain: Terrain, robots: Robots, pools: _Pools, at: Array, const
         if terrain.cells[to]["taken"] >= 0:
             return False
         if other >= 0 and other != who and robots.records[other]["next"] == at[who]:
-            return False  # they would swap
+            return False  # They would swap
         take(terrain.cells, robots.records, who, to)
         constraint = entry[_PARENT]
     return True
@@ -230,7 +231,7 @@ def _constrain(terrain: Terrain, robots: Robots, pools: _Pools, at: Array, const
 def _branch(
     terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: int, constraint: int
 ) -> None:
-    """Constrain one robot more, in each way there is, in random order."""
+    """Add constraints of one more robot to each of its vertices, in random order."""
     depth = pools.constraints[constraint, _DEPTH]
     if depth >= robots.records.shape[0]:
         return
@@ -250,7 +251,7 @@ def _branch(
 
 @kernel
 def _shorten(nodes: _Nodes, pools: _Pools, begin: int) -> None:
-    """Bring forward what follows a configuration, where it is nearer to the starts now."""
+    """Update the steps and parents of successors that are now nearer to the starts."""
     nodes.queue[0] = begin
     head, tail = 0, 1
     while head < tail:
@@ -271,7 +272,7 @@ def _shorten(nodes: _Nodes, pools: _Pools, begin: int) -> None:
 
 @kernel
 def _make(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: int) -> None:
-    """Make one more configuration that can follow, if the next constraint allows one."""
+    """Make one more successor, if the next constraint allows one."""
     at, count = nodes.at[node], nodes.at.shape[1]
     constraint = nodes.first[node]
     nodes.first[node] = pools.constraints[constraint, _NEXT]
@@ -293,7 +294,7 @@ def _make(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: 
 
 @kernel
 def _keep(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: int) -> None:
-    """Add the configuration at the end of `nodes.at`, or if it is known, go on from there."""
+    """Add the configuration at the end of `nodes.at`, or if it is known, continue from there."""
     new = nodes.at[pools.state[_NODES]]
     code = _hash(new)
     known = pools.table[_place(nodes, pools.table, new, code)]
@@ -309,9 +310,9 @@ def _keep(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: 
 
 @kernel
 def _search(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, most: int) -> int:
-    """Make configurations until there are `most`, or the stack is empty, or the memory full.
+    """Make configurations until `most` were made, the stack is empty, or the memory is full.
 
-    It also ends where a plan is found that is shorter than the one before.
+    It also ends when a first or a shorter plan is found.
     """
     state = pools.state
     known = state[_GOAL]
@@ -335,9 +336,9 @@ def _search(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, most
 
 
 class Lacam:
-    """The search on one instance; it may be gone on with.
+    """The search on one instance, which can be continued.
 
-    Nothing in it depends on time: the same seed makes the same configurations in the same order.
+    It does not depend on time: the same seed makes the same configurations in the same order.
     """
 
     def __init__(self, instance: GridInstance, seed: int) -> None:
@@ -361,11 +362,11 @@ class Lacam:
         code = _hash(self._nodes.at[0])
         _add_node(self._terrain, self._robots, self._nodes, self._pools, -1, code)
         self.exhausted = False
-        """True if nothing is left to be tried: the plan is the shortest, or there is none."""
+        """True if all has been tried: the plan is the shortest, or none exists."""
 
     @property
     def made(self) -> int:
-        """The number of configurations that were made, or tried to make."""
+        """The number of attempts to make a configuration."""
         return int(self._pools.state[_MADE])
 
     @property
@@ -375,7 +376,7 @@ class Lacam:
         return None if goal < 0 else int(self._nodes.steps[goal])
 
     def run(self, most: int) -> None:
-        """Go on until `most` configurations have been made, or there is a first plan."""
+        """Continue until `most` configurations have been made, or a first or shorter plan."""
         while True:
             why = _search(self._terrain, self._robots, self._nodes, self._pools, most)
             if why != _FULL:
@@ -384,7 +385,7 @@ class Lacam:
         self.exhausted = why == _EXHAUSTED
 
     def _grow(self) -> None:
-        """Double the memory that is full."""
+        """Double the arrays that are full."""
         nodes, pools = self._nodes, self._pools
         if pools.state[_NODES] + 1 >= len(nodes.at):
             self._nodes = _Nodes(*(_doubled(array) for array in nodes))
@@ -431,9 +432,9 @@ def best_plan(instance: GridInstance, seed: int, clock: PlanningClock) -> Paths:
     the first plan it makes as many again, or 1,000 more (fewer for more than 1,000 robots).
 
     Raises:
-        NoPlanExists: all configurations have been searched.
-        PlanTimeout: the time limit ended before the first plan.
-        PlanNotFound: there is none within the configurations.
+        NoPlanExists: All configurations have been searched.
+        PlanTimeout: The time limit ended before the first plan.
+        PlanNotFound: No plan was found within the configurations.
     """
     count, bound = len(instance.starts), instance.lower_bound
     most = clock.configurations or max(min(_MOST, _MOST_ENTRIES // count), 2 * bound + 100)
@@ -449,11 +450,11 @@ def best_plan(instance: GridInstance, seed: int, clock: PlanningClock) -> Paths:
         return search.paths()
     if search.exhausted:
         raise NoPlanExists(
-            f"no plan exists: the search has tried all that {count} robots can do, from robot at "
-            f"{instance.starts[0].tolist()} on ({search.made} configurations)"
+            f"no plan exists: the search has tried all moves of the {count} robots in the part of "
+            f"the grid with {instance.starts[0].tolist()} ({search.made} configurations)"
         )
     clock.check("lacam")
     raise PlanNotFound(
         f"lacam has found no plan within {search.made} configurations of {count} robots, and has "
-        "not shown that there is none; try another seed, or more configurations"
+        "not proven that none exists; try another seed, or more configurations"
     )

@@ -1,16 +1,16 @@
 """Perfect matchings: heights, or rows, from which one shuffle suffices (Sec. II-B).
 
-A table has K columns of D items, and each item belongs into a column. Its columns are one side of
-a bipartite multigraph, the columns aimed at are the other, the items are the edges: D-regular. D
-perfect matchings (Hall) put the items into D levels so that in each every column is left by one
-item and aimed at by one. RTH3D takes any; RTH3D-LBA those of which the largest shift from an
-item's present level is small.
+A table has K columns of D items, and each item belongs into a target column. Columns and target
+columns are the two sides of a D-regular bipartite multigraph whose edges are the items. D perfect
+matchings (Hall) assign the items to D levels so that each level has one item of every column and
+one for every target column. RTH3D uses any; RTH3D-LBA uses matchings with small shifts from the
+items' present levels.
 
 The paper finds one matching at a time, each by a linear bottleneck assignment, so that the last
-have to take what is left. Here levels are halved instead: the items of the lower half of the levels
-are those that lie there already, and as few others as it takes to make both halves regular, found
-by a flow that lets only items within a threshold of the middle change sides. A half is again a
-smaller table. No item then lies further off than the largest threshold that was needed.
+ones have little choice. Here levels are halved instead: the lower half of the levels keeps its
+items, except for as few exchanges as make both halves regular, found by a flow in which only items
+within a threshold of the middle may change sides. Each half is again a smaller table. No item is
+then shifted by more than the largest threshold that was needed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.compiled import equation, kernel
 
-Items = npt.NDArray[np.int32]  # Whole numbers that stand for items or places
+Items = npt.NDArray[np.int32]  # Indices of items or places
 
 
 @equation
 def _is_flexible(level: int, middle: int, low: bool, reach: int) -> bool:
-    """Return True if an item may change sides: by at most `reach` levels beyond the middle."""
+    """Return True if an item may change sides, by at most `reach` levels beyond the middle."""
     return level < 0 or (middle - level if low else level - middle + 1) <= reach
 
 
@@ -45,10 +45,10 @@ def _levels(
     depth: Array,
     queue: Array,
 ) -> int:
-    """Number nodes by their distance from overfull aims; return that of an aim with room, or -1.
+    """Label nodes by their distance from overfull aims; return that of an aim with room, or -1.
 
-    Nodes 0 .. K - 1 are aims, K .. 2 K - 1 the columns that are left. An item that changes sides
-    leads from one to the other: from its aim if it is low, from its column if it is not.
+    Nodes 0 .. K - 1 are aims (target columns), K .. 2 K - 1 columns. An item that changes sides is
+    an edge from one to the other: from its aim if it is low, from its column if it is not.
     """
     count, width = by_aim.shape
     tail, found = 0, -1
@@ -99,7 +99,7 @@ def _exchange(
     arcs: Array,
     last: int,
 ) -> int:
-    """Move items along shortest paths from overfull aims to those with room; return how many."""
+    """Move items along shortest paths from overfull aims to those with room; return the number."""
     count, width = by_aim.shape
     done = 0
     for k in range(2 * count):
@@ -150,7 +150,7 @@ def _halve(
     bounded: bool,
     work: Array,
 ) -> None:
-    """Split the levels [begin, begin + size) of a table: the first half of `at` and `by_aim`."""
+    """Split the levels [begin, begin + size) of a table: sort low items of `at`, `by_aim` first."""
     count = at.shape[0]
     half = size // 2
     middle = begin + half
@@ -185,7 +185,7 @@ def _halve(
 
 @kernel
 def _low_first(items: Array, low: Array, begin: int, size: int, buffer: Array) -> None:
-    """Sort the low items before the others, the order otherwise kept."""
+    """Move the low items before the others, stably."""
     kept, end = 0, begin
     for k in range(begin, begin + size):
         if low[items[k]]:
@@ -200,7 +200,7 @@ def _low_first(items: Array, low: Array, begin: int, size: int, buffer: Array) -
 
 @kernel
 def split_tables(aims: Array, shift: Array, bounded: bool, levels: Array) -> None:
-    """Put the items of several tables into levels; see `assign_levels`."""
+    """Assign the items of several tables to levels; see `assign_levels`."""
     tables, count, size = aims.shape
     at = np.empty((count, size), dtype=np.int32)
     by_aim = np.empty((count, size), dtype=np.int32)
@@ -238,9 +238,9 @@ def assign_levels(
 ) -> Items:
     """Return levels (G, K, D) of all items, so that each level of a table is a perfect matching.
 
-    `aims` (G, K, D) says which column each item of G tables belongs into, every column D times;
-    item d of a column lies in level d now. Items that are not `real` may be shifted by any distance
-    at no cost; of the others, `bounded` keeps the largest shift small (RTH3D-LBA).
+    `aims` (G, K, D) is the target column of each item of G tables, each column D times; item d of a
+    column is in level d at first. Items that are not `real` may be shifted by any distance;
+    `bounded` keeps the largest shift of the others small (RTH3D-LBA).
     """
     levels = np.empty(aims.shape, dtype=np.int32)
     present = np.broadcast_to(np.arange(aims.shape[2], dtype=np.int32), aims.shape)

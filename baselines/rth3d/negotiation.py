@@ -1,10 +1,10 @@
 """Negotiated congestion: paths of a fixed number of steps for all robots, without collisions.
 
-At first the paths go through each other. Then robots that collide are replanned again and again,
-each along the cheapest path in space and time, and the places where they collide become more
-expensive, until no robots collide. Routers of circuits work so: McMurchie and Ebeling, "PathFinder:
-A Negotiation-Based Performance-Driven Router for FPGAs" (FPGA 1995). It suits crowds that go
-opposite ways, which PIBT leads into each other step by step. There is no guarantee.
+At first paths may collide. Then robots that collide are replanned again and again, each along the
+cheapest path in space and time, while vertices at which they collide become more expensive, until
+no robots collide. It is the method of circuit routers: McMurchie and Ebeling, "PathFinder: A
+Negotiation-Based Performance-Driven Router for FPGAs" (FPGA 1995). It suits crowds that move in
+opposite directions, which PIBT leads into each other step by step. There is no guarantee.
 """
 
 from __future__ import annotations
@@ -21,36 +21,37 @@ from swarm_envs.baselines.rth3d.pibt import following
 from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, neighbor_table
 from swarm_envs.compiled import equation, kernel
 
-_MOST_PLACES = 40_000_000  # vertices times steps that are kept, 19 bytes each
+_MOST_PLACES = 40_000_000  # The most vertices times steps, 19 bytes each
 _WORK, _MOST_WORK = 6000, 1_000_000_000
-"""Moves that are weighed, as a multiple of robots times bound, and at most: some five seconds."""
-_GLANCE = 50_000_000  # the same between two looks at the clock
+"""The most moves that are evaluated, as a multiple of robots times bound, and in total: some five
+seconds."""
+_GLANCE = 50_000_000  # The most between two checks of the clock
 _ROUNDS = 60
-_TRIES = 4  # each from other random choices; one that fails takes little of the work
-_PRICE = 64  # of a collision in the first round; ties are broken by up to 7
+_TRIES = 4  # Attempts with other random choices; a failed one takes little of the work
+_PRICE = 64  # The price of a collision in the first round; ties are broken by up to 7
 _DEAREST = 8 * _PRICE
 
 
 class _Space(NamedTuple):
-    """The grid at each step, its users, and the prices of its vertices."""
+    """The grid at each step, its use, and the prices of its vertices."""
 
     at: Ints  # (V, 3) coordinates of each vertex
-    table: Neighbors  # (V, 7) neighbours
-    used: npt.NDArray[np.int16]  # (T + 1, V) robots on each vertex
-    moves: npt.NDArray[np.int16]  # (T, V, 6) robots that leave it along each edge
-    dear: Ints  # (T + 1, V) surcharge of a vertex, because robots have met there
-    back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path gets there
-    # (2, V) of the cheapest paths so far, at even and odd steps; -1 where none leads
+    table: Neighbors  # (V, 7) neighbors
+    used: npt.NDArray[np.int16]  # (T + 1, V) number of robots on each vertex
+    moves: npt.NDArray[np.int16]  # (T, V, 6) number of robots that leave it along each edge
+    dear: Ints  # (T + 1, V) surcharge of a vertex for collisions there
+    back: npt.NDArray[np.int8]  # (T + 1, V) the edge by which the cheapest path arrives
+    # (2, V) cost of the cheapest paths so far, at even and odd steps; -1 without one
     cost: npt.NDArray[np.int64]
-    reached: Ints  # (2, V) vertices that paths lead to, at even and odd steps
+    reached: Ints  # (2, V) vertices reached by paths, at even and odd steps
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
 @kernel
 def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
-    """Lead a robot along a cheapest path (T + 1,) to its goal; return the moves that were weighed.
+    """Write a cheapest path (T + 1,) of a robot to its goal; return the number of moves evaluated.
 
-    Nothing is done if there is none in T steps. `price` is that of a collision.
+    Without a path of T steps, nothing is written. `price` is that of a collision.
     """
     at, table, used, moves, dear, back, cost, reached, random = space
     steps, bits = path.shape[0] - 1, random[0]
@@ -65,12 +66,12 @@ def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
                 u = table[v, edge]
                 if u < 0:
                     continue
-                way = abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z)
-                if t + 1 + way > steps:
+                distance = abs(at[u, 0] - x) + abs(at[u, 1] - y) + abs(at[u, 2] - z)
+                if t + 1 + distance > steps:
                     continue
                 bits = following(bits)
                 value = cost[even, v] + price * used[t + 1, u] + dear[t + 1, u]
-                value += (bits >> 33) & 7  # of equals, any
+                value += (bits >> 33) & 7  # Random tie-breaking
                 if edge < 6:
                     value += price * moves[t, u, edge ^ 1]
                 if cost[odd, u] < 0:
@@ -97,7 +98,7 @@ def _lead(space: _Space, path: Array, goal: int, price: int) -> int:
 
 @equation
 def _edge(table: Array, before: int, now: int) -> int:
-    """Return the edge from a vertex to another, 6 to itself."""
+    """Return the edge from a vertex to another, or 6 to itself."""
     edge = 0
     while table[before, edge] != now:
         edge += 1
@@ -106,7 +107,7 @@ def _edge(table: Array, before: int, now: int) -> int:
 
 @kernel
 def _use(space: _Space, path: Array, change: int) -> None:
-    """Add a path to what is used, or take it away."""
+    """Add a path to the use of the grid (`change` 1), or remove it (-1)."""
     table, used, moves = space.table, space.used, space.moves
     used[0, path[0]] += change
     for t in range(1, path.shape[0]):
@@ -117,8 +118,8 @@ def _use(space: _Space, path: Array, change: int) -> None:
 
 
 @kernel
-def _meets(space: _Space, path: Array) -> bool:
-    """Return True if a path meets others; the places where it does become dearer."""
+def _collides(space: _Space, path: Array) -> bool:
+    """Return True if a path collides with others; raise the prices of vertices where it does."""
     table, used, moves, dear = space.table, space.used, space.moves, space.dear
     found = False
     for t in range(1, path.shape[0]):
@@ -139,16 +140,16 @@ def _lead_some(
     price: int,
     most: int,
 ) -> tuple[int, int, int]:
-    """Replan those who meet others, or have no path yet, until `most` moves have been weighed.
+    """Replan robots that collide, or have no path yet, until `most` moves have been evaluated.
 
-    Returns the place in `order` to go on from, how many were replanned, and the moves.
+    Returns the next index in `order`, the number of replanned robots, and that of moves.
     """
     count, weighed = 0, 0
     while begin < order.shape[0] and weighed < most:
         i = order[begin]
         begin += 1
         if paths[i, 1] >= 0:
-            if not _meets(space, paths[i]):
+            if not _collides(space, paths[i]):
                 continue
             _use(space, paths[i], -1)
         weighed += _lead(space, paths[i], goals[i], price)
@@ -171,15 +172,15 @@ class Negotiation:
 
     @property
     def goes_on(self) -> bool:
-        """True while there is work and time left."""
+        """True while neither work nor time has run out."""
         return self._work > 0 and self._clock.remaining > 0
 
     def fits(self, steps: int) -> bool:
-        """Return True if the grid at each of so many steps is not too much memory."""
+        """Return True if the grid at each of `steps` steps fits into memory."""
         return (steps + 1) * len(self._table) <= _MOST_PLACES
 
     def plan(self, steps: int) -> Paths | None:
-        """Return a plan (T + 1, n) of so many steps, or None if none was found."""
+        """Return a plan (T + 1, n) of `steps` steps, or None if none was found."""
         space, count = self._new_space(steps), len(self._goals)
         paths = np.full((count, steps + 1), -1, dtype=np.int32)
         paths[:, 0] = numbers(self._instance.starts, self._instance.shape)
@@ -191,7 +192,7 @@ class Negotiation:
         return None
 
     def _round(self, space: _Space, paths: Array, order: Array, price: int) -> int:
-        """Replan all who meet others; return how many, or at least 1 if work or time ended."""
+        """Replan robots that collide; return their number, at least 1 if work or time ended."""
         begin, count = 0, 0
         while begin < len(order):
             if not self.goes_on:

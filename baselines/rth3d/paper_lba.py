@@ -1,12 +1,12 @@
-"""RTH3D-LBA as published (Sec. III-C): matchings height by height, balancing of the least distance.
+"""RTH3D-LBA as published (Sec. III-C): matchings height by height, balancing of least distance.
 
-Matchings: for one height after another, a perfect matching of columns and colors whose largest
-shift is the least among the items that are left (eq. 1, whose C_zi at lambda = 0 the paper does not
-define: it is taken as the shift along z, |z - s1.z|); then the matchings are assigned to heights
-so that their largest shift is the least (eq. 2). Both are linear bottleneck assignments.
+Matchings: for one height after another, the perfect matching of columns and colors with the least
+largest shift among the remaining items (eq. 1, whose C_zi at lambda = 0 the paper does not define:
+here it is the shift along z, |z - s1.z|); then the matchings are assigned to heights so that their
+largest shift is the least (eq. 2). Both are linear bottleneck assignments.
 
-Balancing: a flow of the least cost from robots to slots, an edge costing one. Robots follow its
-edges from vertex to vertex: they have no labels here, and because the flow has no rings, none waits
+Balancing: a flow of least cost from robots to slots, with a cost of one per edge. Robots, which
+have no labels here, follow its edges from vertex to vertex; as the flow has no rings, none waits
 for ever (Yu and LaValle, "Distance Optimal Formation Control on Graphs with a Tight Convergence
 Time Guarantee", CDC 2012, [53] of the paper).
 """
@@ -37,7 +37,7 @@ def _table_levels(aims: Items, real: npt.NDArray[np.bool_]) -> Items:
     shifts = np.abs(places[:, None] - places).astype(np.int32)  # by level and place
     costs, own = np.where(real, shifts[:, None], 0), np.empty((size, columns), dtype=np.int64)
     left, worst = np.zeros(aims.shape, dtype=np.int32), np.empty((size, size), dtype=np.int32)
-    for k in range(size):  # who has a level already costs as much as none may
+    for k in range(size):  # Items that have a level already cost more than any shift
         own[k] = _least_bottleneck(np.ascontiguousarray(aims), np.maximum(costs[k], left))
         left[every, own[k]] = size
         worst[k] = costs[:, every, own[k]].max(axis=1)
@@ -56,7 +56,7 @@ def _least_bottleneck(aims: Items, costs: Items) -> Items:
 
 @kernel
 def _match(aims: Array, costs: Array, match: Array) -> None:
-    """Match each column to an aim, with items of higher and higher costs."""
+    """Match each column to an aim, allowing items of higher and higher costs."""
     columns, size = aims.shape
     holder = np.full(columns, -1, dtype=np.int32)
     stack, arcs = np.empty(columns, dtype=np.int32), np.empty(columns, dtype=np.int32)
@@ -93,7 +93,7 @@ def _match(aims: Array, costs: Array, match: Array) -> None:
 
 @kernel
 def _excess(table: Array, flow: Array, price: Array, v: int, d: int) -> int:
-    """Return the cost of a residual edge beyond the difference of prices: 0, 1 or 2."""
+    """Return the reduced cost of a residual edge: 0, 1 or 2."""
     u = table[v, d]
     return int(price[v] - price[u] + (-1 if flow[u, d ^ 1] > 0 else 1))
 
@@ -102,7 +102,7 @@ def _excess(table: Array, flow: Array, price: Array, v: int, d: int) -> int:
 def _set_prices(
     table: Array, waiting: Array, sinks: Array, flow: Array, price: Array, far: Array, work: Array
 ) -> bool:
-    """Set prices (V,) at which the nearest free sinks cost no more; return False without one."""
+    """Update prices (V,) so that paths to nearest free sinks are free; return False without one."""
     seen, ends, known = work[3], np.zeros(3, dtype=np.int64), waiting.shape[0]
     for k in range(known):
         far[waiting[k]] = 0
@@ -121,14 +121,14 @@ def _set_prices(
                 u = table[v, d]
                 if u < 0:
                     continue
-                way = level + _excess(table, flow, price, v, d)
-                if way < far[u]:
+                cost = level + _excess(table, flow, price, v, d)
+                if cost < far[u]:
                     if far[u] == FAR:
                         seen[known] = u
                         known += 1
-                    far[u] = way
-                    work[way % 3, ends[way % 3]] = u
-                    ends[way % 3] += 1
+                    far[u] = cost
+                    work[cost % 3, ends[cost % 3]] = u
+                    ends[cost % 3] += 1
         ends[now] = 0
         level += 1
     for k in range(known):
@@ -141,8 +141,8 @@ def _set_prices(
 def _send_at_price(
     table: Array, waiting: Array, sinks: Array, flow: Array, price: Array, arcs: Array, stack: Array
 ) -> int:
-    """Send the waiting to free sinks that cost nothing more; return how many still wait."""
-    arcs[:] = -1  # of vertices that nobody has tried
+    """Send waiting robots to free sinks at no reduced cost; return how many still wait."""
+    arcs[:] = -1  # Vertices that have not been tried
     left = 0
     for begin in waiting:
         top, stack[0] = 0, begin
@@ -185,7 +185,7 @@ def _push(table: Array, flow: Array, at: Array, holder: Array, claim: Array, aim
         if aim[i] >= 0:
             claim[table[at[i], aim[i]]] = i
     changed = True
-    while changed:  # who waits makes those wait who would follow
+    while changed:  # Robots that would follow a waiting one wait too
         changed = False
         for i in range(at.shape[0]):
             other = -1 if aim[i] < 0 else holder[table[at[i], aim[i]]]
@@ -208,14 +208,14 @@ def balance_by_distance(
     sinks: BoolArray,
     check: Callable[[], None] = lambda: None,
 ) -> Paths:
-    """Return paths of the least total distance that take every robot to a sink of its own.
+    """Return paths of the least total distance that lead every robot to a sink of its own.
 
-    Arguments and paths are those of `balance`.
+    The arguments and paths are those of `balance`.
 
     Raises:
-        NoHighways: the sinks cannot be reached.
+        NoHighways: The sinks cannot be reached.
     """
-    total, order = len(table), np.argsort(starts)  # the set alone decides, not the labels
+    total, order = len(table), np.argsort(starts)  # Only the set matters, not the labels
     at = starts[order].astype(np.int32)
     flow, price = np.zeros((total, 6), dtype=np.int32), np.zeros(total, dtype=np.int32)
     far, room, waiting = np.full(total, FAR, dtype=np.int32), sinks.copy(), at.copy()
@@ -223,7 +223,7 @@ def balance_by_distance(
     while len(waiting):
         check()
         if not _set_prices(table, waiting, room, flow, price, far, work):
-            raise NoHighways("robots cannot get to slots of the highways; take method='auto'")
+            raise NoHighways("robots cannot get to slots of the highways; use method='auto'")
         left = _send_at_price(table, waiting, room, flow, price, arcs, work[0])
         waiting = waiting[:left]
     holder, claim = np.full((2, total), -1, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""LaCAM* in each connected part of a grid, and what the shape of a part forbids."""
+"""LaCAM* in each connected part of a grid, and orders of robots that a part makes impossible."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ class Part(NamedTuple):
 
     vertices: Vertices  # (V',) its vertices
     robots: IntArray  # (n',) the robots in it
-    instance: GridInstance  # Those robots on the whole grid
+    instance: GridInstance  # These robots on the whole grid
 
 
 def connected_parts(instance: GridInstance) -> list[Part]:
     """Return the connected parts of the free vertices where not every robot is at its goal.
 
     Raises:
-        NoPlanExists: a robot's start and goal are in different parts.
+        NoPlanExists: A robot's start and goal are in different parts.
     """
-    assert instance.lengths.max() > 0  # which raises if a robot cannot get to its goal
+    assert instance.lengths.max() > 0  # `lengths` raises if a robot cannot get to its goal
     names = label(~instance.obstacles)[0].ravel()
     home = names[numbers(instance.starts, instance.shape)]
     moving = np.unique(home[instance.lengths > 0])
@@ -46,12 +46,12 @@ def connected_parts(instance: GridInstance) -> list[Part]:
 
 
 def search_parts(instance: GridInstance, seed: int, clock: PlanningClock) -> Paths:
-    """Return the plan (T + 1, n) of LaCAM* in each part by itself, every move as early as it can.
+    """Return the plan (T + 1, n) of LaCAM* in each part by itself, compacted.
 
     Raises:
-        NoPlanExists: a part has none.
-        PlanNotFound: none was found in a part.
-        PlanTimeout: the time limit ended before there was a plan.
+        NoPlanExists: A part has none.
+        PlanNotFound: None was found in a part.
+        PlanTimeout: The time limit ended before there was a plan.
     """
     parts = connected_parts(instance)
     check_order(instance, parts)
@@ -68,11 +68,7 @@ def search_parts(instance: GridInstance, seed: int, clock: PlanningClock) -> Pat
 
 
 def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
-    """Refuse changes of order along lines and around rings, where nobody can pass anybody.
-
-    Raises:
-        NoPlanExists: naming the robots, and where.
-    """
+    """Raise NoPlanExists if the order of robots along a line or around a ring would change."""
     table = neighbor_table(instance.shape, instance.obstacles)
     for part in parts:
         sides = (table[part.vertices, :6] >= 0).sum(axis=1)
@@ -99,7 +95,7 @@ def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
 
 
 def _in_line(table: Neighbors, begin: int) -> list[int]:
-    """Return vertices that have at most two neighbours each, one after another."""
+    """Return the vertices of a line or ring from `begin` on, in order."""
     line, before = [begin], -1
     while True:
         onward = [int(u) for u in table[line[-1], :6] if u >= 0 and u != before]

@@ -1,9 +1,9 @@
-"""Priority inheritance with backtracking (PIBT), the priorities by slack.
+"""Priority inheritance with backtracking (PIBT), with priorities by slack.
 
-In every step each robot, the most urgent first, takes the neighbouring vertex nearest to its goal
-that no robot has taken; a robot there is asked to leave first, with the asker's priority, and
-leaves to the side rather than along the asker's way. Urgent is who has far to go and has long not
-been at its goal. There is no guarantee that all ever arrive.
+In every step each robot, the most urgent first, takes the neighboring vertex nearest to its goal
+that no robot has taken. A robot there inherits the priority and chooses its vertex first; it
+prefers to leave the path of the robot that pushes it. A robot is urgent if it has far to go and has
+long not been at its goal. There is no guarantee that all ever arrive.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from swarm_envs.compiled import equation, kernel
 
 _ROBOT = np.dtype(
     [
-        *((name, np.int32) for name in ("x", "y", "z")),  # its goal
-        # The less the more urgent: the top, less `away` and the steps that are left
+        *((name, np.int32) for name in ("x", "y", "z")),  # Its goal
+        # The largest number less `away` and the remaining steps: lower is more urgent
         ("urgency", np.int32),
-        # Steps that it has not been at its goal, halved by each step that it is. Were it zero at
-        # once, two robots in each other's way could push each other off their goals for ever
+        # The steps away from its goal, halved by each step at the goal. If it were reset to zero,
+        # two robots that block each other could push each other off their goals for ever
         ("away", np.int32),
-        ("next", np.int32),  # the vertex that it has taken, or -1
-        ("order", np.int32),  # not of this robot: a random order of all
-        ("queue", np.int32),  # not of this robot: all, by urgency
+        ("next", np.int32),  # The vertex that it has taken, or -1
+        ("order", np.int32),  # Not of this robot: a random order of all
+        ("queue", np.int32),  # Not of this robot: all, by urgency
     ]
 )
 
 
-_MOST_AWAY = 10_000  # steps away from the goal that count for the urgency, or every step gets slow
+_MOST_AWAY = 10_000  # The limit of steps away from the goal in the urgency, which keeps steps fast
 
 
 class Robots(NamedTuple):
     """The robots, and memory for their decisions."""
 
     records: Array  # (n,) of `_ROBOT`
-    # (n, 18) robots that wait for an answer: who, number of vertices tried, of all, these, who is
-    # pulled along or -1, and the keys by which the vertices are sorted
+    # (n, 18) the stack of pushed robots: robot, number of vertices tried, number of vertices, these
+    # vertices, the robot that is pulled along or -1, and the sort keys of the vertices
     asked: Ints
-    counts: Ints  # Number of robots of each urgency
+    counts: Ints  # The number of robots of each urgency
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
 
@@ -84,7 +84,7 @@ def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> in
 
 @equation
 def way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
-    """Return the length of a robot's shortest way from a vertex."""
+    """Return the length of a robot's shortest path from a vertex to its goal."""
     if terrain.grid.obstacles == OPEN:
         return _manhattan(terrain.cells[vertex], robots.records[robot])
     return _way_around(terrain, robots, robot, vertex)
@@ -94,11 +94,12 @@ def way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
 def _ask(
     terrain: Terrain, robots: Robots, here: int, robot: int, first: int, depth: int, lost: bool
 ) -> None:
-    """Sort a robot's choices: near its goal, off the way of `first`, free ones, at random.
+    """Sort a robot's choices: near its goal, off the path of `first`, free ones, at random.
 
-    `first` began to push. Who is pushed along its way, as into a gap among robots at their goals,
-    pushes it back later, and so on for ever; who steps aside, pushing others, lets it pass. When
-    the robots is lost, one choice in four is at random, but of those who are at their goals.
+    `first` is the robot that began to push. A robot pushed along its path, as into a gap among
+    robots at their goals, would later push it back, and so on for ever; one that steps aside, even
+    pushing others, lets it pass. If `lost`, a robot that is not at its goal sorts at random in one
+    of four cases.
     """
     bits, kept, asked = draw(robots.random), 0, robots.asked
     grid, cells, records = terrain.grid, terrain.cells, robots.records
@@ -142,7 +143,7 @@ def _ask(
 
 @kernel
 def _back_out(terrain: Terrain, robots: Robots, here: int, robot: int, entry: Array) -> None:
-    """Have a robot go where it wants least, if it takes that to change places with another."""
+    """Reverse a robot's choices if it must back out to swap with another."""
     kept = entry[2]
     if kept < 2 or entry[3] == here:
         return
@@ -154,11 +155,11 @@ def _back_out(terrain: Terrain, robots: Robots, here: int, robot: int, entry: Ar
 
 @kernel
 def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int, int]:
-    """Return the number of ways on from `here`, but `back`, and the last of them.
+    """Return the number of vertices to go to from `here`, except `back`, and the last of them.
 
-    A dead end whose robot is at its goal is none: that robot need not move.
+    A dead end whose robot is at its goal does not count: that robot need not move.
     """
-    ways, last = 0, -1
+    branches, last = 0, -1
     for k in range(6):
         u = terrain.table[here, k]
         if u < 0 or u == back:
@@ -168,24 +169,21 @@ def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int
             if terrain.table[u, j] >= 0:
                 sides += 1
         if sides > 1 or who < 0 or way(terrain, robots, who, u) > 0:
-            ways += 1
+            branches += 1
             last = u
-    return ways, last
+    return branches, last
 
 
 @kernel
 def _must_swap(
     terrain: Terrain, robots: Robots, pusher: int, puller: int, first: int, second: int
 ) -> bool:
-    """Return True if a robot that pushes another along a passage would never get past it.
-
-    They stand at `first` and `second`, or would.
-    """
+    """Return True if a robot at `first` that pushes one at `second` would never get past it."""
     while way(terrain, robots, pusher, second) < way(terrain, robots, pusher, first):
-        ways, onward = _onward(terrain, robots, first, second)
-        if ways >= 2:
+        branches, onward = _onward(terrain, robots, first, second)
+        if branches >= 2:
             return False
-        if ways == 0:
+        if branches == 0:
             break
         first, second = second, onward
     ahead = way(terrain, robots, pusher, first)
@@ -196,16 +194,13 @@ def _must_swap(
 
 @kernel
 def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool:
-    """Return True if two robots can pass each other once the one at `second` has moved on.
-
-    It does where the passage ends at a branch.
-    """
+    """Return True if the passage of two robots ends at a branch, where they can pass."""
     begin = first
     while second != begin:
-        ways, onward = _onward(terrain, robots, first, second)
-        if ways >= 2:
+        branches, onward = _onward(terrain, robots, first, second)
+        if branches >= 2:
             return True
-        if ways == 0:
+        if branches == 0:
             return False
         first, second = second, onward
     return False
@@ -213,11 +208,11 @@ def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool
 
 @kernel
 def _to_pull(terrain: Terrain, robots: Robots, here: int, robot: int, aim: int) -> int:
-    """Return the robot that must follow one that wants to be at `aim`, or -1.
+    """Return the robot that must follow one whose first choice is `aim`, or -1.
 
-    Both go backwards to where they can pass. It is the swap of Okumura, "Improving LaCAM for
-    Scalable Eventually Optimal Multi-Agent Pathfinding" (IJCAI 2023), Sec. 4, with the robot in the
-    way, or with one that comes from behind towards `aim`.
+    Both go backwards to a vertex where they can pass. It is the swap of Okumura, "Improving LaCAM
+    for Scalable Eventually Optimal Multi-Agent Pathfinding" (IJCAI 2023), Sec. 4, with the robot at
+    `aim`, or with one that comes from behind.
     """
     if not _may_swap(terrain, robots, aim, here):
         return -1
@@ -237,7 +232,7 @@ def _to_pull(terrain: Terrain, robots: Robots, here: int, robot: int, aim: int) 
 
 @kernel
 def _pull(terrain: Terrain, robots: Robots, at: Array, depth: int) -> None:
-    """Have those follow who are to be pulled along, where the pullers go away as they wish."""
+    """Let robots that are to be pulled along follow, if the pullers got their first choices."""
     for k in range(depth, -1, -1):
         entry = robots.asked[k]
         here, other = at[entry[0]], entry[10]
@@ -256,9 +251,9 @@ def take(cells: Array, records: Array, robot: int, vertex: int) -> None:
 
 @kernel
 def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: bool) -> bool:
-    """Settle the next vertex of a robot and of all that it pushes; return True if that went well.
+    """Settle the next vertex of a robot and of all that it pushes; return True on success.
 
-    It always does if none of them had its vertex settled before by others.
+    It always succeeds if no robot was settled by constraints before.
     """
     depth, asked, cells, records = 0, robots.asked, terrain.cells, robots.records
     _ask(terrain, robots, at[robot], robot, robot, 0, lost)
@@ -273,7 +268,7 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
             if cells[vertex]["taken"] >= 0:
                 continue
             if other >= 0 and other != who and records[other]["next"] == here:
-                continue  # they would swap
+                continue  # They would swap
             take(cells, records, who, vertex)
             if other >= 0 and other != who and records[other]["next"] < 0:
                 depth += 1
@@ -282,7 +277,7 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
                 settled = True
             break
         else:
-            take(cells, records, who, here)  # nowhere to go: the one who asked must look elsewhere
+            take(cells, records, who, here)  # It must stay: the robot that pushed tries another
             depth -= 1
             continue
         if settled:
@@ -294,16 +289,16 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
 
 @kernel
 def settle_rest(terrain: Terrain, robots: Robots, at: Array, lost: bool) -> bool:
-    """Settle all others, the most urgent first, until that goes wrong; return True if it did not.
+    """Settle all other robots, the most urgent first; return False if one cannot be settled.
 
-    It never goes wrong if none was settled before.
+    All can be settled if none was settled by constraints before.
     """
     cells, records, top = terrain.cells, robots.records, robots.counts.shape[0] - 1
     for k in range(at.shape[0]):
         i = records[k]["queue"]
         if records[i]["next"] >= 0:
             continue
-        if records[i]["urgency"] == top and cells[at[i]]["taken"] < 0:  # at its goal, and may stay
+        if records[i]["urgency"] == top and cells[at[i]]["taken"] < 0:  # At its goal, and may stay
             take(cells, records, i, at[i])
         elif not settle_next(terrain, robots, at, i, lost):
             return False
@@ -312,7 +307,7 @@ def settle_rest(terrain: Terrain, robots: Robots, at: Array, lost: bool) -> bool
 
 @kernel
 def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
-    """Queue the robots by urgency; return the longest way that is left."""
+    """Queue the robots by urgency; return the longest remaining path."""
     cells, records, count = terrain.cells, robots.records, at.shape[0]
     longest, top, is_open = 0, robots.counts.shape[0] - 1, terrain.grid.obstacles == OPEN
     for i in range(count):
@@ -329,7 +324,7 @@ def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
 
 @kernel
 def line_up(robots: Robots, begin: int) -> None:
-    """Queue the robots by urgency; of equals, `order` decides, from its place `begin` on."""
+    """Queue the robots by urgency, and equals by `order`, from its index `begin` on."""
     records, counts = robots.records, robots.counts
     count, total = records.shape[0], 0
     counts[:] = 0
@@ -355,10 +350,10 @@ def _run_pibt(
     left: int,
     lost: bool,
 ) -> tuple[int, int]:
-    """Plan steps begin + 1 ... end, unless all arrive before, or none can within `limit` steps.
+    """Plan steps begin + 1 ... end, unless all arrive before, or cannot within `limit` steps.
 
-    `left` is what the call that planned step `begin` has returned; -1 if there was none. Returns
-    the last planned step, and the longest way that is left to anyone then.
+    `left` is the second result of the call that planned step `begin`, or -1 if there was none.
+    Returns the last planned step, and the longest remaining path then.
     """
     cells, records, count, longest = terrain.cells, robots.records, paths.shape[1], left
     for t in range(begin, end + 1):
@@ -380,7 +375,7 @@ def _run_pibt(
 
 
 class Pibt:
-    """PIBT on one instance, which may go on from any step of what it has planned."""
+    """PIBT on one instance, which can continue from any planned step."""
 
     def __init__(self, instance: GridInstance, most_steps: int) -> None:
         self.terrain = survey(instance)
@@ -395,21 +390,21 @@ class Pibt:
         self.robots.random[0] = generator.integers(2**62)
 
     def run(self, begin: int, end: int, limit: int, left: int, lost: bool) -> tuple[int, int]:
-        """Go on from step `begin`; see `_run_pibt`."""
+        """Continue from step `begin`; see `_run_pibt`."""
         last, left = _run_pibt(self.terrain, self.robots, self.paths, begin, end, limit, left, lost)
         return int(last), int(left)
 
     def rewind(self, begin: int) -> None:
-        """Forget all after step `begin`."""
+        """Discard all steps after step `begin`."""
         goal = numbers(self.instance.goals, self.instance.shape)
         away = self.robots.records["away"]
         away[:] = 0
-        for t in range(begin):  # how long each has been away, as if it had just walked here
+        for t in range(begin):  # Recomputes the steps that each has been away
             away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
 
 
 def new_robots(instance: GridInstance, most_steps: int) -> Robots:
-    """Return the robots of an instance at their starts, with up to `most_steps` of urgency."""
+    """Return the robots of an instance, with room for `most_steps` levels of urgency."""
     count = len(instance.starts)
     records = np.zeros(count, dtype=_ROBOT)
     records["x"], records["y"], records["z"] = instance.goals.T

@@ -1,4 +1,4 @@
-"""PIBT with restarts, and PIBT from the starts and from the goals to places halfway."""
+"""PIBT with restarts, and PIBT from the starts and from the goals to vertices halfway."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.pibt import Pibt
 
 _PATIENCE = 1.5
-"""An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
+"""An attempt ends after this multiple of the lower bound, plus `_MARGIN` steps."""
 _MARGIN = 60
 _RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
-"""Parts of the lower bound from which on PIBT is tried again, as long as it helps."""
+"""The shares of the lower bound at which PIBT is restarted, in order."""
 _WORK = 250_000
-"""Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
-of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
+"""The most steps of all restarts together times robots, as a multiple of the lower bound: tens of
+seconds for many robots. For few, `_MOST_WORK` limits the steps, as more do not help."""
 _MOST_WORK = 12.0
 _VERDICT = 0.75
-"""Part of the lower bound after which the first attempt shows whether others may do better."""
+"""The share of the lower bound after which the first attempt shows if restarts may help."""
 _HOPELESS = 1.1
-"""They may not if by then it cannot end within so many times the lower bound, and `_SLACK` more
-steps: true of rings and mirrors, whose robots meet in the middle, and never of random instances."""
+"""Restarts are omitted if it cannot end by then within this multiple of the lower bound plus
+`_SLACK` steps, as for rings and mirrors, whose robots cross in the middle; random instances can."""
 _SLACK = 4
-GOOD_ENOUGH = 1.02  # multiple of the lower bound from which on PIBT is not tried again
+GOOD_ENOUGH = 1.02  # The multiple of the lower bound from which on PIBT is not restarted
 _STALL = 48
-"""PIBT has stalled when the farthest robot has come no nearer to its goal for so many steps."""
+"""The steps without a decrease of the longest remaining path after which PIBT has stalled."""
 _LOST = 16
-"""The robots are lost when it has not for so many: narrow passages are left by wandering about."""
-_GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
-_STRIDE = 16  # steps between them, at most
+"""The steps without it after which robots move partly at random, to leave narrow passages."""
+_GLANCE = 250_000  # Moves of robots between two checks of the clock, a tenth of a second
+_STRIDE = 16  # The most steps between them
 
 
 class PibtSearch:
-    """PIBT and its restarts; keeps the best plan that is shorter than a known makespan."""
+    """PIBT and its restarts, with the best plan that is shorter than a known makespan."""
 
     def __init__(self, instance: GridInstance, seed: int, clock: PlanningClock) -> None:
         self.bound = instance.lower_bound
@@ -44,7 +44,7 @@ class PibtSearch:
         self.pibt = Pibt(instance, self.cap)
         self.best: Paths | None = None
         self.reached, self.left = 0, self.bound
-        """The last step of the last attempt, and the longest way left to a robot then."""
+        """The last step of the last attempt, and the longest remaining path then."""
         self._generator = np.random.default_rng(seed)
         self._clock = clock
         self._robots = len(instance.starts)
@@ -54,7 +54,7 @@ class PibtSearch:
     def attempt(self) -> Paths | None:
         """Return the first attempt's plan if it is as short as the lower bound, or None.
 
-        It ends when it cannot be, or after half of the time, and `run` continues from there.
+        It ends when that is impossible, or after half of the time, and `run` continues from there.
         """
         with self._clock.phase("pibt, to the lower bound") as record:
             self._limit = min(self.bound, self.cap)
@@ -64,7 +64,7 @@ class PibtSearch:
         return self.best
 
     def improve(self, known: int | None = None) -> Paths | None:
-        """Return what `run` does, as a phase of planning."""
+        """Return the result of `run`, recorded as a phase of planning."""
         with self._clock.phase("pibt") as record:
             best = self.run(known)
             record(self.reached if best is None else len(best) - 1)
@@ -95,16 +95,16 @@ class PibtSearch:
             work -= self.reached - begin
 
     def _begin(self, step: int) -> None:
-        """Sample again, and forget what came after a step."""
+        """Draw new random numbers, and discard what came after a step."""
         if self.best is not None and self.best.base is not None:
-            self.best = self.best.copy()  # it is about to be overwritten
+            self.best = self.best.copy()  # It is about to be overwritten
         self.pibt.reseed(self._generator)
         self.pibt.rewind(step)
         self.reached, self.left = step, -1
 
     def _finish(self, last: bool) -> None:
-        """Bring an attempt to an end; keep its plan if it is the best."""
-        if not last:  # others will go on from there
+        """Continue an attempt to its end; keep its plan if it is the best."""
+        if not last:  # Restarts continue from there
             self._advance(int(max(_RESTARTS) * self.bound), self.cap)
         self._advance(self.cap, self._limit)
         self._keep()
@@ -115,7 +115,7 @@ class PibtSearch:
             self._limit = self.reached - 1
 
     def _advance(self, end: int, limit: int, clock: PlanningClock | None = None) -> None:
-        """Go on until a step, all have arrived, none can in time, it has stalled, time is up."""
+        """Continue to a step, or until all have arrived, cannot in time, stall, or time is up."""
         clock, least, since = clock or self._clock, self.bound + 1, self.reached
         while self.reached < end and self.left != 0 and clock.remaining > 0:
             to = min(self.reached + self._chunk, end)
@@ -130,8 +130,8 @@ class PibtSearch:
 def halfway(instance: GridInstance) -> Coordinates:
     """Return vertices (n, 3), all different and spread over a grid without obstacles.
 
-    As robots stand halfway between starts and goals, in order of x, then in each plane of y, then
-    in each row of z, so they are put into planes, rows and vertices.
+    Robots are assigned to planes by the order of x halfway between starts and goals, in each plane
+    to rows by that of y, and in each row to vertices by that of z.
     """
     twice, (m1, m2, m3) = instance.starts + instance.goals, instance.shape
     found = np.empty_like(instance.starts)
@@ -147,10 +147,10 @@ def halfway(instance: GridInstance) -> Coordinates:
 def search_halfway(
     instance: GridInstance, seed: int, clock: PlanningClock, known: int
 ) -> Paths | None:
-    """Return a plan over places halfway, or None if there are obstacles or none is found.
+    """Return a plan over vertices halfway, or None if there are obstacles or none is found.
 
-    PIBT leads robots well from a crowd to places that are spread out, and by reversing time also
-    back into a crowd, but not from one crowd into another: who arrives first blocks the others.
+    PIBT leads robots well from a crowd to vertices that are spread out, and with reversed time also
+    back into a crowd, but not from one crowd into another: early arrivals block the others.
     """
     if instance.obstacles.any():
         return None

@@ -1,9 +1,8 @@
 """The Rubik table of RTH3D, and MatchingXY, XY-Fitting and Z-Fitting on it (Sec. II-B, III-A).
 
-What moves between the balanced configurations S1 and G1 are *items*, one in every slot of the
-highways: robots, and where there are fewer than slots, virtual robots, which nothing is written of.
-An item's color is the (x, y) of the slot that it belongs into. The long axis is the paper's x, the
-short one y, the high one z.
+*Items* move between the balanced configurations S1 and G1, one from every slot of the highways:
+robots, and virtual robots in slots without one, whose paths are not written. An item's color is the
+(x, y) of its target slot. The long axis is the paper's x, the short one y, the high one z.
 
 The steps of shuffles are in `shuffles`, the perfect matchings in `matching` and `paper_lba`.
 """
@@ -34,19 +33,19 @@ from swarm_envs.baselines.rth3d.unlabeled_mrpp import Balanced
 from swarm_envs.baselines.rth3d.ways import Ints
 
 Matching = Callable[[Ints, npt.NDArray[np.bool_]], Items]
-"""Levels (G, K, D) from where items belong, and which of them are robots."""
+"""A function that returns levels (G, K, D) from items' targets and a mask of robots."""
 Shuffles = dict[str, Shift | LongShift]
 """Shuffles by name, in their order."""
 
 
 @dataclass(frozen=True, eq=False)
 class RubikTable:
-    """Items, numbered by their first slot, and the slots they belong into."""
+    """Items, numbered by their first slot, and their target slots."""
 
     highways: Highways
-    goal: Ints  # (items,) the slot that each item belongs into; slot (c, r, z) is (c R + r) Z + z
+    goal: Ints  # (items,) the target slot of each item; slot (c, r, z) has number (c R + r) Z + z
     real: npt.NDArray[np.bool_]  # (items,) True for robots, False for virtual robots
-    robots: Ints  # (n,) the item that each robot is
+    robots: Ints  # (n,) the item of each robot
 
     @property
     def rows(self) -> int:
@@ -71,24 +70,24 @@ class RubikTable:
 
 
 def rubik_table(highways: Highways, balanced: Balanced) -> RubikTable:
-    """Return the table of all slots, filled up with virtual robots.
+    """Return the table of all slots, with virtual robots in slots without a robot.
 
-    A virtual robot gets its own slot as its goal, or with reflected goals the slot's image, if no
-    robot ends there; what is left over is dealt out in order. The paper draws these goals at random
-    (Sec. V-B), though the proof of Corollary IV.1 has them at the starts, as here.
+    The goal of a virtual robot is its own slot, or with reflected goals the slot's image, if no
+    robot ends there; the remaining goals are assigned in order. The paper draws these goals at
+    random (Sec. V-B), though in the proof of Corollary IV.1 they are the starts, as here.
     """
     slots = highways.slots.reshape(-1)
     slot = np.full(int(np.prod(highways.shape)), -1, dtype=np.int32)
     slot[slots] = np.arange(highways.capacity, dtype=np.int32)
     first, last = slot[balanced.first[-1]], slot[balanced.last[-1]]
-    wish = slot[balanced.image[slots]]
-    goal = np.full(len(wish), -1, dtype=np.int32)
+    preferred = slot[balanced.image[slots]]
+    goal = np.full(len(preferred), -1, dtype=np.int32)
     goal[first] = last
     real = goal >= 0
-    taken = np.zeros(len(wish), dtype=np.bool_)
+    taken = np.zeros(len(preferred), dtype=np.bool_)
     taken[last] = True
-    granted = np.flatnonzero(~real & ~taken[wish])
-    goal[granted], taken[wish[granted]] = wish[granted], True
+    granted = np.flatnonzero(~real & ~taken[preferred])
+    goal[granted], taken[preferred[granted]] = preferred[granted], True
     goal[goal < 0] = np.flatnonzero(~taken)
     return RubikTable(highways, goal, real, first)
 
@@ -96,7 +95,7 @@ def rubik_table(highways: Highways, balanced: Balanced) -> RubikTable:
 def matching_xy(table: RubikTable, match: Matching, clock: PlanningClock) -> tuple[Ints, Shift]:
     """Return each item's height in S2, and the z-shuffle to it (Algorithm 2).
 
-    In S2 every color is in every plane once, as perfect matchings of columns and colors give it.
+    In S2, by perfect matchings of columns and colors, every plane has every color once.
     """
     with clock.phase("match heights") as record:
         shape = (1, table.cells * table.rows, table.heights)
@@ -110,8 +109,8 @@ def matching_xy(table: RubikTable, match: Matching, clock: PlanningClock) -> tup
 def xy_fitting(table: RubikTable, height: Ints, match: Matching, clock: PlanningClock) -> Shuffles:
     """Return the shuffles along y, x and y to the (x, y) of G1 (Algorithm 3).
 
-    Their order is that of the paper's text; lines 19 and 20 have the last two the other way round.
-    Two more misprints: line 3 has s2i.y for s2i.z, line 15 has c for r.
+    Their order is that of the paper's text; lines 19 and 20 have the last two in reverse order. Two
+    more misprints: line 3 has s2i.y for s2i.z, line 15 has c for r.
     """
     with clock.phase("match rows") as record:
         row = rth2d(table, height, match)
@@ -137,7 +136,7 @@ def z_fitting(table: RubikTable, height: Ints) -> Shift:
 def rth2d(table: RubikTable, height: Ints, match: Matching) -> Ints:
     """Return the row in which each item crosses its plane: RTH2D (Algorithm 3, lines 5 to 17).
 
-    All planes are matched at once. An item's color is here the cell that it belongs into.
+    All planes are matched at once. An item's color is here its target cell.
     """
     items = np.arange(len(height), dtype=np.int32)
     shape = (table.heights, table.cells, table.rows)

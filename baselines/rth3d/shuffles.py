@@ -1,14 +1,14 @@
-"""Shuffles on highways: every robot along one axis to where it belongs, all at once (Sec. III-B).
+"""Shuffles on highways: all robots move along one axis to their slots at once (Sec. III-B).
 
 Across the long axis (short and high shuffles) a robot steps from the middle lane x = 3i + 1 of its
-strip into one of the two lanes next to it, those that go up to one side, those that go down to the
-other; runs; and steps back: m + 1 steps at most (the paper has m + 5 for any shuffle). Along the
-long axis, the robots of a cell first change lanes (3 steps), run, park in the row between the
-lanes, and form a column again (2 steps).
+strip into one of the two lanes next to it, on one side to go up, on the other to go down; runs; and
+steps back: m + 1 steps at most (the paper has m + 5 for any shuffle). Along the long axis, the
+robots of a cell first change lanes (3 steps), run, park in the row between the lanes, and form a
+column again (2 steps).
 
 A cell is 3 x 3 vertices, long axis first. Its robots are on the column x = 1, at y = 0, 1, 2, or
-at y = 0, 2 around an obstacle. To change lanes, a robot that continues to larger x gets into the
-lane y = 0, to smaller x into y = 2, and one that stays into the row y = 1 between them.
+at y = 0, 2 around an obstacle. When lanes are changed, a robot that continues to larger x moves to
+the lane y = 0, to smaller x to y = 2, and one that stays to the row y = 1 between them.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.compiled import kernel
 
-STEPS = 3  # Steps that the change of lanes takes
+STEPS = 3  # The steps of a change of lanes
 LANE = {0: 1, 1: 0, 2: 2}
-"""The row in which a robot must be: by 0 for staying, 1 for going up, 2 for going down."""
+"""The lane of a robot by its heading: 0 for staying, 1 for going up, 2 for going down."""
 
 _MOVES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
 _Walk = npt.NDArray[np.int64]
@@ -56,7 +56,7 @@ def _apart(first: _Walk, second: _Walk) -> bool:
 
 
 def _cheapest(rows: tuple[int, ...], headings: tuple[int, ...], obstacle: bool) -> list[_Walk]:
-    """Return walks of all robots of a cell that fit together, with the least cost."""
+    """Return the collision-free walks of all robots of a cell with the least cost."""
     best: tuple[float, list[_Walk]] = (np.inf, [])
 
     def extend(chosen: list[_Walk], cost: int) -> None:
@@ -82,8 +82,8 @@ def _cheapest(rows: tuple[int, ...], headings: tuple[int, ...], obstacle: bool) 
 def lane_changes(held: int) -> npt.NDArray[np.int8]:
     """Return all changes of lanes in a cell that holds 3 robots, or 2 around an obstacle.
 
-    They are (3 ** held, held, STEPS, 2): the place of each robot after each step, for every
-    combination of headings; the first robot's heading counts 1, the next one's 3, the last one's 9.
+    They are (3 ** held, held, STEPS, 2): the position of each robot in the cell after each step,
+    for every combination of headings, whose index is the sum of heading k times 3 ** k.
     """
     rows = (0, 1, 2) if held == 3 else (0, 2)
     found = np.empty((3**held, held, STEPS, 2), dtype=np.int8)
@@ -94,18 +94,18 @@ def lane_changes(held: int) -> npt.NDArray[np.int8]:
     return found
 
 
-Steps = npt.NDArray[np.int32]  # A whole number for each robot, such as how far it goes
+Steps = npt.NDArray[np.int32]  # An integer for each robot, such as a distance
 
 
 class Shift(NamedTuple):
     """A shuffle across the long axis, by the distance of each item."""
 
     distance: Steps  # (n,) edges along the axis, with sign
-    stride: int  # Difference of the numbers of two neighbours along the axis
+    stride: int  # Difference of the numbers of two neighbors along the axis
 
     @property
     def duration(self) -> int:
-        """The steps until the last robot has stepped back."""
+        """The number of steps until the last robot has stepped back."""
         longest = int(np.abs(self.distance).max(initial=0))
         return longest + 2 if longest else 0
 
@@ -125,7 +125,7 @@ class LongShift(NamedTuple):
 
     @property
     def duration(self) -> int:
-        """The steps until all columns are formed."""
+        """The number of steps until all columns are formed."""
         if not self.change.any() and not self.run.any():
             return 0
         return STEPS + int(np.abs(self.run).max(initial=0)) + 1 + 2
@@ -186,7 +186,7 @@ def write_long_shift(
 
 @kernel
 def _park(items: Array, source: Array, goal: Array, place: Array, spot: Array, last: int) -> None:
-    """Give everyone of a cell a vertex of the row between the lanes: the far ones the near end."""
+    """Assign robots of a cell to vertices of the row between the lanes, farthest robots first."""
     taken = 0 if items.shape[0] == 3 else 2
     for item in items:
         spot[item] = -1
@@ -213,12 +213,12 @@ def _park(items: Array, source: Array, goal: Array, place: Array, spot: Array, l
 def park_in_cells(
     table: Array, source: Array, goal: Array, changes: Array, place: Array, spot: Array
 ) -> None:
-    """Plan the long shuffle of all strips that hold as many robots a cell.
+    """Plan the long shuffle of all strips with `held` robots per cell.
 
-    `table` (S, held, q) has the item in each place of each strip; `source` and `goal` (items,) are
-    the cells in which it is and belongs. Written: `place` (items, STEPS, 2), where in its cell it
-    is during the change of lanes, and `spot` (items,), the x in its goal's cell at which it parks,
-    -1 if its strip rests.
+    `table` (S, held, q) is the item in each slot of each strip; `source` and `goal` (items,) are
+    its present and target cells. Writes `place` (items, STEPS, 2), its position in its cell during
+    the change of lanes, and `spot` (items,), the x in its target cell at which it parks, or -1 if
+    its strip rests.
     """
     strips, held, cells = table.shape
     last = changes.shape[2] - 1

@@ -1,4 +1,4 @@
-"""The grid as PIBT's kernels see it: its vertices, obstacles, and ways to the goals."""
+"""The grid of PIBT's kernels: its vertices, obstacles, and lengths of paths to the goals."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from swarm_envs.baselines.rth3d.ways import STAY, Ints, Neighbors, neighbor_tabl
 from swarm_envs.compiled import equation
 from swarm_envs.state import BoolArray
 
-_MOST_WAYS = 250_000_000  # lengths that are kept at most, four bytes each
+_MOST_WAYS = 250_000_000  # The most lengths that are stored, four bytes each
 
-# One array for all, because every array that a kernel is given is counted twice at each of its
-# calls, which took three quarters of PIBT's time.
+# One array for all, because reference counting of a kernel's arrays at each call took three
+# quarters of PIBT's time.
 _CELL = np.dtype(
     [
         *((name, np.int32) for name in ("x", "y", "z")),
-        ("now", np.int32),  # who is there, or -1
-        ("taken", np.int32),  # who has taken it for the next step, -1, or `WALL`
-        ("column", np.int32),  # its column of `ways`, or -1
-        ("along_x", np.int32),  # obstacles at smaller or equal x in the same row
-        ("along_y", np.int32),  # obstacles at smaller or equal y in the same column
+        ("now", np.int32),  # The robot there, or -1
+        ("taken", np.int32),  # The robot that has taken it for the next step, -1, or `WALL`
+        ("column", np.int32),  # Its column of `ways`, or -1
+        ("along_x", np.int32),  # Number of obstacles at smaller or equal x in the same row
+        ("along_y", np.int32),  # Number of obstacles at smaller or equal y in the same column
     ]
 )
 WALL = np.iinfo(np.int32).max
-"""The robot that has taken an obstacle's vertex, for all time."""
-OPEN, PATTERN, ANY = range(3)  # obstacles: none, columns that follow the pattern, others
+"""The value of `taken` at obstacles."""
+OPEN, PATTERN, ANY = range(3)  # Obstacles: none, columns that follow the pattern, others
 
 
 class Grid(NamedTuple):
-    """The shape of the grid, for distances and neighbours."""
+    """The shape of the grid, for distances and neighbors."""
 
     obstacles: int  # `OPEN`, `PATTERN` or `ANY`
     m1: int
@@ -45,22 +45,22 @@ class Grid(NamedTuple):
 
 
 class Terrain(NamedTuple):
-    """The grid, and the lengths of ways to the goals."""
+    """The grid, and the lengths of paths to the goals."""
 
-    cells: Array  # (V,) of `_CELL`: each vertex
-    # (n, F) length of the shortest way from free vertices to each robot's goal; (0, 0) where a
-    # formula says it
+    cells: Array  # (V,) the vertices, of `_CELL`
+    # (n, F) length of the shortest path from free vertices to each robot's goal; (0, 0) if a
+    # formula gives it
     ways: Ints
-    table: Neighbors  # (V, 7) neighbours, or (0, 7) where all vertices have three and more
+    table: Neighbors  # (V, 7) neighbors, or (0, 7) if all vertices have at least three
     grid: Grid
 
 
 def survey(instance: GridInstance) -> Terrain:
-    """Return the terrain of an instance, no robot on it.
+    """Return the terrain of an instance, without robots.
 
     Raises:
-        NoPlanExists: obstacles cut a robot off from its goal.
-        ValueError: the lengths of ways would not fit into memory.
+        NoPlanExists: Obstacles cut a robot off from its goal.
+        ValueError: The lengths of paths would not fit into memory.
     """
     walls, shape = instance.obstacles, instance.shape
     columns = np.asarray(walls.any(axis=2), dtype=np.int32)[:, :, None]
@@ -91,21 +91,21 @@ def _check_ways(instance: GridInstance) -> None:
     count, free = len(instance.goals), np.count_nonzero(~instance.obstacles)
     if count * free > _MOST_WAYS:
         raise ValueError(
-            f"obstacles off the pattern need the ways of {count} robots on {free} vertices, but "
-            f"at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
+            f"obstacles off the pattern need the paths of {count} robots on {free} vertices, but "
+            f"at most {_MOST_WAYS} lengths are stored; use fewer robots or a smaller grid"
         )
 
 
 def _among_free(table: Neighbors) -> Neighbors:
-    """Return the neighbours (F, 7) of each free vertex, numbered among the free ones."""
+    """Return the neighbors (F, 7) of each free vertex, numbered among the free ones."""
     free = table[:, STAY] >= 0
-    place = np.append(np.cumsum(free, dtype=np.int32) - 1, np.int32(-1))  # -1 is no neighbour
-    return place[table[free]]
+    index = np.append(np.cumsum(free, dtype=np.int32) - 1, np.int32(-1))  # -1 for no neighbor
+    return index[table[free]]
 
 
 @equation
 def neighbor(grid: Grid, cell: Array, here: int, k: int) -> int:
-    """Return neighbour k of a vertex, itself as the seventh; -1 if it would be outside."""
+    """Return neighbor k of a vertex, itself for k = 6; -1 if it would be outside."""
     step, axis = 2 * (k & 1) - 1, k >> 1
     if axis == 0:
         side, at, to = grid.m1, cell["x"] + step, here + step * grid.m2 * grid.m3

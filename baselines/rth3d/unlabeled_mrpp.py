@@ -1,13 +1,13 @@
-"""UnlabeledMRPP: from any configuration to slots, any robot to any of them (Algorithm 1, line 2).
+"""UnlabeledMRPP: from any configuration to slots, any robot to any slot (Algorithm 1, line 2).
 
 The robots are one flow over a few time steps ([51] of the paper): every vertex at every step is a
 node through which one unit may pass, and the slots at the last step are sinks. A maximum flow that
-takes in all robots is a plan; numbers of steps are tried from 1 up to 10, then in a sequence that
-grows by a fifth at most, so that up to 10 steps the makespan is the least there is. It depends on
-the *set* of starts alone, so that equal sets are balanced alike.
+contains all robots is a plan. The number of steps is increased from 1 to 10, and then by a fifth at
+most, so that makespans of up to 10 are the least possible. The plan depends on the *set* of starts
+alone, so that equal sets get the same paths.
 
-Where goals are the starts reflected (rings, Sec. V-C, and our mirrors), both sides are balanced
-alike, each the other's image: columns then belong into columns as a whole, and two shuffles vanish.
+If goals are reflected starts (rings, Sec. V-C, and mirrors), the paths of the goals are the
+reflected paths of the starts: whole columns then belong into columns, and two shuffles vanish.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _label(
 ) -> None:
     """Label the nodes with their distance to a free sink in the residual graph.
 
-    A node is ((t V + v) 2 + side), side 0 where flow comes in, 1 where it goes out; `label` has a
+    A node is ((t V + v) 2 + side), where flow enters at side 0 and leaves at side 1; `label` has a
     row for each side.
     """
     total = table.shape[0]
@@ -73,7 +73,7 @@ def _label(
                     queue[tail] = 2 * before + 1
                     tail += 1
             passes = place < used_out.shape[0] and used_in[place] >= 0
-            if passes and label[1, place] == _FAR:  # what passes through may be taken back
+            if passes and label[1, place] == _FAR:  # Flow that passes through may be taken back
                 label[1, place] = farther
                 queue[tail] = 2 * place + 1
                 tail += 1
@@ -82,7 +82,7 @@ def _label(
             label[0, place] = farther
             queue[tail] = 2 * place
             tail += 1
-        if used_out[place] >= 0:  # by taking back the flow that continues
+        if used_out[place] >= 0:  # By taking back the flow that continues
             v = place % total
             after = place + total + table[v, used_out[place]] - v
             if label[0, after] == _FAR:
@@ -105,8 +105,8 @@ def _augment(
 ) -> int:
     """Send waiting robots to sinks, near ones first, along paths that share no node.
 
-    Returns how many were sent, or -1 if there is one that no sink is left for. A path may be any,
-    not only a shortest one: a search that enters each node once finds ways for nearly all.
+    Returns the number of robots that were sent, or -1 if one can reach no sink. Paths need not be
+    shortest: a search that enters each node once finds paths for nearly all robots.
     """
     total = table.shape[0]
     sent = 0
@@ -139,10 +139,10 @@ def _augment(
                         lowest = label[0, after]
                         arcs[depth], path[depth + 1] = arc, 2 * after
                 passes = place >= total and came >= 0
-                if passes and label[0, place] < lowest:  # take back what passes through
+                if passes and label[0, place] < lowest:  # Take back the flow that passes through
                     lowest = label[0, place]
                     arcs[depth], path[depth + 1] = 7, 2 * place
-            elif came >= 0:  # only by taking back the flow that comes in
+            elif came >= 0:  # Only by taking back the flow that enters
                 before = place - total + (table[v, came ^ 1] if came < 6 else v) - v
                 lowest = label[1, before]
                 arcs[depth], path[depth + 1] = 0, 2 * before + 1
@@ -169,7 +169,7 @@ def _send(used_out: Array, used_in: Array, stack: Array, arcs: Array, depth: int
 
 @kernel
 def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) -> None:
-    """Let two units that would swap stay: nobody knows the difference."""
+    """Let two units that would swap stay, which is equivalent as they have no labels."""
     total = table.shape[0]
     for t in range(steps):
         for v in range(total):
@@ -196,7 +196,7 @@ def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
 
 
 class _Flow:
-    """The flow so far, over a number of steps."""
+    """The present flow over a number of steps."""
 
     def __init__(self, table: Neighbors, starts: Vertices, sinks: BoolArray) -> None:
         self.table, self.sinks = table, sinks
@@ -210,7 +210,7 @@ class _Flow:
         self.come = np.full(self.total, _UNUSED, dtype=np.int8)
 
     def lengthen(self, steps: int) -> None:
-        """Give everyone more time; who has arrived stays."""
+        """Increase the number of steps; units that have arrived stay."""
         more = steps - self.steps
         stay = np.where(self.settled, np.int8(STAY), np.int8(_UNUSED))
         self.out = np.concatenate([self.out, np.tile(stay, more)])
@@ -218,7 +218,7 @@ class _Flow:
         self.steps = steps
 
     def fill(self, check: Callable[[], None]) -> None:
-        """Send as many as can arrive in time."""
+        """Send as many robots as can arrive in time."""
         nodes = 2 * (self.steps + 1) * self.total
         label = np.empty((2, nodes // 2), dtype=np.int32)
         queue, arcs = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int8)
@@ -238,17 +238,16 @@ def balance(
     sinks: BoolArray,
     check: Callable[[], None] = lambda: None,
 ) -> Paths:
-    """Return paths that take every robot to a sink of its own, any of them, in the fewest steps.
+    """Return paths that lead every robot to some sink of its own in the fewest steps.
 
     They lead from starts (n,), all different, to at least as many sinks (V,), on the grid of a
-    `neighbor_table`. `check` is called now and then; what it raises ends the work.
+    `neighbor_table`. `check` is called now and then, and may raise to end the work.
 
     Returns:
-        (T + 1, n) vertices. T is the least possible up to 8 steps, and then of
-        those that grow by a quarter at most.
+        (T + 1, n) vertices. T is the least possible up to 10, and above that at most a fifth more.
 
     Raises:
-        NoHighways: the sinks cannot be reached, or only in more steps than a flow may have.
+        NoHighways: The sinks cannot be reached, or only in more steps than a flow may have.
     """
     flow = _Flow(table, starts, sinks)
     for steps in _count_up():
@@ -258,7 +257,7 @@ def balance(
             continue
         if 2 * (steps + 1) * flow.total > _MOST_NODES:
             raise NoHighways(
-                f"after {flow.steps} steps {int(flow.pending.sum())} robots still find no slot; "
+                f"after {flow.steps} steps {int(flow.pending.sum())} robots still reach no slot; "
                 "the starts or goals are too unevenly spread over so large a grid",
             )
         flow.lengthen(steps)
@@ -275,8 +274,7 @@ class Balanced:
 
     first: Paths  # (T1 + 1, n) from the starts
     last: Paths  # (T2 + 1, n) from the goals
-    # (V,) the reflection that makes `last` from `first`; the identity if there is none
-    image: Image
+    image: Image  # (V,) the reflection from `first` to `last`; the identity if there is none
 
 
 def unlabeled_mrpp(
@@ -285,7 +283,7 @@ def unlabeled_mrpp(
     balance: Callable[..., Paths],
     clock: PlanningClock,
 ) -> Balanced:
-    """Return balanced starts and goals (Algorithm 1, line 2), alike where they are reflections."""
+    """Return balanced starts and goals (Algorithm 1, line 2), reflected if goals are."""
     table = neighbor_table(highways.shape, highways.obstacles)
     starts, goals = (highways.vertices(p) for p in (instance.starts, instance.goals))
     sinks = np.zeros(len(table), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Neighbours on a grid, and the lengths of shortest ways among obstacles of any shape."""
+"""Neighbors on a grid, and the lengths of shortest paths among obstacles of any shape."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy.typing as npt
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
-Ints = npt.NDArray[np.int32]  # Whole numbers, such as vertices or lengths of ways
+Ints = npt.NDArray[np.int32]  # Integers, such as vertices or lengths of paths
 Neighbors = npt.NDArray[np.int32]
-"""(V, 7) the neighbours of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1
-where there is none."""
+"""(V, 7) the neighbors of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1 if
+there is none."""
 
 STAY = 6  # The direction of a wait, after those of the six edges
-FAR = 1 << 29  # Stands for the length of a way where there is none; no grid has so many vertices
+FAR = 1 << 29  # The length if there is no path; no grid has as many vertices
 
 
 def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbors:
-    """Return the neighbours of every vertex, none across the border or into an obstacle."""
+    """Return the neighbors of every vertex, none across the border or into an obstacle."""
     vertex = np.arange(np.prod(shape), dtype=np.int32).reshape(shape)
     vertex = np.where(obstacles, np.int32(-1), vertex)
     wide = np.pad(vertex, 1, constant_values=-1)
@@ -33,11 +33,11 @@ def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbo
 
 
 @kernel
-def _spread(table: Ints, goals: Ints, start: int, way: Ints, queue: Ints) -> None:
-    """Search breadth-first from goals, all different, until the start is found (-1: all)."""
-    way[:] = FAR
+def _spread(table: Ints, goals: Ints, start: int, length: Ints, queue: Ints) -> None:
+    """Search breadth-first from goals, all different, until the start is found (-1 for all)."""
+    length[:] = FAR
     for k in range(goals.shape[0]):
-        way[goals[k]] = 0
+        length[goals[k]] = 0
         queue[k] = goals[k]
     head, tail = 0, goals.shape[0]
     while head < tail:
@@ -47,8 +47,8 @@ def _spread(table: Ints, goals: Ints, start: int, way: Ints, queue: Ints) -> Non
             return
         for k in range(6):
             u = table[v, k]
-            if u >= 0 and way[u] == FAR:
-                way[u] = way[v] + 1
+            if u >= 0 and length[u] == FAR:
+                length[u] = length[v] + 1
                 queue[tail] = u
                 tail += 1
 
@@ -67,7 +67,7 @@ def _measure(table: Ints, starts: Ints, goals: Ints, found: Ints, work: Ints) ->
 
 
 def ways_to(table: Neighbors, goals: Ints) -> Ints:
-    """Return lengths (n, V) of shortest ways from each vertex to goals (n,); `FAR` without one."""
+    """Return lengths (n, V) of shortest paths from each vertex to goals (n,), or `FAR`."""
     total = len(table)
     ways = np.empty((len(goals), total), dtype=np.int32)
     _spread_all(table, goals, ways, np.empty(total, dtype=np.int32))
@@ -75,14 +75,14 @@ def ways_to(table: Neighbors, goals: Ints) -> Ints:
 
 
 def shortest_ways(table: Neighbors, starts: Ints, goals: Ints) -> Ints:
-    """Return lengths (n,) of shortest ways from starts (n,) to goals (n,); `FAR` without one."""
+    """Return lengths (n,) of shortest paths from starts (n,) to goals (n,), or `FAR`."""
     found = np.empty(len(goals), dtype=np.int32)
     _measure(table, starts, goals, found, np.empty((2, len(table)), dtype=np.int32))
     return found
 
 
 def ways_to_any(table: Neighbors, goals: Ints) -> Ints:
-    """Return lengths (V,) of shortest ways from each vertex to the nearest of goals (k,)."""
-    way, queue = np.empty((2, len(table)), dtype=np.int32)
-    _spread(table, goals, -1, way, queue)
-    return way
+    """Return lengths (V,) of shortest paths from each vertex to the nearest of goals (k,)."""
+    lengths, queue = np.empty((2, len(table)), dtype=np.int32)
+    _spread(table, goals, -1, lengths, queue)
+    return lengths

@@ -1,7 +1,7 @@
 """Pages of tasks: `<!-- task: swap_v1 -->` becomes the page of that task, in Gymnasium's order.
 
 Text comes from the docstring of the task's class, numbers from an environment that is made with
-the default options. A new task needs one page in `docs/tasks/` with one such line.
+the default options. A new task needs a page in `docs/tasks/` with a heading and one such line.
 """
 
 from __future__ import annotations
@@ -54,7 +54,6 @@ def task_page(task: str, folder: Path) -> str:
     found = [film] if (folder / film).exists() else []
     return "\n\n".join(
         [
-            f"# {title.partition(',')[0]}",
             *(f"![{title.partition(',')[0]}: {summary}]({name})" for name in found),
             _facts(task, env),
             f"## Description\n\n{summary[0].upper()}{summary[1:]}",

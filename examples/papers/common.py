@@ -1,4 +1,4 @@
-"""Shared parts of the papers' scripts: command line, JSON and CSV files, and tables."""
+"""Shared parts of the scripts of all papers: command line, JSON and CSV files, and tables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from swarm_envs.errors import check_integer, check_name
 
 Array = npt.NDArray[np.float64]
 
-LEAST = {"seed": 0, "seeds": 1, "episodes": 1, "flights": 1, "trials": 1, "runs": 1, "steps": 1}
+LEAST = dict.fromkeys(("seeds", "episodes", "flights", "trials", "runs", "steps", "budget"), 1)
+LEAST |= {"seed": 0, "drones": 2}
 """Least values of numbers, by the option that every command calls them."""
 
 
@@ -127,13 +128,6 @@ class Row(NamedTuple):
         return kept | {"result": result}
 
 
-def bootstrap(statistic: Callable[[Any], Any], count: int, draws: int = 2000) -> list[float]:
-    """Return the 95 % interval of a statistic of `count` samples, called with drawn indices."""
-    rng = np.random.default_rng(0)
-    found = [float(statistic(rng.integers(count, size=count))) for _ in range(draws)]
-    return [round(float(end), 4) for end in np.quantile(found, (0.025, 0.975))]
-
-
 def within(value: float, share: float) -> tuple[float, float]:
     """Return the range of numbers within a share of a value: `within(10, 0.2)` is (8, 12)."""
     return value - share * abs(value), value + share * abs(value)
@@ -148,13 +142,32 @@ def format_number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
+def write_compared(path: Path, numbers: Mapping[str, Any], rows: Sequence[Row]) -> None:
+    """Write numbers and their comparison with the paper's as JSON, and print the comparison."""
+    write_json(path, {**numbers, "comparison": [row.as_json() for row in rows]})
+    print(comparison(rows))
+
+
 def comparison(rows: Iterable[Row]) -> str:
     """Return a Markdown table of numbers beside the paper's."""
-    lines = ["| quantity | paper | result | difference |", "|---|---|---|---|"]
+    lines = []
     for row in rows:
         result = format_number(row.result)
         if row.spread is not None:
             least, most = (format_number(end) for end in row.spread)
             result += f" ({least} to {most}, {row.spread_is})"
-        lines.append(f"| {row.quantity} | {row.paper} | {result} | {row.difference} |")
-    return "\n".join(lines)
+        lines.append(row._asdict() | {"result": result, "difference": row.difference})
+    return markdown(lines, ("quantity", "paper", "result", "difference"))
+
+
+def markdown(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Return some columns of rows as a Markdown table; numbers have two decimals."""
+    cells = [columns, *([_cell(row[name]) for name in columns] for row in rows)]
+    head, *lines = [f"| {' | '.join(line)} |" for line in cells]
+    return "\n".join([head, "|---" * len(columns) + "|", *lines])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

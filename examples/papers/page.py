@@ -1,8 +1,8 @@
-"""The tables of docs/papers.md, from `items.csv` and what the commands wrote.
+"""Tables of docs/papers.md, from `items.csv` and the results of the commands.
 
     python -m examples.papers runs/papers
 
-reads the JSON files below a folder with a folder for each paper, keeps what they compare in
+reads the JSON files below a folder with one folder for each paper, stores the compared numbers in
 docs/papers/results.json, and writes the tables into docs/generated.
 """
 
@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from examples.papers.common import format_number, write_json
+from examples.papers.common import format_number, markdown, write_json
 
 ROOT = Path(__file__).parent.parent.parent
 RESULTS = ROOT / "docs" / "papers" / "results.json"
@@ -101,13 +101,12 @@ def pages(results: Results) -> dict[str, str]:
         f"the paper, {counts['not compared']} are not compared.\n"
     }
     for name, paper in PAPERS.items():
-        lines = ["| item | code | by | result (paper) | verdict |", "|---|---|---|---|---|"]
-        lines += [line(item, results) for item in all_items if item.paper == paper]
-        found[name] = "\n".join(lines) + "\n"
+        lines = [line(item, results) for item in all_items if item.paper == paper]
+        found[name] = markdown(lines, list(lines[0])) + "\n"
     return found
 
 
-def line(item: Item, results: Results) -> str:
+def line(item: Item, results: Results) -> dict[str, str]:
     """Return the line of an item."""
     found, verdict = item.results(results), item.verdict(results)
     reasons = [row["difference"].partition(": ")[2] for row in found]
@@ -115,9 +114,13 @@ def line(item: Item, results: Results) -> str:
     code = f"`{item.code.rpartition(':')[2]}` ({item.code.partition(':')[0]})" if item.code else ""
     sources = dict.fromkeys(_short(source) for source in item.sources)
     shown = "; ".join(map(result, found[:SHOWN])) + (" ..." if len(found) > SHOWN else "")
-    said = verdict + (f": {'; '.join(reasons)}" if reasons else "")
-    cells = (f"{item.item}: {item.content}", code, ", ".join(sources), shown, said)
-    return f"| {' | '.join(cells)} |"
+    return {
+        "item": f"{item.item}: {item.content}",
+        "code": code,
+        "by": ", ".join(sources),
+        "result (paper)": shown,
+        "verdict": verdict + (f": {'; '.join(reasons)}" if reasons else ""),
+    }
 
 
 def _short(source: str) -> str:

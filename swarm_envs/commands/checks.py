@@ -68,7 +68,8 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
 
     Args:
         options: of the command: `out`, and one of each name in `kinds`; None where not given.
-        kinds: by option the name in the folder, then the suffixes that are allowed.
+        kinds: by option the name in the folder, empty if it is not written there, then the
+            suffixes that are allowed.
 
     Raises:
         Misuse: a wrong suffix, or a place that cannot be written.
@@ -78,7 +79,7 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
         check_folder("--out", options.out)
     for option, (name, *suffixes) in kinds.items():
         path = getattr(options, option)
-        if path is None and options.out is not None:
+        if path is None and options.out is not None and name:
             path = options.out / name
         if path is not None:
             check_file(f"--{option}", path, tuple(suffixes))

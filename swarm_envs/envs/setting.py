@@ -29,6 +29,13 @@ class WorldOptions:
     """effect of a contact: it ends the episode of the team or of the pair, or drones bounce off;
     default: the task's"""
 
+    observe_range_m: float | None = None
+    """communication range, m: neighbors farther away are not observed"""
+    observe_delay_s: float | None = None
+    """communication delay, s: neighbors are observed as they were this long ago"""
+    observe_loss: float | None = None
+    """packet loss: probability that a neighbor is not observed in a decision"""
+
     def world_options(self) -> dict[str, Any]:
         """Return the options that were given, as values for JSON."""
         names = [field.name for field in fields(WorldOptions)]

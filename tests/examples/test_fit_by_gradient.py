@@ -15,7 +15,7 @@ def test_gradients_are_finite_differences() -> None:
     rng, seconds, dt, h = np.random.default_rng(1), 0.6, 1.0 / 60.0, 1e-7
     truth = torch.tensor(example.TRUTH, dtype=torch.float64)
     factors = torch.tensor([0.9, 1.05], dtype=torch.float64, requires_grad=True)
-    recorded = example.flown(truth, seconds, dt)
+    recorded = example.simulated(truth, seconds, dt)
     example.misfit(factors, recorded, seconds, dt).backward()
     with torch.no_grad():
         for _ in range(2):

@@ -20,7 +20,7 @@ def test_a_letter_is_written_and_its_files_too(
     options = Options(text="I", drones=5, stage_s=7.0, video=False, out=tmp_path)
     assert main(options) == 0
     printed = capsys.readouterr().out
-    assert "formation 1: the way takes" in printed
+    assert "formation 1: the paths take" in printed
     assert "5 drones, 14.0 s: 0 contacts" in printed
     flight = read_trajectory(tmp_path / "flight.npz")
     stands = flight.position[int(np.searchsorted(flight.time, 7.0)) - 1]
@@ -34,7 +34,7 @@ def test_a_letter_is_written_and_its_files_too(
 @pytest.mark.parametrize(
     ("points", "why"),
     [
-        (np.zeros((2, 3)), r"shape \(2, 3\), but must hold"),
+        (np.zeros((2, 3)), r"shape \(2, 3\), but must contain"),
         (np.full((1, 2, 3), np.nan), "not finite"),
         (np.array([[["a", "b", "c"]]]), "array of <U1"),
         (np.array([[[0.0, 1e9, 0.0]]]), "coordinate 1e\\+09 m from the origin"),
@@ -59,7 +59,7 @@ def test_files_that_numpy_save_did_not_write_are_refused(content: bytes, tmp_pat
         ({"drones": 0}, "--drones is 0, but must be"),
         ({"stage_s": math.nan}, "--stage-s is nan, but must be positive"),
         ({"stage_s": -1.0}, "--stage-s is -1.0, but must be positive"),
-        ({"text": "A", "drones": 3, "stage_s": 0.1}, "--stage-s is 0.1, but the way to"),
+        ({"text": "A", "drones": 3, "stage_s": 0.1}, "--stage-s is 0.1, but the paths to"),
         ({"points": Path("a.npy"), "text": "A"}, "--text is 'A', but --points names"),
         ({"points": Path("a.npy"), "drones": 3}, "--drones is 3, but --points names"),
         ({"out": Path(__file__)}, "but that is a file"),

@@ -44,10 +44,9 @@ from swarm_envs.training.collection.motion import (
 )
 from swarm_envs.training.collection.table import SCENARIOS, CollectedFlight, scenario_counts
 from swarm_envs.training.flight_logs import LogOptions, read_data
-from swarm_envs.training.flight_logs.clock import commanded_thrust
-from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, parse_team
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, SMALL, parse_team
 from tests.helpers.interrupts import calls_of
-from tests.helpers.real_logs import motor_signals, to_table, write_table
+from tests.helpers.real_logs import to_table, write_table
 
 SHORT = CollectionConfig(
     teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
@@ -228,23 +227,6 @@ CONFIG = CollectionConfig(
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
     return collect(CONFIG, tmp_path_factory.mktemp("npz"), progress=False)
-
-
-def test_signals_are_those_that_psi1_makes_the_thrust_of():
-    team = (SMALL, LARGE)
-    hover = np.array([v.hover_rotor_thrust for v in team])[:, None]
-    commands = hover * np.random.default_rng(0).uniform(0.6, 1.5, (600, 2, 4))
-    pwm, volts = motor_signals(commands, team, 120.0)
-    assert (pwm > 0.0).all() and (pwm < 65535.0).all()
-    np.testing.assert_allclose(commanded_thrust(pwm, volts, team), commands, rtol=1e-9)
-    assert (volts > 3.0).all() and (volts < 4.2).all()
-    assert (volts[-60:].mean(axis=0) < volts[:60].mean(axis=0)).all()  # the battery empties
-
-
-def test_a_thrust_beyond_the_motors_is_logged_as_the_nearest_signal():
-    commands = np.array([[[0.0, 0.0, 0.0, 0.0]], [[9.0, 9.0, 9.0, 9.0]]])
-    pwm, _ = motor_signals(commands, (SMALL,), 120.0)
-    assert (pwm[1] == 65535.0).all() and (pwm[0] > 0.0).all()
 
 
 def labels_of(rows, flights, vehicles):

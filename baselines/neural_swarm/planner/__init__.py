@@ -1,9 +1,9 @@
 """Neural-Swarm2's interaction-aware motion planner (Sec. V, Algorithm 1), in two stages.
 
-`pipeline.plan_swarm` runs both: a problem goes into `ao_rrt.search`, which returns `Trajectories`
-of the cheapest plan found. `scp.refine` improves them, one robot's subproblem after another, and
-`verify.check_plan` says what the result is worth. docs/equations.md says which file holds which
-equation and which lines of the algorithm.
+`pipeline.plan_swarm` runs both: `ao_rrt.search` returns the `Trajectories` of the cheapest plan
+that it finds for a problem, `scp.refine` improves them, one robot's subproblem after another, and
+`verify.check_plan` evaluates the result. docs/equations.md lists the file of each equation and of
+each line of the algorithm.
 """
 
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search

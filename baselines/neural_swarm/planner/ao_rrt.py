@@ -1,12 +1,12 @@
 """Stage 1: sequential kinodynamic AO-RRT for a team with interaction forces (Sec. V-A).
 
-Robots are planned one after another in a random order, each by a tree of its own among the motions
-of the others; those that have no motion yet are not there, and will have to make way when it is
-their turn. Costs are those of eq. (6), the integral of ||u||, summed over *all* robots: a robot
-whose downwash pushes a neighbour pays for the thrust with which that one stays on its path. The
-cost of the team is the bound of every later tree, so it only falls.
+Robots are planned one after another in a random order, each by its own tree among the motions of
+the others. Robots without a motion are ignored, and avoid the others when they are planned. Costs
+are those of eq. (6), the integral of ||u||, summed over *all* robots: the cost of a robot whose
+downwash pushes a neighbor includes the thrust with which the neighbor stays on its path. The cost
+of the team bounds every later tree, so it only falls.
 
-Eq. (6) leaves the duration free, but the longer a flight, the cheaper: a robot may always wait. So
+Eq. (6) leaves the duration free, but longer flights are cheaper, as a robot may always wait. So
 plans last as long as the problem allows.
 """
 
@@ -30,51 +30,52 @@ from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_integer, check_number, check_type
 from swarm_envs.state import FloatArray
 
-Stop = Literal["iterations", "no improvement", "time limit"]  # Why a search ended
+Stop = Literal["iterations", "no improvement", "time limit"]  # The reason for a search's end
 
-_NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
+_NODES_PER_ITERATION = 8  # The average is lower; a full tree ends early
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Options of stage 1."""
+    """The options of stage 1."""
 
     iterations: int = 100_000
     """The most iterations (lines 6 to 11) of all trees together."""
     iterations_per_tree: int = 2000
-    """The most iterations of one tree before it is given up."""
+    """The most iterations of one tree."""
     patience: int = 1000
-    """The most outer loops in a row that find nothing cheaper."""
+    """The most outer loops in a row without a cheaper plan."""
     time_limit: float | None = None
-    """The most wall-clock time, s; looked at after each tree. Only this stop is not repeatable."""
+    """The longest wall-clock time, s, checked after each tree; None for no limit. Results with a
+    limit are not reproducible."""
     edge: int = 2
-    """Steps of the problem over which an action is held: the paper's constant delta t."""
+    """The number of steps over which an action is held: the paper's constant delta t."""
     fresh: float = 0.5
-    """How often an outer loop replans everyone, below the cost bound, instead of replanning one
-    after another among the motions there are: the way out of a poor homeomorphism class."""
+    """The probability that an outer loop plans all robots anew, below the cost bound, instead of
+    replanning each among the present motions. It allows to leave a poor homeomorphism class."""
     least_gain: float = 0.005
-    """Share by which a plan must be cheaper than the best; below it, trees do not look."""
+    """The share by which a new plan must be cheaper than the best."""
     chances: Chances = field(default_factory=Chances)
-    """Probabilities of what a tree does in an iteration."""
+    """The probabilities of the choices in an iteration."""
 
     @classmethod
     def published(cls, **others: Any) -> SearchConfig:
-        """Return AO-RRT as in the paper (Algorithm 1, Sec. V-A): random actions alone.
+        """Return the options of AO-RRT as in the paper (Algorithm 1, Sec. V-A).
 
         Samples are uniform, or the goal in a tenth of the iterations (version 2 of the paper, in
-        fixed intervals there); the nearest node holds a
-        random action for one edge; no node is steered to the goal; each outer loop plans all robots
-        anew, below the bound, which is the team's cost where the paper has each robot's.
+        fixed intervals there). The nearest node holds a random action for one edge; no node is
+        steered to the goal. Each outer loop plans all robots anew, below the bound, which is the
+        team's cost where the paper has each robot's.
 
         Args:
-            **others: options that differ, such as `iterations`.
+            **others: Options that differ, such as `iterations`.
         """
         chances = Chances(goal=0.0, action=1.0, promising=0.0, guided=0.0, biased=0.1)
         paper = {"chances": chances, "fresh": 1.0, "least_gain": 0.0, "iterations_per_tree": 20_000}
         return cls(**{**paper, **others})
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("iterations", "iterations_per_tree", "patience", "edge"):
             check_integer(name, getattr(self, name), at_least=1)
         if self.time_limit is not None:
@@ -88,23 +89,23 @@ class SearchConfig:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What stage 1 found."""
+    """The result of stage 1."""
 
     trajectories: Trajectories | None  # The cheapest plan; None if none was found
     costs: tuple[float, ...]
-    """Cost of the best plan after each outer loop, the integral of ||u|| of all robots (eq. 6),
+    """The cost of the best plan after each outer loop, the integral of ||u|| of all robots (eq. 6),
     m/s; infinite as long as there is none."""
     iterations: int  # Iterations in all trees
-    stop: Stop  # Why it ended
+    stop: Stop  # The reason for its end
 
     @property
     def cost(self) -> float:
-        """Cost of the plan, m/s."""
+        """The cost of the plan, m/s."""
         return self.costs[-1]
 
     @property
     def converged(self) -> bool:
-        """Whether there is a plan and the search was not cut short by the clock."""
+        """True if there is a plan and no time limit ended the search."""
         return self.trajectories is not None and self.stop != "time limit"
 
 
@@ -114,19 +115,19 @@ def search(
     seed: int | np.random.Generator = 0,
     watch: Callable[[float, int], object] = lambda cost, iterations: None,
 ) -> SearchResult:
-    """Find trajectories of a whole team that are valid, and ever cheaper.
+    """Search valid trajectories of a team, and reduce their cost.
 
-    The trajectories follow their controls and forces exactly, up to rounding, keep all bounds of
-    the problem, and end within epsilon of the goals.
+    The trajectories follow their controls and forces up to rounding, keep all bounds of the
+    problem, and end within epsilon of the goals.
 
     Args:
-        problem: what to plan.
-        config: options; by default `SearchConfig()`.
-        seed: of everything drawn, or a generator.
-        watch: called after each outer loop, with cost and iterations so far.
+        problem: The planning problem.
+        config: The options, or None for the defaults.
+        seed: The random seed, or a generator.
+        watch: A function called after each outer loop with cost and iterations so far.
 
     Raises:
-        ValueError: an edge is longer than the longest plan.
+        ValueError: An edge is longer than the longest plan.
     """
     options = config or SearchConfig()
     if options.edge > problem.steps:
@@ -138,7 +139,7 @@ def search(
 
 
 class _Search:
-    """The state of a search: the best plan so far, and what it took."""
+    """The state of a search, with the best plan so far."""
 
     def __init__(
         self, problem: PlanningProblem, options: SearchConfig, rng: np.random.Generator
@@ -154,11 +155,11 @@ class _Search:
         self.deadline = time.monotonic() + (options.time_limit or np.inf)
 
     def run(self, watch: Callable[[float, int], object]) -> SearchResult:
-        """Outer loops until something ends them."""
+        """Run outer loops until a reason to stop."""
         costs: list[float] = []
         stop, idle = None, 0
         while stop is None:
-            before = self.cost  # one outer loop (lines 3 to 15): every robot once, in random order
+            before = self.cost  # One outer loop (lines 3 to 15): every robot once, in random order
             if self.best is None or self.rng.random() < self.options.fresh:
                 self.plan_afresh()
             else:
@@ -171,7 +172,7 @@ class _Search:
         return SearchResult(found, tuple(costs), self.iterations, stop)
 
     def stop(self, idle: int = 0) -> Stop | None:
-        """Why to end now, after so many loops in a row without improvement."""
+        """Return the reason to stop now, if any, after `idle` loops without improvement."""
         if time.monotonic() >= self.deadline:
             return "time limit"
         if self.iterations >= self.options.iterations:
@@ -179,7 +180,7 @@ class _Search:
         return "no improvement" if idle >= self.options.patience else None
 
     def plan_afresh(self) -> None:
-        """Plan everyone from nothing; give up when one finds no way."""
+        """Plan all robots anew; give up if no path is found for one."""
         states = np.zeros((self.knots, self.robots, 6))
         planned: list[int] = []
         for robot in self.rng.permutation(self.robots).tolist():
@@ -191,7 +192,7 @@ class _Search:
         self.best, self.cost = states, cost
 
     def replan_each(self) -> None:
-        """Replan one robot after another, the others on their paths."""
+        """Replan one robot after another, with the others on their paths."""
         assert self.best is not None
         for robot in self.rng.permutation(self.robots).tolist():
             cost, path = self.plan_robot(robot, self.best, list(range(self.robots)))
@@ -202,7 +203,7 @@ class _Search:
     def plan_robot(
         self, robot: int, states: FloatArray, planned: list[int]
     ) -> tuple[float, FloatArray]:
-        """One tree: cost of the team with the robot's new path (K + 1, 6), and the path."""
+        """Grow one tree; return the team's cost with the new path, and the path (K + 1, 6)."""
         options, path = self.options, np.zeros((self.knots, 6))
         if self.stop() is not None:
             return INVALID, path
@@ -217,5 +218,5 @@ class _Search:
             self.rng,
             path,
         )
-        self.iterations += max(used, 1)  # else a robot that cannot begin would never end the search
+        self.iterations += max(used, 1)  # A robot that cannot begin would never end the search
         return cost, path

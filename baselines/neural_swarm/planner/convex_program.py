@@ -1,17 +1,17 @@
-"""One robot's convex program, eq. (17): forces and distances linearised, then solved by OSQP.
+"""One robot's convex program, eq. (17): forces and distances linearized, then solved by OSQP.
 
-Everything is taken around the prior motions of all robots. What differs from the printed program,
-and why:
+The program is linearized around the prior motions of all robots. It differs from the printed one:
 
-- the force enters the acceleration divided by the mass, and follows the state through its
-  derivative instead of being a state of its own: f_k = fbar_k + A_k (x_k - xbar_k);
-- a held acceleration moves a robot by p' = p + dt (v + v') / 2, which (14) rounds to p + dt v;
-- the half-space of a pair points from the neighbour to the robot, and is taken at the closest
-  approach of each step, not only at knots, so that robots do not collide between knots;
-- forces are bounded half way between knots too, since they peak there as often as not; the
-  neighbour's force is bounded absolutely as well, as (6) demands;
-- the effort of the neighbours, part of the sum of (6), is linearised: a robot that pushes another
-  down makes that one pay. `effort_by_state` is its slope.
+- The force enters the acceleration divided by the mass, and depends on the state through its
+  derivative instead of being a state itself: f_k = fbar_k + A_k (x_k - xbar_k).
+- A held acceleration moves a robot by p' = p + dt (v + v') / 2, which (14) approximates by
+  p + dt v.
+- The half-space of a pair points from the neighbor to the robot. It is taken at the closest
+  approach within each step, not only at knots, so that robots do not collide between knots.
+- Forces are bounded halfway between knots too, where they are often largest. The neighbor's force
+  is also bounded absolutely, as (6) requires.
+- The effort of the neighbors, part of the sum of (6), is linearized: a robot that pushes another
+  down increases that one's effort. `effort_by_state` is its slope.
 
 The program is set up once; then only its numbers change.
 """
@@ -24,44 +24,45 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
+from swarm_envs.baselines.neural_swarm.planner import trajectories as paths
 from swarm_envs.baselines.neural_swarm.planner.force_jacobian import force_jacobian
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.errors import check_integer, check_number
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
-_TINY = 1e-9  # m; shorter offsets have no direction
+_TINY = 1e-9  # Shorter offsets have no direction, m
 
 
 @dataclass(frozen=True, eq=False)
 class ConvexSubproblem:
-    """One robot's problem around a prior: T steps, D axes of motion, M neighbours. SI units."""
+    """One robot's problem around a prior: T steps, D axes of motion, M neighbors. SI units."""
 
     dt: float  # Time between knots, s
     mass: float  # Mass of the robot, kg
     prior: FloatArray  # (T + 1, 2 D) prior states xbar: positions, velocities
     prior_control: FloatArray  # (T, D) prior controls ubar, m/s^2
-    goal: FloatArray  # (2 D) state to end in
-    lower: FloatArray  # (2 D) lower end of the states allowed
-    upper: FloatArray  # (2 D) upper end of the states allowed
+    goal: FloatArray  # (2 D) final state
+    lower: FloatArray  # (2 D) lower bound of the states
+    upper: FloatArray  # (2 D) upper bound of the states
     control_bound: float  # Largest |u| along each axis, m/s^2
     force: FloatArray  # (T, D) force on the robot at the knot that begins each step, N
     force_by_state: FloatArray  # (T, D, 2 D) A_k: its derivative by the state there
     effort_by_state: FloatArray
-    """(T, 2 D) derivative of the neighbours' effort, the sum of ||u||^2, by the robot's state."""
-    shares: FloatArray  # (S,) moments of each step at which forces are bounded, in parts of it
-    bounded: FloatArray  # (S, T, 2 D) prior states of the robot at these moments
-    bounded_force: FloatArray  # (S, T) vertical force on the robot then, N
-    bounded_by_state: FloatArray  # (S, T, 2 D) its derivative by the robot's state then
+    """(T, 2 D) derivative of the neighbors' effort, the sum of ||u||^2, by the robot's state."""
+    shares: FloatArray  # (S,) fractions of each step at which forces are bounded
+    bounded: FloatArray  # (S, T, 2 D) prior states of the robot at these fractions
+    bounded_force: FloatArray  # (S, T) vertical force on the robot there, N
+    bounded_by_state: FloatArray  # (S, T, 2 D) its derivative by the robot's state there
     force_bound: float  # f_a,max: largest vertical force on the robot, N
-    neighbor_force: FloatArray  # (S, T, M) vertical forces on the neighbours then, N
-    neighbor_by_state: FloatArray  # (S, T, M, 2 D) C_k: their derivatives by the robot's state then
-    neighbor_bound: FloatArray  # (M) f_a,max of each neighbour, N
-    force_change: float  # b_fa: largest change of a neighbour's force, N
+    neighbor_force: FloatArray  # (S, T, M) vertical forces on the neighbors there, N
+    neighbor_by_state: FloatArray
+    """(S, T, M, 2 D) C_k: their derivatives by the robot's state there."""
+    neighbor_bound: FloatArray  # (M) f_a,max of each neighbor, N
+    force_change: float  # b_fa: largest change of a neighbor's force, N
     normal: FloatArray
-    """(T, M, D) unit vectors from neighbour to robot at the closest approach of each step."""
-    fraction: FloatArray  # (T, M) share of the step at which it occurs
+    """(T, M, D) unit vectors from neighbor to robot at the closest approach of each step."""
+    fraction: FloatArray  # (T, M) fraction of the step at which it occurs
     level: FloatArray  # (T, M) least value of <normal, p(fraction)>, m
     trust_state: FloatArray  # (2 D) b_x: largest |x - xbar|
     trust_control: float  # b_u: largest |u - ubar|, m/s^2
@@ -69,25 +70,25 @@ class ConvexSubproblem:
 
 def convexify(
     problem: PlanningProblem,
-    prior: ways.Trajectories,
+    prior: paths.Trajectories,
     robot: int,
     trust_state: tuple[float, float],
     trust_control: float,
     force_bounds: FloatArray,
 ) -> ConvexSubproblem:
-    """Linearise one robot's problem around the prior motions of all, which fit their forces.
+    """Return one robot's problem, linearized around the prior motions of all robots.
 
-    `trust_state` is the largest change of a position, m, and of a velocity, m/s, `trust_control`
-    that of a control, m/s^2, `force_bounds` (N,) the largest vertical force on each robot, N.
+    `trust_state` is the largest change of a position, m, and of a velocity, m/s; `trust_control`
+    that of a control, m/s^2; `force_bounds` (N,) is the largest vertical force on each robot, N.
     """
     axes, bounds, steps = list(problem.axes), problem.bounds, prior.steps
     columns, dims = axes + [3 + axis for axis in axes], len(axes)
     others = [j for j in range(len(problem.team)) if j != robot]
-    within = ways.states_within(prior, ways.BOUNDED_FRACTIONS)
-    felt = ways.vertical_forces(problem, within)
+    within = paths.states_within(prior, paths.BOUNDED_FRACTIONS)
+    forces = paths.vertical_forces(problem, within)
     states = np.concatenate([prior.states[:-1], within.reshape(-1, *within.shape[2:])])
     jacobian = force_jacobian(problem.model, problem.team, states, robot)[..., columns]
-    by_state = jacobian[steps:, :, 2].reshape(*felt.shape, 2 * dims)
+    by_state = jacobian[steps:, :, 2].reshape(*forces.shape, 2 * dims)
     share = -2.0 / problem.masses[others] * prior.controls[:, others, 2]
     normal, fraction, level = _half_spaces(problem, prior, robot, others)
     speed = np.full(dims, bounds.speed)
@@ -103,12 +104,12 @@ def convexify(
         force=prior.forces[:-1, robot][:, axes],
         force_by_state=jacobian[:steps, robot][:, axes],
         effort_by_state=np.einsum("km,kmb->kb", share, jacobian[:steps, others, 2]),
-        shares=ways.BOUNDED_FRACTIONS,
+        shares=paths.BOUNDED_FRACTIONS,
         bounded=within[:, :, robot][..., columns],
-        bounded_force=felt[:, :, robot],
+        bounded_force=forces[:, :, robot],
         bounded_by_state=by_state[:, :, robot],
         force_bound=float(force_bounds[robot]),
-        neighbor_force=felt[:, :, others],
+        neighbor_force=forces[:, :, others],
         neighbor_by_state=by_state[:, :, others],
         neighbor_bound=force_bounds[others],
         force_change=bounds.force_change_g * GRAM_FORCE,
@@ -121,45 +122,47 @@ def convexify(
 
 
 def _half_spaces(
-    problem: PlanningProblem, prior: ways.Trajectories, robot: int, others: list[int]
+    problem: PlanningProblem, prior: paths.Trajectories, robot: int, others: list[int]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Normals (T, M, D), fractions (T, M) and levels (T, M) that keep a robot from the others."""
+    """Return normals (T, M, D), fractions (T, M) and levels (T, M) of half-spaces to the others."""
     axes = list(problem.axes)
     offset = prior.states[:, [robot]] - prior.states[:, others]
-    near = ways.closest_approach(offset, prior.dt)
+    near = paths.closest_approach(offset, prior.dt)
     direction = near.offset[..., axes]
     length = np.linalg.norm(direction, axis=-1, keepdims=True)
     upward = np.eye(len(axes))[-1]
     normal = np.where(length > _TINY, direction / np.maximum(length, _TINY), upward)
-    there = ways.position_within(prior.states[:, others], near.fraction, prior.dt)
+    there = paths.position_within(prior.states[:, others], near.fraction, prior.dt)
     apart = problem.bounds.clearances(problem.team)[robot, others]
     return normal, near.fraction, apart + (normal * there[..., axes]).sum(axis=-1)
 
 
 @dataclass(frozen=True)
 class PenaltyWeights:
-    """Penalties of missed goals and bounds, relative to the effort, the sum of ||u||^2."""
+    """The penalties of missed goals and bounds, relative to the effort, the sum of ||u||^2."""
 
     goal: float = 1000.0
-    """lambda_1: per largest component (m or m/s) by which the goal state is missed."""
+    """lambda_1, the penalty per largest component (m or m/s) of the error at the goal state."""
     state: float = 300.0
-    """lambda_2: per delta, the excess over the box (m, m/s) and over the own force bound (1)."""
+    """lambda_2, the penalty per delta, the excess over the box (m, m/s) or own force bound (1)."""
     neighbor: float = 100.0
-    """Per metre of each step's missing clearance, and per f_a,max of a neighbour's excess force in
-    each step: these too are soft, so that every program has a solution."""
+    """The penalty per meter of each step's missing clearance, and per f_a,max of a neighbor's
+    excess force in each step. They are soft so that every program has a solution."""
 
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """How exactly OSQP solves."""
+    """The settings of OSQP."""
 
-    tolerance: float = 5e-4  # Of the residuals, absolute and relative
-    max_iterations: int = 1000  # After which an inexact solution is taken, and reported as one
+    tolerance: float = 5e-4
+    """The absolute and relative tolerance of the residuals."""
+    max_iterations: int = 1000
+    """The most iterations, after which an inexact solution is used and its status reported."""
     rho: float = 30.0
-    """OSQP's step, kept constant: OSQP adapts it by elapsed time, and results would vary."""
+    """OSQP's step size, kept constant: OSQP adapts it by elapsed time, and results would vary."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers with which nothing is solved."""
+        """Raise ValueError for a value out of range."""
         check_number("tolerance", self.tolerance, above=0.0)
         check_integer("max_iterations", self.max_iterations, at_least=1)
         check_number("rho", self.rho, above=0.0)
@@ -167,17 +170,17 @@ class SolverSettings:
 
 @dataclass(frozen=True)
 class ProgramSolution:
-    """What a program's solver returned."""
+    """The result of a program's solver."""
 
-    states: FloatArray  # (T + 1, 2 D) new states as the linearised dynamics see them
-    controls: FloatArray  # (T, D) new controls as the linearised dynamics see them, m/s^2
+    states: FloatArray  # (T + 1, 2 D) new states by the linearized dynamics
+    controls: FloatArray  # (T, D) new controls by the linearized dynamics, m/s^2
     objective: float  # Value of the program's objective
-    status: str  # OSQP's word: `solved`, `maximum iterations reached`, `primal infeasible` ..
+    status: str  # OSQP's status: `solved`, `maximum iterations reached`, `primal infeasible` ..
     iterations: int  # OSQP's iterations
 
     @property
     def usable(self) -> bool:
-        """Whether there is a solution at all, exact or not."""
+        """True if there is a solution, exact or not."""
         return bool(np.isfinite(self.states).all()) and "infeasible" not in self.status
 
 
@@ -196,7 +199,7 @@ class ConstraintRows:
         upper: npt.ArrayLike,
         *entries: tuple[IntArray, npt.ArrayLike],
     ) -> slice:
-        """Add a group of rows of a shape, and return where they are; infinite bounds bind nothing.
+        """Add a group of rows of a shape, and return their slice. Infinite bounds do not bind.
 
         `entries` are columns (*shape, n) and values of n variables in each row, broadcast. Zeros
         belong to the pattern, too.
@@ -211,27 +214,27 @@ class ConstraintRows:
         return slice(first, self.count)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of all rows."""
+        """Return lower and upper bounds of all rows."""
         lower, upper = zip(*self._bounds)
         return np.concatenate(lower), np.concatenate(upper)
 
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Rows, columns and values of all entries of A, in the order in which they were added."""
+        """Return rows, columns and values of all entries of A, in the order of their addition."""
         rows, columns, values = zip(*self._entries)
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
 
 _GOAL_SCALE, _SLACK_SCALE = 3.0, 3.0
-"""Of the rows of the goal and of the slacks' signs: OSQP converges in half the iterations."""
+"""The scales of the goal's rows and of the slacks' signs, which halve OSQP's iterations."""
 _Entries = tuple[tuple[IntArray, npt.ArrayLike], ...]
 
 
 class RobotProgram:
-    """The program of one robot with T steps, D axes and M neighbours.
+    """The program of one robot with T steps, D axes and M neighbors.
 
-    The variables are x_0, u_0, x_1, u_1 ... x_T, the goal's slack, delta, and a slack for each
-    step's clearance to and force on each neighbour, upward and downward. OSQP is set up at the
-    first problem, whose pattern all later ones have: only numbers change.
+    The variables are x_0, u_0, x_1, u_1 ... x_T, the goal's slack, delta, and slacks for each
+    step's clearance to and force on each neighbor, upward and downward. OSQP is set up for the
+    first problem; later ones have the same pattern and change only numbers.
     """
 
     def __init__(
@@ -254,7 +257,7 @@ class RobotProgram:
         self._solver: Any = None
 
     def solve(self, problem: ConvexSubproblem) -> ProgramSolution:
-        """Solve for one convexified problem, starting from the last one's solution."""
+        """Solve one convexified problem, starting from the previous solution."""
         rows = ConstraintRows()
         self._add_motion(rows, problem)
         self._add_own_bounds(rows, problem)
@@ -269,7 +272,7 @@ class RobotProgram:
             self._solver = self._set_up(cost, rows)
             z, y = np.zeros(self._variables), np.zeros(rows.count)
             z[self._x], z[self._u] = problem.prior, problem.prior_control
-            # Slacks are zero as a rule: their cost is then what their sign's multiplier must be.
+            # Slacks are usually zero; the multipliers of their signs then equal their costs.
             y[signs] = -cost[soft] / _SLACK_SCALE
             self._solver.warm_start(x=z, y=y)
         else:
@@ -278,7 +281,7 @@ class RobotProgram:
         return self._read(self._solver.solve(raise_error=False), problem)
 
     def _add_motion(self, rows: ConstraintRows, problem: ConvexSubproblem) -> None:
-        """The start, the dynamics, and the goal's slack."""
+        """Add the start, the dynamics, and the goal's slack."""
         dt, steps, dims = problem.dt, self._steps, self._dims
         position, velocity = self._x[:, :dims, None], self._x[:, dims:, None]
         rows.add((2 * dims,), problem.prior[0], problem.prior[0], (self._x[0, :, None], 1.0))
@@ -296,13 +299,13 @@ class RobotProgram:
         rows.add(goal.shape, goal, np.inf, end, (self._goal, _GOAL_SCALE))
 
     def _add_own_bounds(self, rows: ConstraintRows, problem: ConvexSubproblem) -> None:
-        """Box, speed and force, softened by delta; trust region and control."""
+        """Add box, speed and force, softened by delta; trust region and control bound."""
         x, trust, later = problem.prior[1:], problem.trust_state, (self._x[1:, :, None], 1.0)
         slope = problem.bounded_by_state / problem.force_bound
         force = problem.bounded_force / problem.force_bound
         known, reach = _known_and_reach(slope, problem)
         within = self._within(slope, problem)
-        # Rows that the trust region cannot reach bind nothing; left out, OSQP is four times faster.
+        # Bounds out of reach of the trust region are made infinite: OSQP is four times faster.
         above = np.where(x + trust > problem.upper, problem.upper, np.inf)
         rows.add(x.shape, -np.inf, above, later, (self._delta, -1.0))
         above = np.where(force + reach > 1.0, known - force + 1.0, np.inf)
@@ -313,14 +316,14 @@ class RobotProgram:
         rows.add(force.shape, below, np.inf, *within, (self._delta, 1.0))
         rows.add(x.shape, x - trust, x + trust, later)
         u, most, change = problem.prior_control, problem.control_bound, problem.trust_control
-        # A prior beyond the bound is allowed to stay where it is, so that a solution exists.
+        # A prior beyond the bound may stay there, so that a solution exists.
         lowest = np.minimum(np.maximum(-most, u - change), u)
         highest = np.maximum(np.minimum(most, u + change), u)
         rows.add(u.shape, lowest, highest, (self._u[..., None], 1.0))
 
     def _add_neighbors(self, rows: ConstraintRows, problem: ConvexSubproblem) -> None:
-        """Half-spaces, and the forces on the neighbours, all softened by slacks of their own."""
-        first, second = ways.step_weights(problem.fraction[..., None], problem.dt)
+        """Add half-spaces and the forces on neighbors, softened by slacks."""
+        first, second = paths.step_weights(problem.fraction[..., None], problem.dt)
         normal, x, slack = problem.normal, self._x[:, None], self._slack[..., None]
         rows.add(
             normal.shape[:2],
@@ -343,10 +346,10 @@ class RobotProgram:
         rows.add(known.shape, low, high, *self._within(slope, problem), *slacks)
 
     def _within(self, slope: FloatArray, problem: ConvexSubproblem) -> _Entries:
-        """Entries of slope (S, T, ..., 2 D) times states within steps, which depend on the ends."""
+        """Return entries of slope (S, T, ..., 2 D) times states within steps, by their ends."""
         shape = (1, self._steps, *(1,) * (slope.ndim - 3), -1)
         share = problem.shares.reshape(-1, *(1,) * (slope.ndim - 1))
-        first, second = ways.step_weights(share, problem.dt)
+        first, second = paths.step_weights(share, problem.dt)
         by_place, by_speed = np.split(slope, 2, axis=-1)
         by_start = first * by_place + (1.0 - share) * by_speed
         start, end = self._x[:-1].reshape(shape), self._x[1:, self._dims :].reshape(shape)
@@ -356,8 +359,8 @@ class RobotProgram:
         )
 
     def _may_touch(self, problem: ConvexSubproblem) -> Any:
-        """(T, M) whether the trust region lets a robot cross the half-space of a step."""
-        first, second = ways.step_weights(problem.fraction, problem.dt)
+        """Return (T, M) True if the trust region lets a robot cross the half-space of a step."""
+        first, second = paths.step_weights(problem.fraction, problem.dt)
         p, v = np.split(problem.prior[:, None], 2, axis=-1)
         place = p[:-1] + first[..., None] * v[:-1] + second[..., None] * v[1:]
         reach = np.abs(problem.normal) @ problem.trust_state[: self._dims]
@@ -385,7 +388,7 @@ class RobotProgram:
             matrix,
             *rows.bounds(),
             verbose=False,
-            scaling=0,  # the units are chosen; OSQP's scaling undoes the slacks' and is slower
+            scaling=0,  # OSQP's scaling would undo that of the slacks and is slower
             adaptive_rho=False,
             rho=self._settings.rho,
             eps_abs=self._settings.tolerance,
@@ -410,9 +413,9 @@ class RobotProgram:
 
 
 def _known_and_reach(slope: FloatArray, problem: ConvexSubproblem) -> tuple[FloatArray, FloatArray]:
-    """Of slope (S, T, ..., 2 D) times states within steps: value at the prior, and range."""
+    """Return slope (S, T, ..., 2 D) times states within steps at the prior, and its range."""
     shape = (*slope.shape[:2], *(1,) * (slope.ndim - 3), -1)
     known = (slope * problem.bounded.reshape(shape)).sum(axis=-1)
     near, fast = np.split(problem.trust_state, 2)
-    farther = near + problem.dt * fast  # between knots velocities add to the way
+    farther = near + problem.dt * fast  # Between knots, changes of velocity move the robot too
     return known, np.abs(slope) @ np.concatenate([farther, fast])

@@ -1,8 +1,8 @@
 """Derivatives of the forces by one robot's state: the parts of A_k and C_k, eqs. (15), (16).
 
-Of a deep set (eq. 10) the derivative is analytic, all knots at once, by backpropagation in numpy:
-the planner needs neither torch nor its start-up time. Other models are differentiated by central
-differences, all knots and directions in one call of the compiled kernel.
+The derivative of a deep set (eq. 10) is computed by backpropagation in numpy, for all knots at
+once, so that the planner need not import torch. Other models are differentiated by central
+differences, for all knots and directions in one call of the compiled kernel.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from swarm_envs.vehicles import GRAM_FORCE, Team
 def force_jacobian(
     model: InteractionModel, team: Team, states: FloatArray, robot: int
 ) -> FloatArray:
-    """Derivative of the forces on every robot by the state of one.
+    """Return the derivatives (K, N, 3, 6) of the forces on all robots by the state of one.
 
-    Where the model has a kink (a ReLU, the end of a measured range, the edge of the interaction
-    volume), the derivative of one side, or of central differences a mean. States are (K, N, 6):
-    positions (m) and velocities (m/s) of all robots at K knots. Returned is (K, N, 3, 6), in which
-    [k, j] is d f_a(j) / d x(i) for the robot i that moves: N per m and N per m/s.
+    `states` (K, N, 6) are positions (m) and velocities (m/s) of all robots at K knots. [k, j] is
+    d f_a(j) / d x(i) for `robot` i, in N per m and N per m/s. At a kink of the model (a ReLU, the
+    end of a measured range, the edge of the interaction volume) it is the derivative of one side,
+    or a mean of both for central differences.
     """
     if model.field.kind == DEEP_SET:
         field = model.with_precision("float64").field
@@ -34,7 +34,7 @@ def force_jacobian(
 def difference_jacobian(
     model: InteractionModel, team: Team, states: FloatArray, robot: int, step: float = 1e-5
 ) -> FloatArray:
-    """The same as `force_jacobian` by central differences, of any model.
+    """Return the result of `force_jacobian` for any model, by central differences.
 
     `step` is half the width of a difference, m and m/s.
     """
@@ -49,7 +49,7 @@ def difference_jacobian(
 
 
 class _Network:
-    """Network `n` of a deep set applied to rows (R, inputs), with what its derivative needs."""
+    """Network `n` of a deep set applied to rows (R, inputs), stored for its derivative."""
 
     def __init__(self, field: ForceField, n: int, inputs: FloatArray) -> None:
         row, columns = field.layout[n], field.layout.shape[1] // 2
@@ -68,7 +68,7 @@ class _Network:
         self.output = x
 
     def gradient(self, upstream: FloatArray) -> FloatArray:
-        """Derivative (R, inputs) of `sum(upstream * output)` by the inputs, row by row."""
+        """Return the derivative (R, inputs) of `sum(upstream * output)` by the inputs, by row."""
         flow = upstream @ self.weights[-1].T
         for weight, active in zip(self.weights[-2::-1], self.active[::-1]):
             flow = (flow * active) @ weight.T
@@ -76,7 +76,7 @@ class _Network:
 
 
 class _DeepSet:
-    """A deep set evaluated for states (K, N, 6): the forward pass, kept for its derivatives.
+    """A deep set evaluated for states (K, N, 6): the forward pass, stored for its derivatives.
 
     The rows of the networks phi are the ordered pairs inside the interaction volume at any knot.
     """
@@ -88,22 +88,22 @@ class _DeepSet:
         low, high = field.pair_range
         self.phi = []
         for kind in range(self.kinds):
-            rows = np.nonzero(types[self.neighbour] == kind)[0]
+            rows = np.nonzero(types[self.neighbor] == kind)[0]
             self.phi.append((rows, _Network(field, kind, np.clip(self.offset[rows], low, high))))
         self.below = np.array((field.anchor_height == 0.0) | (states[..., 2] < field.anchor_height))
-        self.felt = self.below.copy()  # which drones (K, N) feel anything at all
-        self.felt[self.knot[self.weight > 0.0], self.ego[self.weight > 0.0]] = True
-        self.upstream = self._slopes_of_rho(types, self._codes()) * self.felt[..., None]
+        self.active = self.below.copy()  # (K, N) True for drones with any force but drag
+        self.active[self.knot[self.weight > 0.0], self.ego[self.weight > 0.0]] = True
+        self.upstream = self._slopes_of_rho(types, self._codes()) * self.active[..., None]
 
     def _find_pairs(self) -> None:
-        """The pairs that the model evaluates: indices, offsets (R, 6), windows (R,), slopes."""
-        offset = self.states[:, None, :, :] - self.states[:, :, None, :]  # [knot, ego, neighbour]
+        """Find the pairs that the model evaluates: indices, offsets, windows and slopes."""
+        offset = self.states[:, None, :, :] - self.states[:, :, None, :]  # [knot, ego, neighbor]
         window = self.field.window
         reach = (window[1], window[1], window[3])
         near = (np.abs(offset[..., :3]) < reach).all(axis=-1)
         near &= ~np.eye(self.states.shape[1], dtype=np.bool_)
-        self.knot, self.ego, self.neighbour = np.nonzero(near)
-        self.offset = offset[self.knot, self.ego, self.neighbour]
+        self.knot, self.ego, self.neighbor = np.nonzero(near)
+        self.offset = offset[self.knot, self.ego, self.neighbor]
         edges = (window[:2], window[:2], window[2:])
         parts = [_fade_with_slope(np.abs(self.offset[:, k]), *edges[k]) for k in range(3)]
         (x, dx), (y, dy), (z, dz) = parts
@@ -111,7 +111,7 @@ class _DeepSet:
         self.weight, self.slope = x * y * z, slope * np.sign(self.offset[:, :3])
 
     def _environment_inputs(self, states: FloatArray) -> FloatArray:
-        """Inputs (..., 4) of phi_env, not clamped; no drone counts as higher than the anchor."""
+        """Return inputs (..., 4) of phi_env, not clamped; heights are limited to the anchor's."""
         height = states[..., 2:3]
         if self.field.anchor_height > 0.0:
             height = np.minimum(height, self.field.anchor_height)
@@ -127,7 +127,7 @@ class _DeepSet:
         return self._environment(inputs).gradient(upstream) * inside
 
     def _codes(self) -> FloatArray:
-        """The inputs of rho (K, N, hidden), of every drone as if it felt something."""
+        """Return the inputs of rho (K, N, hidden) of all drones."""
         inputs = self._environment_inputs(self.states).reshape(-1, 4)
         codes = self._environment(inputs).output.reshape(*self.states.shape[:2], -1)
         for rows, phi in self.phi:
@@ -136,7 +136,7 @@ class _DeepSet:
         return codes
 
     def _slopes_of_rho(self, types: IntArray, codes: FloatArray) -> FloatArray:
-        """Derivative (K, N, hidden) of each drone's vertical force by its code, N."""
+        """Return the derivative (K, N, hidden) of each drone's vertical force by its code, N."""
         slopes = np.empty_like(codes)
         for kind in np.unique(types):
             mine, n = types == kind, self.kinds + 1 + int(kind)
@@ -146,7 +146,7 @@ class _DeepSet:
         return slopes
 
     def jacobian(self, robot: int) -> FloatArray:
-        """Derivative (K, N, 3, 6) of all forces by one robot's state."""
+        """Return the derivative (K, N, 3, 6) of all forces by one robot's state."""
         jacobian = np.zeros((*self.states.shape[:2], 3, 6))
         for k in range(3):
             jacobian[:, robot, k, 3 + k] = -self.field.drag[self.types[robot], k]
@@ -156,36 +156,36 @@ class _DeepSet:
         return jacobian
 
     def _add_pairs(self, rows: IntArray, phi: _Network, robot: int, jacobian: FloatArray) -> None:
-        """Add what the robot does as a neighbour, and what neighbours do to it."""
+        """Add the robot's effect on its neighbors, and theirs on it."""
         low, high = self.field.pair_range
         knot, ego, offset = self.knot[rows], self.ego[rows], self.offset[rows]
         flow = self.upstream[knot, ego]
         inside = (offset >= low) & (offset <= high)
         slope = phi.gradient(flow * self.weight[rows, None]) * inside
         slope[:, :3] += (flow * phi.output).sum(axis=1)[:, None] * self.slope[rows]
-        sign = (self.neighbour[rows] == robot) * 1.0 - (ego == robot) * 1.0
+        sign = (self.neighbor[rows] == robot) * 1.0 - (ego == robot) * 1.0
         np.add.at(jacobian[:, :, 2], (knot, ego), sign[:, None] * slope)
 
     def _add_environment(self, robot: int, jacobian: FloatArray) -> None:
-        """Add what the robot's own height and velocity do to the force on itself."""
+        """Add the effect of the robot's own height and velocity on the force on itself."""
         inputs = self._environment_inputs(self.states[:, robot])
         near = self._environment_slope(inputs, self.upstream[:, robot])
         near[:, 0] *= self.below[:, robot]
         jacobian[:, robot, 2, 2] -= near[:, 0]
         jacobian[:, robot, 2, 3:] -= near[:, 1:]
         if self.field.anchor_height > 0.0:
-            # What a lone drone at the anchor's height would feel is subtracted by the model.
+            # The model subtracts the force on a lone drone at the anchor's height.
             inputs[:, 0] = -self.field.anchor_height
             alone = self._environment(inputs).output
             flow = self._slopes_of_rho(self.types[robot : robot + 1], alone[:, None])[:, 0]
-            free = self._environment_slope(inputs, flow * self.felt[:, robot, None])
+            free = self._environment_slope(inputs, flow * self.active[:, robot, None])
             jacobian[:, robot, 2, 3:] += free[:, 1:]
 
 
 def _fade_with_slope(
     distance: FloatArray, full: float, end: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The window's `fade` of distances, and its derivative; 0 where it jumps."""
+    """Return the window's `fade` of distances and its derivative, which is 0 at a jump."""
     width = end - full
     u = np.clip((distance - full) / (width if width > 0.0 else 1.0), 0.0, 1.0)
     if width == 0.0:

@@ -41,12 +41,12 @@ from swarm_envs.vehicles import Team, parse_team
 __all__ = ["plan_swarm"]
 
 SEARCH = SearchConfig(iterations=40_000)
-"""Options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""
+"""The options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""
 ATTEMPTS = 3
-"""How often both stages are run, each time sampled again, until a plan keeps everything."""
-_SEARCH_SHARE = 0.6  # of the time that is left: what stage 1 may take
-_SHORTEST_SEARCH_S = 1e-3  # then it plans one tree and finds the time is up
-_GUESSES, _BEND_M = 30, 0.4  # bent lines that are drawn, and their standard deviation
+"""The most runs of both stages, with new random draws, until a plan meets all requirements."""
+_SEARCH_SHARE = 0.6  # Stage 1's share of the time limit
+_SHORTEST_SEARCH_S = 1e-3  # Enough for one tree
+_GUESSES, _BEND_M = 30, 0.4  # The number of random bent lines, and their standard deviation, m
 
 
 def plan_swarm(
@@ -70,30 +70,29 @@ def plan_swarm(
     """Plan the motions of a team under interaction forces (Neural-Swarm2, Algorithm 1).
 
     Args:
-        starts: (N, 3) start positions, m; robots rest there.
-        goals: (N, 3) goal positions, m; robots rest there at the end.
-        team: the N vehicles, such as `"SSL"`.
-        model: the planner's model of the forces, its name or path; None or `"none"` for a planner
-            that knows of none.
-        bounds: what the plan must keep to; None for the paper's.
-        seed: of everything drawn. Without a time limit, same seed, same plan.
+        starts: The start positions (N, 3), m, at which robots are at rest.
+        goals: The goal positions (N, 3), m, at which robots are at rest in the end.
+        team: The N vehicles, such as `"SSL"`.
+        model: The planner's model of the forces, its name or path; None or `"none"` for no forces.
+        bounds: The bounds of the plan; None for the paper's.
+        seed: The random seed. Without a time limit, the same seed gives the same plan.
         plane: `"xyz"`, or `"yz"` for motion in one vertical plane.
-        dt: time between knots, s.
-        max_duration: the latest end of the plan, s.
-        time_limit: seconds after which the best plan so far is returned, marked as not converged;
-            None for none.
-        attempts: how often to restart while a plan breaks a bound.
-        initial: motions to refine instead of those of stage 1.
-        search: options of stage 1; None for the defaults.
-        options: of stage 2; None for the defaults.
-        progress: show a bar.
+        dt: The time between knots, s.
+        max_duration: The latest end of the plan, s.
+        time_limit: The time after which the best plan so far is returned, marked as not converged,
+            s; None for no limit.
+        attempts: The most attempts until a plan meets all requirements.
+        initial: Motions to refine instead of those of stage 1.
+        search: The options of stage 1; None for the defaults.
+        options: The options of stage 2; None for the defaults.
+        progress: True to show a progress bar.
 
     Returns:
-        The plan; look at `plan.converged` and `plan.reason` before you fly it.
+        The plan; check `plan.converged` and `plan.reason` before using it.
 
     Raises:
-        ValueError: the problem cannot be solved, whatever the plan, or an argument has no meaning.
-        ImportError: osqp is missing.
+        ValueError: The problem has no solution, or an argument is out of range.
+        ImportError: osqp is not installed.
     """
     check_integer("seed", seed, at_least=0)
     check_name("plane", plane, get_args(Plane))
@@ -125,7 +124,7 @@ def plan_swarm(
                 break
 
     def rank(plan: SwarmPlan) -> tuple[bool, bool, float]:
-        """What orders plans, the best first: converged, feasible, cheap."""
+        """Return the sort key of a plan: converged, feasible and cheap ones come first."""
         merit = plan.history[-1].merit if plan.history else math.inf
         return not plan.converged, bool(plan.check.shortcomings()), merit
 
@@ -133,12 +132,12 @@ def plan_swarm(
 
 
 def _check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
-    """Refuse motions that are no guess for this problem: another team, time step or starts."""
+    """Raise ValueError if initial motions do not fit the team, time step or starts."""
     team, steps = len(problem.team), initial.steps
     check_array("initial.states", initial.states, (steps + 1, team, 6))
     check_array("initial.controls", initial.controls, (steps, team, 3))
     if not math.isclose(initial.dt, problem.dt, rel_tol=1e-9):
-        raise ValueError(f"initial.dt is {initial.dt} s, but dt is {problem.dt} s; give both alike")
+        raise ValueError(f"initial.dt is {initial.dt} s, but dt is {problem.dt} s; make them equal")
     if not 1 <= steps <= problem.steps:
         raise ValueError(
             f"initial has {steps} steps, but max_duration = {problem.max_duration:g} s allows 1 to "
@@ -148,8 +147,8 @@ def _check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
     missed = float(np.abs(initial.states[0] - rest).max())
     if missed > ROUNDING:
         raise ValueError(
-            f"initial begins {missed:.3g} (m, m/s) away from rest at the starts; its first state "
-            "must be that"
+            f"initial begins {missed:.3g} (m, m/s) away from rest at the starts, but must begin "
+            "there"
         )
 
 
@@ -162,7 +161,7 @@ def _run(
     deadline: float,
     bar: Any,
 ) -> SwarmPlan:
-    """Both stages of an attempt, whose draws come from (seed, attempt), and the check."""
+    """Run both stages and the check of an attempt, with random draws by (seed, attempt)."""
     began, rng = time.monotonic(), np.random.default_rng(drawn)
     about: dict[str, Any] = {}
 
@@ -208,7 +207,7 @@ def _run(
 def _first_motions(
     problem: PlanningProblem, config: SearchConfig, rng: np.random.Generator, bar: Any
 ) -> tuple[Trajectories, dict[str, Any]]:
-    """Motions of stage 1, or bent lines if it finds none; and what the search did."""
+    """Return the motions of stage 1, or bent lines if it finds none; and its statistics."""
 
     def show(cost: float, iterations: int) -> None:
         bar.set_postfix_str(f"search: cost {cost:.3g} after {iterations} iterations")
@@ -224,7 +223,7 @@ def _first_motions(
 
 
 def _bent_lines(problem: PlanningProblem, rng: np.random.Generator) -> Trajectories:
-    """The best of some lines with random bends, by the merit of stage 2."""
+    """Return the best of some lines with random bends, by the merit of stage 2."""
     limits, guesses = problem.bounds.force_bounds(problem.team), []
     for _ in range(_GUESSES):
         bend = np.zeros_like(problem.starts)

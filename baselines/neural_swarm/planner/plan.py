@@ -1,4 +1,4 @@
-"""The plan of a team: what is to be flown, how it was found, how good it is, and its files."""
+"""The plan of a team: its motions, the record of its planning, its check, and its files."""
 
 from __future__ import annotations
 
@@ -28,89 +28,89 @@ from swarm_envs.vehicles import Team, Vehicle
 __all__ = ["SwarmPlan"]
 
 STATUSES = ("converged", "time limit", "iteration limit", "not feasible")
-"""How planning may end; only the first is a plan that keeps everything."""
+"""The outcomes of planning; only with the first does the plan meet all requirements."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwarmPlan:
-    """Motions of N robots over T steps, and all that should be known about them.
+    """The motions of N robots over T steps, and the record of their planning.
 
-    World frame, SI units. Get one with `plan_swarm`, or from a file with `SwarmPlan.load`.
+    World frame, SI units. Get a plan from `plan_swarm`, or from a file with `SwarmPlan.load`.
     """
 
     team: Team
     """The N vehicles."""
     starts: FloatArray
-    """(N, 3) start positions, m."""
+    """The start positions (N, 3), m."""
     goals: FloatArray
-    """(N, 3) goal positions, m."""
+    """The goal positions (N, 3), m."""
     trajectories: Trajectories
     """The motions: states, controls and predicted forces."""
     initial: Trajectories
-    """What stage 2 began with: the motions of stage 1, or the guess that was given."""
+    """The initial motions of stage 2: those of stage 1, or the given guess."""
     bounds: PlanningBounds
-    """What the plan was to keep to."""
+    """The bounds of the plan."""
     plane: Plane
-    """In which plane robots move."""
+    """The plane or space in which robots move."""
     model_name: str
-    """The planner's force model; `none` if it planned unaware of forces."""
+    """The name of the planner's force model; `none` if it assumed no forces."""
     model_fingerprint: str
-    """SHA-256 of that model's numbers."""
+    """The SHA-256 of that model's numbers."""
     seed: int
-    """Of everything drawn."""
+    """The random seed."""
     status: str
-    """One of `STATUSES`."""
+    """The outcome, one of `STATUSES`."""
     reason: str
-    """Why it ended so, in words."""
+    """The reason for the outcome."""
     check: PlanCheck
-    """What came of flying the controls forward on the nonlinear model."""
+    """The result of simulating the controls with the nonlinear model."""
     search: Mapping[str, Any]
-    """What stage 1 says of itself; empty if a guess was given."""
+    """The statistics of stage 1; without a search, the attempt alone."""
     history: tuple[StepRecord, ...]
     """Every program of stage 2, in order."""
     seconds: Mapping[str, float]
-    """Time that each stage took, s."""
+    """The duration of each stage, s."""
 
     @property
     def converged(self) -> bool:
-        """Whether stage 2 has converged and the plan keeps its goals and bounds."""
+        """True if stage 2 has converged and the plan reaches its goals within bounds."""
         return self.status == STATUSES[0]
 
     @property
     def times(self) -> FloatArray:
-        """(T + 1,) times of the knots, s."""
+        """The times (T + 1,) of the knots, s."""
         return self.trajectories.times
 
     @property
     def states(self) -> FloatArray:
-        """(T + 1, N, 6) positions (m) and velocities (m/s) at the knots."""
+        """The positions (m) and velocities (m/s) (T + 1, N, 6) at the knots."""
         return self.trajectories.states
 
     @property
     def controls(self) -> FloatArray:
-        """(T, N, 3) controls u held from knot to knot, m/s^2."""
+        """The controls u (T, N, 3), held from knot to knot, m/s^2."""
         return self.trajectories.controls
 
     @property
     def forces(self) -> FloatArray:
-        """(T + 1, N, 3) predicted forces f_a at the knots, N."""
+        """The predicted forces f_a (T + 1, N, 3) at the knots, N."""
         return self.trajectories.forces
 
     @property
     def duration(self) -> float:
-        """Time from start to goal t_f, s."""
+        """The time from start to goal, t_f, s."""
         return self.trajectories.duration
 
     @property
     def costs(self) -> dict[str, float]:
-        """Cost of each stage's motions by eq. (6), the integral of ||u|| over all robots, m/s."""
+        """The cost of each stage's motions, (6), the integral of ||u|| over all robots, m/s."""
         return {"stage 1": self.initial.cost, "stage 2": self.trajectories.cost}
 
     def reference(self, time: float) -> Reference:
-        """Where robots should be at a time, s: arrays (N, 3); at rest before and after the plan.
+        """Return the reference of all robots at a time, s; at rest before and after the plan.
 
-        Between knots a polynomial of fifth order meets position, velocity and the mean of the two
-        accelerations at both ends, so that the acceleration is continuous: held, it would jump.
+        Between knots, a polynomial of fifth order has the position, the velocity and the mean of
+        the two accelerations at both ends, so that the acceleration is continuous.
         """
         at = min(max(time, 0.0), self.duration)
         moving = float(0.0 <= time < self.duration)
@@ -122,7 +122,7 @@ class SwarmPlan:
         from scipy.interpolate import BPoly
 
         states = self.states.copy()
-        states[[0, -1], :, 3:] = 0.0  # the solver leaves a rest of velocity, below its tolerance
+        states[[0, -1], :, 3:] = 0.0  # The solver leaves velocities below its tolerance
         held = np.diff(states[..., 3:], axis=0) / self.trajectories.dt
         acceleration = np.zeros_like(states[..., 3:])
         acceleration[1:-1] = 0.5 * (held[1:] + held[:-1])
@@ -131,11 +131,11 @@ class SwarmPlan:
         return curve, *(curve.derivative(order) for order in (1, 2, 3))
 
     def save(self, path: str | Path) -> None:
-        """Write the plan whole or not at all, as `.npz` or `.json`.
+        """Write the plan to an `.npz` or `.json` file, atomically.
 
         Raises:
-            ValueError: another suffix.
-            OSError: the file cannot be written.
+            ValueError: The suffix is another.
+            OSError: The file cannot be written.
         """
         file = _checked(path)
         arrays, about = {"starts": self.starts, "goals": self.goals}, _about(self)
@@ -151,11 +151,11 @@ class SwarmPlan:
 
     @classmethod
     def load(cls, path: str | Path) -> SwarmPlan:
-        """Read what `save` wrote.
+        """Return the plan of a file written by `save`.
 
         Raises:
-            ValueError: another suffix, or the file is damaged; the message says what is wrong.
-            OSError: the file cannot be read.
+            ValueError: The suffix is another, or the file is damaged.
+            OSError: The file cannot be read.
         """
         file = _checked(path)
         try:
@@ -169,9 +169,9 @@ class SwarmPlan:
             raise ValueError(f"{str(file)!r} is no plan, or damaged: {what}") from error
 
 
-# ---- Files of plans: npz or JSON, written whole, refused when damaged
+# ---- Files of plans, npz or JSON, with a checksum
 
-_VERSION = 1  # of the format; a file of another is refused
+_VERSION = 1  # The version of the format
 _SUFFIXES = (".npz", ".json")
 _PARTS = ("states", "controls", "forces")
 _MOTIONS = ("trajectories", "initial")
@@ -186,7 +186,7 @@ def _checked(path: str | Path) -> Path:
 
 
 def _about(plan: SwarmPlan) -> dict[str, Any]:
-    """All but the arrays, as JSON has it; infinite numbers, of teams of one, as null."""
+    """Return all but the arrays for JSON; infinite numbers, of teams of one, become null."""
     bounds = dataclasses.asdict(dataclasses.replace(plan.bounds, force_g={}))
     about = {
         "version": _VERSION,
@@ -258,5 +258,5 @@ def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
 
 
 def _with_tuples(entry: dict[str, Any]) -> dict[str, Any]:
-    """The entry with tuples where JSON has made lists of them."""
+    """Return the entry with lists, which JSON has made of tuples, as tuples."""
     return {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}

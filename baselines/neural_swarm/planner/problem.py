@@ -1,4 +1,4 @@
-"""A planning problem and its bounds (eq. 6), checked before any planning starts."""
+"""A planning problem and its bounds (eq. 6), checked before planning starts."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ FORCE_BOUNDS_G: Mapping[str, float] = MappingProxyType({"S": 5.0, "S*": 5.0, "L"
 class PlanningBounds:
     """Bounds on every robot's states, controls and forces: the sets X and U of eq. (6).
 
-    Forces are bounded in their vertical component, as in the paper, whose f_a is vertical: the
-    horizontal one is the drone's own drag, which no neighbour's plan changes.
+    Only the vertical component of forces is bounded, as in the paper, whose f_a is vertical: the
+    horizontal one is the drone's own drag, which no neighbor's plan changes.
 
     Raises:
-        ValueError: a number is not positive and finite, or the box is empty.
+        ValueError: A number is not positive and finite, or the box is empty.
     """
 
     lower: tuple[float, float, float] = (-2.0, -2.0, 0.2)
-    """Lower corner of the box of positions, m."""
+    """The lower corner of the box of positions, m."""
     upper: tuple[float, float, float] = (2.0, 2.0, 2.5)
-    """Upper corner of the box of positions, m."""
+    """The upper corner of the box of positions, m."""
     speed: float = 2.0
-    """Largest |v| along each axis, m/s."""
+    """The largest |v| along each axis, m/s."""
     acceleration: float = 5.0
-    """Largest |u| along each axis, m/s^2: thrust per mass, gravity removed (eq. 13)."""
+    """The largest |u| along each axis, m/s^2: thrust per mass, gravity removed (eq. 13)."""
     force_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
     """f_a,max, the largest |f_a,z| by vehicle token, grams."""
     force_change_g: float = 10.0
-    """b_fa, by how much planning one robot may change the vertical force on another, grams."""
+    """b_fa, the largest change of the force on another robot when one is planned, grams."""
     clearance_factor: float = 1.1
-    """Distance to keep over the sum of the two radii: r(lk) of eq. (6) with room for tracking."""
+    """The least distance over the sum of the two radii: r(lk) of eq. (6) with room for tracking."""
     goal_distance: float = 0.1
-    """epsilon in position, m: how near to the goal stage 1 may end."""
+    """The epsilon in position: the distance from the goal at which stage 1 may end, m."""
     goal_speed: float = 0.2
-    """epsilon in velocity, m/s: how slow stage 1 must be there."""
+    """The epsilon in velocity: the speed at which stage 1 may end, m/s."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in (
             "speed",
             "acceleration",
@@ -73,15 +73,15 @@ class PlanningBounds:
             )
         if self.clearance_factor < 1.0:
             raise ValueError(
-                f"clearance_factor is {self.clearance_factor}, but must be at least 1: below it "
-                "the vehicles touch"
+                f"clearance_factor is {self.clearance_factor}, but must be at least 1: below that, "
+                "vehicles collide"
             )
 
     def force_bounds(self, team: Team) -> FloatArray:
-        """Largest |f_a,z| (N,) of each vehicle, newton.
+        """Return the largest |f_a,z| (N,) of each vehicle, N.
 
         Raises:
-            ValueError: a vehicle's token has no bound.
+            ValueError: A vehicle's token has no bound.
         """
         for token in (vehicle.token for vehicle in team):
             if token not in self.force_g:
@@ -90,7 +90,7 @@ class PlanningBounds:
         return np.array([self.force_g[vehicle.token] for vehicle in team]) * GRAM_FORCE
 
     def clearances(self, team: Team) -> FloatArray:
-        """Distance (N, N) that each pair of vehicles keeps at least, m; 0 on the diagonal."""
+        """Return the least distance (N, N) of each pair of vehicles, m; 0 on the diagonal."""
         radii = np.array([vehicle.radius for vehicle in team])
         distances = self.clearance_factor * (radii[:, None] + radii[None, :])
         np.fill_diagonal(distances, 0.0)
@@ -98,41 +98,41 @@ class PlanningBounds:
 
 
 Plane = Literal["xyz", "yz"]
-"""`"xyz"`: motion in space. `"yz"`: each robot keeps the x of its start (Fig. 6 and 7)."""
+"""`"xyz"` for motion in space; `"yz"` if each robot keeps the x of its start (Fig. 6 and 7)."""
 
-ROUNDING = 1e-9  # Differences of states up to this, m and m/s, count as none
+ROUNDING = 1e-9  # Differences of states up to this, m and m/s, are ignored
 _MOST_STEPS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """Starts, goals, vehicles and force model of a team whose motions are to be planned (eq. 6).
+    """The starts, goals, vehicles and force model of a team whose motions are planned (eq. 6).
 
-    Positions in m, world frame, z up; every robot is at rest at its start and its goal. The force
-    bounds hold for the forces that `model` predicts.
+    Positions are in m, in the world frame, z up; every robot is at rest at its start and its goal.
+    The force bounds hold for the forces that `model` predicts.
 
     Raises:
-        ValueError: the problem has no solution whatever the plan: a start or goal lies outside the
-            box or in collision, cannot be reached in the time, or has forces beyond the bounds
-            even when hovering there; or a value makes no sense.
+        ValueError: The problem has no solution: a start or goal lies outside the box or in
+            collision, cannot be reached in time, or has forces beyond the bounds even when
+            hovering there; or a value is out of range.
     """
 
     starts: FloatArray
-    """(N, 3) start positions, m."""
+    """The start positions (N, 3), m."""
     goals: FloatArray
-    """(N, 3) goal positions, m."""
+    """The goal positions (N, 3), m."""
     team: Team
-    """The N vehicles; a string such as `"SSL"` is read."""
+    """The N vehicles, or a string such as `"SSL"`."""
     model: InteractionModel = field(default_factory=lambda: load("learned"))
     """The planner's model of the interaction forces f_a."""
     bounds: PlanningBounds = field(default_factory=PlanningBounds)
-    """What the plan must keep to."""
+    """The bounds of the plan."""
     dt: float = 0.1
-    """Time between knots, s; controls are held over it."""
+    """The time between knots, over which controls are held, s."""
     max_duration: float = 5.0
     """The latest end of the plan t_f, s. Longer flights are cheaper (eq. 6), so plans use it."""
     plane: Plane = "xyz"
-    """In which plane robots move."""
+    """The plane or space in which robots move."""
 
     def __post_init__(self) -> None:
         team = parse_team(self.team)
@@ -150,7 +150,7 @@ class PlanningProblem:
                 f"{self.steps:.3g} steps, but must make 1 to {_MOST_STEPS:,}"
             )
         check_name("plane", self.plane, ("xyz", "yz"))
-        self.model.type_indices(team)  # refuses a type that the model lacks
+        self.model.type_indices(team)  # Raises ValueError for a type that the model lacks
         self._check_plane()
         for name, places in (("start", self.starts), ("goal", self.goals)):
             self._check_box(name, places)
@@ -165,7 +165,7 @@ class PlanningProblem:
 
     @property
     def masses(self) -> FloatArray:
-        """Masses (N,), kg."""
+        """The masses (N,), kg."""
         return np.array([vehicle.mass for vehicle in self.team])
 
     @property
@@ -204,7 +204,7 @@ class PlanningProblem:
             )
 
     def _check_forces(self, name: str, places: FloatArray) -> None:
-        """Hovering alone, then all together: neither may exceed the bounds."""
+        """Raise ValueError if hovering alone or together exceeds the force bounds."""
         limit = self.bounds.force_bounds(self.team)
         alone = [hover_force(self.model, p[None], [v]) for p, v in zip(places, self.team)]
         together = hover_force(self.model, places, self.team)
@@ -214,16 +214,17 @@ class PlanningProblem:
             if excess[i] > 0.0:
                 token = self.team[i].token
                 raise ValueError(
-                    f"drone {i} ({token}) hovering {how} at its {name} feels "
+                    f"drone {i} ({token}) hovering {how} at its {name} has a force of "
                     f"{force[i] / GRAM_FORCE:.3g} g, but force_g[{token!r}] allows "
                     f"{limit[i] / GRAM_FORCE:.3g} g; raise the bound or move the {name}"
                 )
 
     def _check_reachable(self) -> None:
-        """A drone may use its full acceleration and all the force that its bound allows."""
+        """Raise ValueError if the largest acceleration and allowed force do not suffice."""
         limit = self.bounds.force_bounds(self.team) / self.masses
-        ways = np.abs(self.goals - self.starts)
-        times = shortest_time(ways, self.bounds.speed, self.bounds.acceleration + limit[:, None])
+        distance = np.abs(self.goals - self.starts)
+        acceleration = self.bounds.acceleration + limit[:, None]
+        times = shortest_time(distance, self.bounds.speed, acceleration)
         i = int(times.max(axis=1).argmax())
         least, given = float(times[i].max()), self.steps * self.dt
         if least > given:
@@ -237,12 +238,12 @@ class PlanningProblem:
 def shortest_time(
     distance: npt.ArrayLike, speed: npt.ArrayLike, acceleration: npt.ArrayLike
 ) -> FloatArray:
-    """Time in which a double integrator covers a distance, m, from rest to rest: bang-bang, s."""
+    """Return the shortest time of a double integrator from rest to rest over a distance, m, s."""
     d, v, a = (np.asarray(x, dtype=np.float64) for x in (distance, speed, acceleration))
     return np.where(d > v * v / a, d / v + v / a, 2.0 * np.sqrt(d / a))
 
 
 def hover_force(model: InteractionModel, places: FloatArray, team: Sequence[Vehicle]) -> FloatArray:
-    """Vertical force f_a,z (N,) on drones that all hover at (N, 3) m, newton."""
-    # A copy, as places may be read-only: for those numba would compile the forces once more.
+    """Return the vertical force f_a,z (N,) on drones that all hover at positions (N, 3), m, N."""
+    # For a read-only array, numba would compile the forces once more.
     return model.forces(places[None].copy(), np.zeros((1, *places.shape)), team)[0, :, 2]

@@ -1,13 +1,14 @@
-"""Steering, propagation and validity of one robot among moving neighbours (Alg. 1, lines 9, 10).
+"""Steering, propagation and validity of one robot among moving neighbors (Alg. 1, lines 9, 10).
 
-For min of the integral of ||u|| (eq. 6) between two states in a given time, thrust at both ends and
-coast between: by the maximum principle an optimal control acts where the adjoint of v is largest,
-and for linear drag that adjoint runs along a line in exp(drag t), so its norm is largest at an end.
-Controls are held over edges of several knots, so an impulse becomes a burst of one edge or more.
+The integral of ||u|| (eq. 6) between two states in a given time is least with thrust at both ends
+and coasting between: by the maximum principle an optimal control acts where the adjoint of v is
+largest, and for linear drag that adjoint is linear in exp(drag t), so its norm is largest at an
+end. Controls are held over edges of several knots, so an impulse becomes a burst of one or more
+edges.
 
-A state is [p, v, f_a] with its time, the knot. Valid is a step that stays in the box and below the
-largest speed, keeps its distance all along, and ends where no robot's force, no change of a
-neighbour's force, and no neighbour's control against it exceeds its bound.
+A state is [p, v, f_a] with its time, the knot. A step is valid if it stays in the box and below the
+largest speed, keeps its distance throughout, and ends where no robot's force, no change of a
+neighbor's force, and no neighbor's control against it exceeds its bound.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 LONGEST_BURST = 8  # Edges in the longest burst that is tried
 COAST, PUSH = 0, 1
-"""Which of `responses`: a velocity without control, or a control held from rest."""
+"""Indices of `responses`: a velocity without control, or a control held from rest."""
 PLACE, SPEED = 0, 1
-"""What of a response: the position, m, or the speed, m/s."""
+"""Indices of a response: the position, m, or the speed, m/s."""
 
 
 def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:
-    """What a unit velocity and a unit control do after up to K steps of dt, s: (2, K + 1, 2, 3).
+    """Return the responses (2, K + 1, 2, 3) to unit velocity and unit control over K steps of dt.
 
-    [COAST] after starting at 1 m/s without control, [PUSH] after starting at rest with 1 m/s^2
-    held; for each the [PLACE] (m) and [SPEED] (m/s) along each axis, with linear `drag` (3,) per
-    mass, 1/s. The acceleration is held over a step.
+    [COAST] starts at 1 m/s without control, [PUSH] at rest with 1 m/s^2 held. Each has the [PLACE]
+    (m) and [SPEED] (m/s) along each axis, with linear `drag` (3,) per mass, 1/s. The acceleration
+    is held over a step.
     """
     table = np.zeros((2, steps + 1, 2, 3))
     table[COAST, 0, SPEED] = 1.0
@@ -51,15 +52,15 @@ def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:
 
 
 @kernel
-def impulse_cost(table: FloatArray, steps: int, way: FloatArray, velocity: FloatArray) -> float:
-    """Least integral of ||u|| from a velocity (3,) to rest, a way (3,) further: two impulses.
+def impulse_cost(table: FloatArray, steps: int, offset: FloatArray, velocity: FloatArray) -> float:
+    """Return the least integral of ||u||, m/s, from a velocity (3,) to rest at an offset (3,), m.
 
-    A lower bound where nothing but drag acts; exactly so in the limit of short steps, as a held
-    control is not dragged within its step. `table` is from `responses`; the result is in m/s.
+    It belongs to two impulses and is a lower bound if only drag acts; exactly so in the limit of
+    short steps, as drag is held within a step. `table` is from `responses`.
     """
     first, last = 0.0, 0.0
     for k in range(3):
-        needed = way[k] / table[COAST, steps, PLACE, k]
+        needed = offset[k] / table[COAST, steps, PLACE, k]
         first += (needed - velocity[k]) ** 2
         last += (needed * table[COAST, steps, SPEED, k]) ** 2
     return math.sqrt(first) + math.sqrt(last)
@@ -71,15 +72,15 @@ def reach_burst(
     edge: int,
     edges: int,
     limit: float,
-    way: FloatArray,
+    offset: FloatArray,
     velocity: FloatArray,
     control: FloatArray,
 ) -> bool:
-    """Find the shortest burst after which coasting leads to a place in time, at any velocity.
+    """Find the shortest burst after which coasting leads to a position in time, at any velocity.
 
-    The place lies a `way` (3,), m, and so many `edges` of so many steps ahead; `limit` is the
-    largest |u| along an axis, m/s^2. `control` (3,) becomes the burst's, m/s^2. Returns whether
-    there is one; else the control is the longest burst's, beyond the limit.
+    The position is an `offset` (3,), m, and a number of `edges`, of `edge` steps each, ahead;
+    `limit` is the largest |u| along an axis, m/s^2. Writes the burst's `control` (3,), m/s^2.
+    Returns True if there is one; else the control is the longest burst's, beyond the limit.
     """
     total = edges * edge
     for burst in range(1, min(edges, LONGEST_BURST) + 1):
@@ -87,7 +88,7 @@ def reach_burst(
         for k in range(3):
             gain = table[PUSH, on, PLACE, k]
             gain += table[PUSH, on, SPEED, k] * table[COAST, off, PLACE, k]
-            control[k] = (way[k] - table[COAST, total, PLACE, k] * velocity[k]) / gain
+            control[k] = (offset[k] - table[COAST, total, PLACE, k] * velocity[k]) / gain
             largest = max(largest, abs(control[k]))
         if largest <= limit:
             return True
@@ -100,14 +101,15 @@ def rest_bursts(
     edge: int,
     edges: int,
     limit: float,
-    way: FloatArray,
+    offset: FloatArray,
     velocity: FloatArray,
     control: FloatArray,
 ) -> float:
-    """Find the cheapest pair of bursts, now and last, that lead to a place at rest in time.
+    """Find the cheapest bursts, at the start and the end, that lead to rest at a position in time.
 
-    Arguments are as of `reach_burst`, with at least 2 edges; `control` becomes the first burst's.
-    Returns the integral of ||u|| over both, in steps times m/s^2; infinite if there are none.
+    The arguments are those of `reach_burst`, with at least 2 edges; writes the first burst's
+    `control`. Returns the integral of ||u|| over both, in steps times m/s^2; infinite if there are
+    none.
     """
     best, total = np.inf, edges * edge
     longest = min(edges - 1, LONGEST_BURST)
@@ -122,7 +124,7 @@ def rest_bursts(
                 b = table[PUSH, end, PLACE, k]
                 c = pushed * table[COAST, total - on, SPEED, k]
                 d = table[PUSH, end, SPEED, k]
-                place = way[k] - table[COAST, total, PLACE, k] * velocity[k]
+                place = offset[k] - table[COAST, total, PLACE, k] * velocity[k]
                 speed = -table[COAST, total, SPEED, k] * velocity[k]
                 determinant = a * d - b * c
                 now = (place * d - b * speed) / determinant
@@ -143,12 +145,12 @@ def rest_bursts(
     return best
 
 
-INVALID = -1.0  # What a step costs that must not be flown
-_SLACK = 1e-9  # rounding
+INVALID = -1.0  # The cost of an invalid step
+_SLACK = 1e-9  # Tolerance for rounding
 
 
 class Scene(NamedTuple):
-    """One robot's planning problem as compiled kernels read it; robot 0 of n is the one planned.
+    """One robot's planning problem for compiled kernels; robot 0 of n is the one planned.
 
     K is the largest number of steps. Robots that have no motion yet are not among the n.
     """
@@ -164,33 +166,33 @@ class Scene(NamedTuple):
     acceleration: FloatArray  # (K + 1, n, 3) held after each knot, m/s^2
     force_before: FloatArray  # (K + 1, n) vertical forces before this robot is replanned, N
     cost_left: FloatArray
-    """(K + 1,) what the others' controls cost from each knot on without this robot, m/s."""
+    """(K + 1,) cost of the others' controls from each knot on without this robot, m/s."""
     start: FloatArray  # (3,) m
     goal: FloatArray  # (3,) m
     guide: FloatArray
-    """(K + 1, 6) a motion near which to sample: the one before, or the straight line."""
+    """(K + 1, 6) a motion near which to sample: the previous one, or the straight line."""
     lower: FloatArray  # (3,) m; along an axis that is not free, the start
     upper: FloatArray  # (3,) m
     free: FloatArray  # (3,) 1 along axes in which the robot may move, else 0
     limits: FloatArray
-    """(4,) speed (m/s), |u| (m/s^2), distance (m) and speed (m/s) that count as at the goal."""
+    """(4,) largest speed (m/s) and |u| (m/s^2); distance (m) and speed (m/s) at the goal."""
     drag: FloatArray  # (3,) the robot's own drag per mass, 1/s
-    table: FloatArray  # `steering.responses` of the robot
+    table: FloatArray  # `responses` of the robot
     dt: float  # Length of a step, s
     edge: int  # Steps in an edge
 
 
 class WorkingState(NamedTuple):
-    """Working memory: all n robots as they are at one knot."""
+    """Working memory: the state of all n robots at one knot."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    force: FloatArray  # (n, 3) forces there, N
-    scratch: Scratch  # Working memory of the force model, which knows the robots' types
+    force: FloatArray  # (n, 3) N
+    scratch: Scratch  # Working memory of the force model, with the robots' types
 
 
 def working_state(scene: Scene) -> WorkingState:
-    """Working memory for a scene."""
+    """Return working memory for a scene."""
     n = len(scene.types)
     position, velocity, force = np.zeros((3, n, 3))
     scratch = scratch_for(scene.field, 1, n)
@@ -201,9 +203,10 @@ def working_state(scene: Scene) -> WorkingState:
 def make_scene(
     problem: PlanningProblem, robot: int, states: FloatArray, planned: list[int], edge: int
 ) -> Scene:
-    """The scene for planning one robot among those that have motions: the `planned` ones.
+    """Return the scene for planning one robot among the `planned` ones, which have motions.
 
-    Of `states` (K + 1, N, 6) other rows are not read; an `edge` of the search tree is in steps.
+    Rows of `states` (K + 1, N, 6) for other robots are not read. `edge` is the length of an edge of
+    the search tree in steps.
     """
     others = [j for j in planned if j != robot]
     index, bounds = [robot, *others], problem.bounds
@@ -211,7 +214,7 @@ def make_scene(
     knots, start, goal = len(states), problem.starts[robot], problem.goals[robot]
     alone, before = np.zeros((knots, len(others), 3)), np.zeros((knots, len(index)))
     guide = states[:, robot].copy()
-    if robot not in planned:  # the straight line at constant speed
+    if robot not in planned:  # The straight line at constant speed
         share = np.linspace(0.0, 1.0, knots)[:, None]
         speed = np.broadcast_to((goal - start) / (problem.dt * max(knots - 1, 1)), (knots, 3))
         guide = np.concatenate((start + share * (goal - start), speed), axis=1)
@@ -256,12 +259,12 @@ def make_scene(
     )
 
 
-# ---- Compiled: one step, and whether it is valid
+# ---- Compiled: propagation of one step, and its validity
 
 
 @part
 def evaluate_forces(scene: Scene, knot: int, work: WorkingState) -> None:
-    """Put the others where they are at a knot, and evaluate the forces on all robots."""
+    """Load the others' states at a knot, and evaluate the forces on all robots."""
     drones, robots = work.scratch.drones, work.position.shape[0]
     for j in range(robots):
         for k in range(3):
@@ -278,7 +281,7 @@ def evaluate_forces(scene: Scene, knot: int, work: WorkingState) -> None:
 
 @part
 def forces_allowed(scene: Scene, knot: int, work: WorkingState) -> bool:
-    """Whether all forces at a knot, and the others' controls against them, are within bounds."""
+    """Return True if all forces at a knot, and the others' controls against them, are in bounds."""
     for j in range(work.force.shape[0]):
         force = work.force[j, 2]
         if abs(force) > scene.force_limit[j]:
@@ -296,7 +299,7 @@ def forces_allowed(scene: Scene, knot: int, work: WorkingState) -> bool:
 
 @part
 def control_cost(scene: Scene, knot: int, control: FloatArray, work: WorkingState) -> float:
-    """Sum over all robots of ||u|| at a knot: this robot's control, the others' against forces."""
+    """Return the sum over robots of ||u|| at a knot, the others' controls being against forces."""
     total = math.sqrt(control[0] ** 2 + control[1] ** 2 + control[2] ** 2)
     for j in range(1, work.force.shape[0]):
         square = 0.0
@@ -309,7 +312,7 @@ def control_cost(scene: Scene, knot: int, control: FloatArray, work: WorkingStat
 
 @part
 def squared_gap(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
-    """Squared distance of the origin from the segment between two points."""
+    """Return the squared distance of the origin from the segment between two points."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     length = x * x + y * y + z * z
     along = -(a[0] * x + a[1] * y + a[2] * z)
@@ -321,7 +324,7 @@ def squared_gap(a: tuple[float, float, float], b: tuple[float, float, float]) ->
 def relative_position(
     scene: Scene, knot: int, j: int, work: WorkingState, acceleration: FloatArray, t: float
 ) -> tuple[float, float, float]:
-    """Where robot j is, seen from this one, a time t after a knot, m."""
+    """Return the position of robot j relative to this one, a time t after a knot, m."""
     place, speed, change = scene.position[knot, j], scene.velocity[knot, j], work.velocity[0]
     held, here = scene.acceleration[knot, j], work.position[0]
     x = place[0] - here[0] + t * (speed[0] - change[0] + 0.5 * t * (held[0] - acceleration[0]))
@@ -332,10 +335,10 @@ def relative_position(
 
 @part
 def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: FloatArray) -> bool:
-    """Whether the step after a knot keeps its distance from all others, also between knots.
+    """Return True if the step after a knot keeps its distance from all others, also between knots.
 
-    The relative path, a parabola, is taken as two chords: off by |a| dt^2 / 32, 3 mm at 10 m/s^2
-    and 0.1 s.
+    The relative path, a parabola, is approximated by two chords, with an error of |a| dt^2 / 32:
+    3 mm at 10 m/s^2 and 0.1 s.
     """
     for j in range(1, work.position.shape[0]):
         a = relative_position(scene, knot, j, work, acceleration, 0.0)
@@ -350,11 +353,11 @@ def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: F
 def propagate(
     scene: Scene, knot: int, control: FloatArray, acceleration: FloatArray, work: WorkingState
 ) -> float:
-    """Fly a step from a knot under a held control u (3,), m/s^2; `acceleration` is working memory.
+    """Propagate a step from a knot under a held control u (3,), m/s^2.
 
-    This robot's state and all forces at the knot, in `work`, are overwritten by those at the next.
-    Returns what all robots' controls cost in the step, the integral of ||u||, m/s; `INVALID` if the
-    step must not be flown.
+    This robot's state and all forces at the knot, in `work`, are overwritten by those at the next;
+    `acceleration` (3,) is working memory. Returns the cost of all robots' controls in the step, the
+    integral of ||u||, m/s, or `INVALID` if the step is invalid.
     """
     dt, speed, limit = scene.dt, scene.limits[0], scene.limits[1]
     cost = control_cost(scene, knot, control, work) * dt

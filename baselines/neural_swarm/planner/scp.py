@@ -1,15 +1,15 @@
 """Stage 2: sequential convex programming (Algorithm 1, lines 18 to 21).
 
-One robot after another, in random order, solves its convex program around the present motions of
-all. The paper says no more than that this converges. Here a step is taken only if the merit of the
-whole team, measured on the nonlinear model, falls; if it does not, that robot's trust region
-shrinks, and after success it grows again. So the merit falls monotonically, whatever the solver
-returns, and the best plan so far is always the present one. A robot has settled when its program
-promises next to nothing, or its trust region has become tiny; the refinement has converged when
-all have.
+Robots solve their convex programs around the present motions of all, one after another in random
+order. The paper only states that this converges. Here a step is accepted only if the merit of the
+whole team, evaluated with the nonlinear model, falls; otherwise that robot's trust region shrinks,
+and after success it grows again. So the merit falls monotonically, whatever the solver returns, and
+the present plan is always the best so far. A robot has settled when its program predicts hardly any
+improvement, or its trust region has become tiny. The refinement has converged when all have
+settled.
 
-Programs bound forces at knots and half way between. Where they peak elsewhere above a bound, that
-bound is lowered by as much, and the refinement continues.
+Programs bound forces at knots and halfway between. If forces exceed a bound elsewhere, that bound
+is lowered by the excess, and the refinement continues.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
+from swarm_envs.baselines.neural_swarm.planner import trajectories as paths
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     PenaltyWeights,
     ProgramSolution,
@@ -35,42 +35,42 @@ from swarm_envs.state import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class MeritTerms:
-    """The terms of the merit: the effort of a team, and by how much it misses goals and bounds."""
+    """The terms of the merit: a team's effort, its errors at goals and its excess over bounds."""
 
     effort: FloatArray  # (N,) sum of ||u||^2, m^2/s^4
-    goal: FloatArray  # (N,) largest component by which the goal state is missed, m or m/s
+    goal: FloatArray  # (N,) largest component of the error at the goal state, m or m/s
     state: FloatArray  # (N,) largest excess over the box, m or m/s, or over the own force bound, 1
-    apart: FloatArray  # (N, N) clearance that each pair lacks, summed over steps, m
+    apart: FloatArray  # (N, N) missing clearance of each pair, summed over steps, m
     force: FloatArray
     """(N,) excess of each step's peak over the force bound, in its units, summed over steps."""
     control: FloatArray  # (N,) excess over the control bound, summed over knots and axes, m/s^2
 
     def team(self, weights: PenaltyWeights) -> float:
-        """The merit of all: what the whole refinement decreases."""
+        """Return the merit of the team, which the refinement decreases."""
         pairs = self.apart.sum() / 2.0
         soft = pairs + self.force.sum() + self.control.sum()
         hard = weights.goal * self.goal.sum() + weights.state * self.state.sum()
         return float(self.effort.sum() + hard + weights.neighbor * soft)
 
     def robot(self, i: int, weights: PenaltyWeights) -> float:
-        """The part of the merit that robot i's program sees."""
+        """Return the part of the merit that is in robot i's program."""
         others = self.apart[i].sum() + self.force.sum() - self.force[i]
         hard = weights.goal * self.goal[i] + weights.state * self.state[i]
         return float(self.effort[i] + hard + weights.neighbor * others)
 
 
 def merit_terms(
-    problem: PlanningProblem, motions: ways.Trajectories, force_bounds: FloatArray
+    problem: PlanningProblem, motions: paths.Trajectories, force_bounds: FloatArray
 ) -> MeritTerms:
-    """Evaluate motions that fit their controls and forces; `force_bounds` (N,), N, may be lower."""
+    """Return the terms of consistent motions under force bounds (N,), N, which may be tightened."""
     bounds, axes = problem.bounds, list(problem.axes)
     position, velocity = motions.position[1:][..., axes], motions.velocity[1:][..., axes]
     controls = motions.controls[..., axes]
     low, high = np.array(bounds.lower)[axes], np.array(bounds.upper)[axes]
     outside = np.maximum(position - high, low - position).max(axis=(0, 2))
     fast = np.abs(velocity).max(axis=(0, 2)) - bounds.speed
-    strong = _force_excess(problem, motions, ways.BOUNDED_FRACTIONS, force_bounds).max(axis=0)
-    lacking = bounds.clearances(problem.team) - ways.pairwise_approach(motions).distance
+    strong = _force_excess(problem, motions, paths.BOUNDED_FRACTIONS, force_bounds).max(axis=0)
+    lacking = bounds.clearances(problem.team) - paths.pairwise_approach(motions).distance
     end = np.concatenate([position[-1] - problem.goals[:, axes], velocity[-1]], axis=-1)
     return MeritTerms(
         effort=(controls**2).sum(axis=(0, 2)),
@@ -83,10 +83,10 @@ def merit_terms(
 
 
 def _force_excess(
-    problem: PlanningProblem, motions: ways.Trajectories, fractions: FloatArray, bounds: FloatArray
+    problem: PlanningProblem, motions: paths.Trajectories, fractions: FloatArray, bounds: FloatArray
 ) -> FloatArray:
-    """Vertical force over its bound, less 1, at S fractions of each step: (S, T, N)."""
-    forces = ways.vertical_forces(problem, ways.states_within(motions, fractions))
+    """Return (S, T, N) the vertical force over its bound, less 1, at S fractions of each step."""
+    forces = paths.vertical_forces(problem, paths.states_within(motions, fractions))
     return np.asarray(np.abs(forces) / bounds - 1.0)
 
 
@@ -95,35 +95,35 @@ _NEARLY = 5e-3  # Share of a force bound by which it may be exceeded between kno
 
 @dataclass(frozen=True)
 class RefinementOptions:
-    """How stage 2 searches."""
+    """The options of stage 2."""
 
     max_sweeps: int = 80
-    """How often all robots are planned, at most."""
+    """The most sweeps, in each of which all robots are planned once."""
     trust_position: float = 0.3
-    """b_x of positions to begin with, and at most, m."""
+    """The initial and largest b_x of positions, m."""
     trust_speed: float = 1.0
-    """b_x of velocities, m/s."""
+    """The initial and largest b_x of velocities, m/s."""
     trust_control: float = 5.0
-    """b_u, m/s^2."""
+    """The initial and largest b_u, m/s^2."""
     grow: float = 1.5
-    """By how much a trust region grows after a step that was taken."""
+    """The factor by which a trust region grows after an accepted step."""
     shrink: float = 0.4
-    """By how much it shrinks after one that was not."""
+    """The factor by which it shrinks after a rejected step."""
     least_trust: float = 2e-3
-    """Share of the trust region at which a robot has settled."""
+    """The share of the trust region at which a robot has settled."""
     max_tightenings: int = 4
-    """How often force bounds are lowered because forces exceed them between knots."""
+    """The most times that force bounds are lowered because forces exceed them between knots."""
     renewed_trust: float = 0.2
-    """Share of the trust region that robots have at least after that."""
+    """The least share of the trust region after that."""
     tolerance: float = 2e-4
-    """Share of the merit that a step must promise, else the robot has settled."""
+    """The share of the merit below which a predicted improvement is negligible."""
     weights: PenaltyWeights = PenaltyWeights()
-    """Of goals and bounds."""
+    """The weights of goals and bounds."""
     solver: SolverSettings = SolverSettings()
-    """Of each program."""
+    """The settings of each program's solver."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         check_type("weights", self.weights, PenaltyWeights)
         check_type("solver", self.solver, SolverSettings)
         for name in ("max_sweeps", "max_tightenings"):
@@ -139,24 +139,22 @@ class RefinementOptions:
             "tolerance",
         ):
             check_number(name, getattr(self, name), at_least=0.0)
-        check_type("weights", self.weights, PenaltyWeights)
-        check_type("solver", self.solver, SolverSettings)
 
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One robot's program: what was asked, what came of it. Files of plans keep these names."""
+    """The record of one robot's program. Files of plans use these names."""
 
-    sweep: int  # Which time all robots are planned, from 0
+    sweep: int  # Index of the sweep over all robots
     robot: int  # Index of the robot
     status: str  # The solver's status
     iterations: int  # The solver's iterations
     step_ms: float  # Time for derivatives, program and solution, ms
     trust: float  # Share of the trust region that was allowed
-    promised: float  # Predicted reduction of the merit, by the linearised program
+    promised: float  # Reduction of the merit predicted by the linearized program
     gained: float
-    """Actual reduction of the team's merit on the nonlinear model; negative: an increase."""
-    taken: bool  # Whether the step was accepted
+    """Actual reduction of the team's merit with the nonlinear model; negative for an increase."""
+    taken: bool  # True if the step was accepted
     merit: float  # The team's merit afterwards
 
 
@@ -164,18 +162,18 @@ class StepRecord:
 class RefinementResult:
     """The result of stage 2."""
 
-    trajectories: ways.Trajectories  # The best motions found
+    trajectories: paths.Trajectories  # The best motions found
     history: tuple[StepRecord, ...]  # Every program, in order
-    converged: bool  # Whether all robots have settled: not yet that the plan keeps its bounds
-    out_of_time: bool  # Whether it ended at the deadline
-    reason: str  # Why it ended, in words
+    converged: bool  # True if all robots have settled, even if the plan exceeds bounds
+    out_of_time: bool  # True if it ended at the deadline
+    reason: str  # The reason for its end
 
 
 class _Refiner:
     """The state of one refinement."""
 
     def __init__(
-        self, problem: PlanningProblem, motions: ways.Trajectories, options: RefinementOptions
+        self, problem: PlanningProblem, motions: paths.Trajectories, options: RefinementOptions
     ) -> None:
         team = len(problem.team)
         self.problem, self.motions, self.options = problem, motions, options
@@ -187,14 +185,14 @@ class _Refiner:
         self.evaluate()
 
     def evaluate(self) -> None:
-        """The merit of the present motions under the present force bounds."""
+        """Update the merit of the present motions under the present force bounds."""
         self.terms = merit_terms(self.problem, self.motions, self.force_bounds)
         self.merit = self.terms.team(self.options.weights)
 
     def tighten(self) -> bool:
-        """Lower the bounds of forces that are exceeded between knots; says whether any was."""
+        """Lower the force bounds that are exceeded between knots; return True if any was."""
         bounds = self.problem.bounds.force_bounds(self.problem.team)
-        peak = _force_excess(self.problem, self.motions, ways.CHECKED_FRACTIONS, bounds).max(
+        peak = _force_excess(self.problem, self.motions, paths.CHECKED_FRACTIONS, bounds).max(
             axis=(0, 1)
         )
         excess = 1.0 + np.maximum(peak, 0.0)
@@ -208,7 +206,7 @@ class _Refiner:
         return True
 
     def step(self, sweep: int, robot: int) -> None:
-        """Solve one robot's program, and take the step if the team gains by it."""
+        """Solve one robot's program, and take the step if it reduces the team's merit."""
         began, options, trust = time.perf_counter(), self.options, float(self.trust[robot])
         convex = convexify(
             self.problem,
@@ -228,10 +226,10 @@ class _Refiner:
         tiny = trust * options.shrink < options.least_trust
         self.settled[robot] = solution.usable and (promised < little or (not taken and tiny))
         if taken and gained > little:
-            self.settled[:] = False  # others may gain by it now
+            self.settled[:] = False  # Others may now be able to improve
         change = options.grow if taken else options.shrink
         if not solution.usable:
-            change = options.grow  # the trust region was too small to hold a solution
+            change = options.grow  # The trust region was too small to contain a solution
         self.trust[robot] = min(1.0, max(trust * change, options.least_trust))
         self.history.append(
             StepRecord(
@@ -249,7 +247,7 @@ class _Refiner:
         )
 
     def _try(self, robot: int, solution: ProgramSolution) -> float:
-        """Take the step if the team's merit falls; returns by how much it falls or would."""
+        """Take the step if the team's merit falls; return the reduction, negative if it rises."""
         if not solution.usable:
             return 0.0
         velocity = solution.states[:, len(self.problem.axes) :]
@@ -264,7 +262,7 @@ class _Refiner:
 
 def refine(
     problem: PlanningProblem,
-    initial: ways.Trajectories,
+    initial: paths.Trajectories,
     rng: np.random.Generator,
     options: RefinementOptions | None = None,
     deadline: float = float("inf"),
@@ -272,7 +270,7 @@ def refine(
 ) -> RefinementResult:
     """Refine motions until no robot can improve the team's plan, or the deadline has passed.
 
-    The initial ones begin at the starts, and may miss goals and break bounds; `watch` is called
+    The initial motions begin at the starts, and may miss goals and exceed bounds. `watch` is called
     after every program.
     """
     state = _Refiner(problem, initial, options or RefinementOptions())
@@ -289,22 +287,22 @@ def refine(
             break
     converged = bool(state.settled.all())
     if converged:
-        reason = "no robot's program promises an improvement any more"
+        reason = "no robot's program predicts a further improvement"
     elif out_of_time:
         reason = "the time limit was reached"
     else:
-        reason = f"the merit still fell after {state.options.max_sweeps} sweeps"
+        reason = f"not converged after {state.options.max_sweeps} sweeps"
     return RefinementResult(state.motions, tuple(state.history), converged, out_of_time, reason)
 
 
 def with_velocity(
-    problem: PlanningProblem, motions: ways.Trajectories, robot: int, velocity: FloatArray
-) -> ways.Trajectories:
-    """The motions with one robot flying at other velocities (T + 1, D)."""
+    problem: PlanningProblem, motions: paths.Trajectories, robot: int, velocity: FloatArray
+) -> paths.Trajectories:
+    """Return the motions with other velocities (T + 1, D) of one robot."""
     states = motions.states.copy()
     new = np.zeros((len(velocity), 3))
     new[:, list(problem.axes)] = velocity
     new[0] = states[0, robot, 3:]
     states[:, robot, 3:] = new
-    states[1:, robot, :3] = ways.integrate_velocity(states[0, robot, :3], new, motions.dt)[1:]
-    return ways.trajectories_through(problem, states)
+    states[1:, robot, :3] = paths.integrate_velocity(states[0, robot, :3], new, motions.dt)[1:]
+    return paths.trajectories_through(problem, states)

@@ -1,7 +1,7 @@
-"""The search tree of AO-RRT: edges of constant control, kept if valid and cheap enough.
+"""The search tree of AO-RRT: edges of constant control, added if valid and cheap enough.
 
 `grow_tree` is the inner loop of stage 1 (Algorithm 1, lines 4 to 15). A node is a state with its
-time and its cost; a new edge holds a random control, or steers towards a sampled position, or to
+time and its cost. A new edge holds a random control, or steers towards a sampled position or to
 rest at the goal.
 """
 
@@ -26,47 +26,45 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray, IntArray
 
 NONE = -1  # No node
-DIMENSIONS = 8  # Of the space in which neighbours are sought: position, velocity, time, cost
+DIMENSIONS = 8  # Dimensions of the space of nearest nodes: position, velocity, time, cost
 METRIC = (1.0, 0.3, 2.0, 1.0)
-"""Weights of the distance between nodes: of a metre, of a m/s, of the whole horizon, and of the
-cost of the direct flight. The force f_a follows from position, velocity and time, so its weight is
-none."""
-_PULL, _DAMP = 4.0, 4.0  # critically damped, settles within two seconds
-CANDIDATES = 5  # Random nodes among which the most promising is taken
+"""Weights of the distance between nodes, per m, m/s, horizon, and cost of the direct flight. The
+force f_a follows from position, velocity and time, so it has no weight."""
+_PULL, _DAMP = 4.0, 4.0  # Critically damped; settles within two seconds
+CANDIDATES = 5  # Random nodes of which the most promising is chosen
 SPREAD, SPEED_SPREAD = 0.6, 0.8
 """Largest standard deviations of samples about the guide, m and m/s; most are far closer."""
 LONGEST_LEG = 10  # Edges in the longest motion towards a sample that lies in the past
 
 
 class Chances(NamedTuple):
-    """Probabilities of what the search does in an iteration."""
+    """The probabilities of the choices in an iteration of the search."""
 
-    goal: float = 0.5  # To try a flight from a new node straight to the goal
-    action: float = 0.3  # To hold a random action for one edge; else towards the sample's position
-    promising: float = 0.4
-    """To start from the most promising of a few random nodes; else from the nearest to a sample."""
-    guided: float = 0.7  # To sample near the guide; else uniformly
-    biased: float = 0.0  # To take the goal as the sample, at a random time: goal biasing
+    goal: float = 0.5  # A new node is connected straight to the goal
+    action: float = 0.3  # A random action is held for one edge; else it steers to the sample
+    promising: float = 0.4  # The best of a few random nodes grows; else the nearest to the sample
+    guided: float = 0.7  # The sample is near the guide; else uniform
+    biased: float = 0.0  # The sample is the goal, at a random time (goal biasing)
 
 
 class SearchTree(NamedTuple):
-    """Nodes of a search tree; the arrays are the storage, written in place."""
+    """The nodes of a search tree; the arrays are storage, written in place."""
 
     state: FloatArray  # (capacity, 6) position (m) and velocity (m/s)
     force: FloatArray  # (capacity, N, 3) forces on the n robots of the scene, N
-    control: FloatArray  # (capacity, 3) u on the edge that leads here, m/s^2
-    cost: FloatArray  # (capacity,) integral of ||u|| of all robots up to here, m/s
+    control: FloatArray  # (capacity, 3) u on the edge to the node, m/s^2
+    cost: FloatArray  # (capacity,) integral of ||u|| of all robots up to the node, m/s
     knot: IntArray  # (capacity,) time in steps
-    parent: IntArray  # (capacity,) the node before; -1 of the root
+    parent: IntArray  # (capacity,) the previous node; -1 for the root
     places: FloatArray  # (capacity, DIMENSIONS) the nodes in the space of `METRIC`
-    used: IntArray  # (1,) nodes in use
+    used: IntArray  # (1,) number of nodes in use
     point: FloatArray  # (DIMENSIONS,) working memory
     scale: FloatArray  # (4,) metric weights by unit, set for each search
     vector: FloatArray  # (5, 3) working memory
 
 
 def empty_tree(capacity: int, robots: int) -> SearchTree:
-    """Storage for trees of so many nodes, of scenes with at most so many robots."""
+    """Return storage for trees of `capacity` nodes, for scenes with at most `robots` robots."""
     return SearchTree(
         state=np.zeros((capacity, 6)),
         force=np.zeros((capacity, robots, 3)),
@@ -96,7 +94,7 @@ def write_point(tree: SearchTree, state: FloatArray, knot: float, cost: float) -
 def add_node(
     tree: SearchTree, parent: int, control: FloatArray, knot: int, cost: float, work: WorkingState
 ) -> int:
-    """Add what the working memory holds as a node; return its index, or NONE without room."""
+    """Add the state in the working memory as a node; return its index, or NONE without room."""
     node = tree.used[0]
     if node == tree.cost.shape[0]:
         return NONE
@@ -114,7 +112,7 @@ def add_node(
 
 @part
 def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
-    """Copy the first rows (n, 3) of an array into another; by slices, it would make a third."""
+    """Copy the first rows (n, 3) of an array into another; slices would allocate a third."""
     for j in range(robots):
         for k in range(3):
             target[j, k] = source[j, k]
@@ -122,7 +120,7 @@ def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
 
 @part
 def load_node(tree: SearchTree, node: int, work: WorkingState) -> None:
-    """Put a node's state and forces into the working memory."""
+    """Load a node's state and forces into the working memory."""
     for k in range(3):
         work.position[0, k], work.velocity[0, k] = tree.state[node, k], tree.state[node, 3 + k]
     copy_forces(tree.force[node], work.force, len(work.force))
@@ -137,7 +135,7 @@ def write_state(work: WorkingState, out: FloatArray) -> None:
 
 @part
 def plant_root(scene: Scene, tree: SearchTree, work: WorkingState) -> float:
-    """Start a tree at the scene's start; return the cost of the direct flight, all robots', m/s."""
+    """Start a tree at the scene's start; return all robots' cost of the direct flight, m/s."""
     direct = tree.vector[0]
     for k in range(3):
         work.position[0, k], work.velocity[0, k] = scene.start[k], 0.0
@@ -156,14 +154,14 @@ def plant_root(scene: Scene, tree: SearchTree, work: WorkingState) -> float:
 
 @part
 def estimate_cost(scene: Scene, tree: SearchTree, node: int) -> float:
-    """Cost of the whole flight through a node if nothing but drag acted on from there, m/s."""
+    """Return the cost of the whole flight through a node if only drag acted from there on, m/s."""
     knot, last = tree.knot[node], scene.position.shape[0] - 1
     total = tree.cost[node] + scene.cost_left[knot]
     if knot < last:
-        way = tree.vector[0]
+        offset = tree.vector[0]
         for k in range(3):
-            way[k] = scene.goal[k] - tree.state[node, k]
-        total += impulse_cost(scene.table, last - knot, way, tree.state[node, 3:])
+            offset[k] = scene.goal[k] - tree.state[node, k]
+        total += impulse_cost(scene.table, last - knot, offset, tree.state[node, 3:])
     return total
 
 
@@ -171,7 +169,7 @@ def estimate_cost(scene: Scene, tree: SearchTree, node: int) -> float:
 def extend(
     scene: Scene, tree: SearchTree, node: int, control: FloatArray, bound: float, work: WorkingState
 ) -> int:
-    """Add an edge of constant control; return the new node, NONE if it is invalid or too dear."""
+    """Add an edge of constant control; return the new node, or NONE if invalid or too costly."""
     knot, cost = tree.knot[node], tree.cost[node]
     if knot + scene.edge > scene.position.shape[0] - 1:
         return NONE
@@ -189,7 +187,7 @@ def extend(
 
 @part
 def subtract_drift(scene: Scene, tree: SearchTree, node: int, control: FloatArray) -> bool:
-    """Subtract from a control what acts on a node besides drag; whether it is within limits."""
+    """Subtract forces other than drag from a control; return True if it is within limits."""
     for k in range(3):
         drift = tree.force[node, 0, k] / scene.mass[0] + scene.drag[k] * tree.state[node, 3 + k]
         control[k] = scene.free[k] * (control[k] - drift)
@@ -208,15 +206,15 @@ def steer_towards(
     bound: float,
     work: WorkingState,
 ) -> int:
-    """Add edges from a node towards a place (3,), there after so many edges; return the last."""
-    control, way = tree.vector[2], tree.vector[3]
+    """Steer from a node to a position (3,) by a number of edges; return the last node added."""
+    control, offset = tree.vector[2], tree.vector[3]
     last = node
-    # The way is found anew at each edge: forces have moved the robot off the one before.
+    # The burst is recomputed at each edge, as forces move the robot off the predicted path.
     for left in range(edges, 0, -1):
         for k in range(3):
-            way[k] = place[k] - tree.state[last, k]
+            offset[k] = place[k] - tree.state[last, k]
         speed = tree.state[last, 3:]
-        found = reach_burst(scene.table, scene.edge, left, scene.limits[1], way, speed, control)
+        found = reach_burst(scene.table, scene.edge, left, scene.limits[1], offset, speed, control)
         if not (found and subtract_drift(scene, tree, last, control)):
             break
         new = extend(scene, tree, last, control, bound, work)
@@ -230,17 +228,19 @@ def steer_towards(
 def steer_to_goal(
     scene: Scene, tree: SearchTree, node: int, edges: int, bound: float, work: WorkingState
 ) -> int:
-    """Add edges from a node to rest at the goal after so many; NONE if that is impossible."""
-    control, way = tree.vector[2], tree.vector[3]
+    """Steer from a node to rest at the goal by a number of edges; return the last node, or NONE."""
+    control, offset = tree.vector[2], tree.vector[3]
     last, table, limit = node, scene.table, scene.limits[1]
     for left in range(edges, 0, -1):
         speed = tree.state[last, 3:]
         for k in range(3):
-            way[k] = scene.goal[k] - tree.state[last, k]
+            offset[k] = scene.goal[k] - tree.state[last, k]
             control[k] = -speed[k] / (scene.dt * scene.edge) + scene.drag[k] * speed[k]
-        cost = rest_bursts(table, scene.edge, left, limit, way, speed, control) if left > 1 else 0.0
+        cost = (
+            rest_bursts(table, scene.edge, left, limit, offset, speed, control) if left > 1 else 0.0
+        )
         ahead = tree.cost[last] + cost * scene.dt + scene.cost_left[tree.knot[last]]
-        # At later edges the estimate has been passed once; forces alone make it worse then.
+        # The estimate is compared with the bound once; later, only forces increase it.
         if (left == edges and ahead >= bound) or not subtract_drift(scene, tree, last, control):
             return NONE
         if cost == np.inf:
@@ -253,7 +253,7 @@ def steer_to_goal(
 
 @part
 def at_goal(scene: Scene, tree: SearchTree, node: int) -> bool:
-    """Whether a node is within epsilon of the goal, in position and in velocity."""
+    """Return True if a node is within epsilon of the goal, in position and in velocity."""
     place, speed = 0.0, 0.0
     for k in range(3):
         place += (tree.state[node, k] - scene.goal[k]) ** 2
@@ -263,11 +263,11 @@ def at_goal(scene: Scene, tree: SearchTree, node: int) -> bool:
 
 @part
 def rest_control(scene: Scene, work: WorkingState, control: FloatArray) -> None:
-    """The control after arrival: towards the goal by virtual tracking."""
+    """Write the control after arrival, towards the goal by virtual tracking."""
     for k in range(3):
         error, speed = work.position[0, k] - scene.goal[k], work.velocity[0, k]
-        wanted = -_PULL * error - _DAMP * speed
-        control[k] = scene.free[k] * (wanted - work.force[0, k] / scene.mass[0])
+        desired = -_PULL * error - _DAMP * speed
+        control[k] = scene.free[k] * (desired - work.force[0, k] / scene.mass[0])
 
 
 @part
@@ -277,10 +277,8 @@ def hold_at_goal(
     """Stay at the goal from a node to the last knot, while the others fly on: PostProcess.
 
     Line 17 of Algorithm 1 (Sec. V-A) tracks the goal virtually after the search; here each tree
-    does.
-
-    Writes `states` (K + 1, 6) from the node's knot on; returns the cost of the whole flight, all
-    robots', m/s, or `INVALID` if it must not be flown or reaches the bound.
+    does so. Writes `states` (K + 1, 6) from the node's knot on. Returns all robots' cost of the
+    whole flight, m/s, or `INVALID` if it is invalid or reaches the bound.
     """
     control, cost = tree.vector[2], tree.cost[node]
     load_node(tree, node, work)
@@ -300,7 +298,7 @@ def hold_at_goal(
 def sample_state(
     scene: Scene, bound: float, chances: Chances, rng: np.random.Generator, out: FloatArray
 ) -> tuple[int, float]:
-    """Draw a state (6,) into `out`, and a time and a cost, from the state-cost space."""
+    """Write a random state (6,) into `out`; return a random time and cost."""
     last = scene.position.shape[0] - 1
     knot = rng.integers(1, last + 1)
     # Cubed, so that most guided samples lie close to the guide and a few far off.
@@ -322,7 +320,7 @@ def sample_state(
 
 @part
 def nearest_node(tree: SearchTree) -> int:
-    """The node nearest to `tree.point`; all are looked at, as they are few and side by side."""
+    """Return the node nearest to `tree.point`, by linear search, as there are few."""
     best, found = np.inf, NONE
     for node in range(tree.used[0]):
         square = 0.0
@@ -343,7 +341,7 @@ def select_node(
     chances: Chances,
     rng: np.random.Generator,
 ) -> int:
-    """The node to grow from: the nearest to a sample, or a promising one."""
+    """Return the node to grow from: the nearest to a sample, or a promising one."""
     if rng.random() >= chances.promising:
         write_point(tree, state, knot, cost)
         return nearest_node(tree)
@@ -367,7 +365,7 @@ def iterate_once(
     rng: np.random.Generator,
     state: FloatArray,
 ) -> int:
-    """One iteration (lines 6 to 11): sample, choose, act; return the new node, or NONE."""
+    """Run one iteration (lines 6 to 11): sample, choose, act; return the new node, or NONE."""
     knot, cost = sample_state(scene, worth, chances, rng, state)
     node = select_node(scene, tree, state, knot, cost, chances, rng)
     left = (scene.position.shape[0] - 1 - tree.knot[node]) // scene.edge
@@ -392,7 +390,7 @@ def iterate_once(
 def write_path(
     scene: Scene, tree: SearchTree, node: int, work: WorkingState, states: FloatArray
 ) -> None:
-    """Write the states (K + 1, 6) up to a node's knot, flying each edge on its path once more."""
+    """Write the states (K + 1, 6) up to a node's knot, propagating each edge of its path again."""
     while tree.parent[node] != NONE:
         parent = tree.parent[node]
         load_node(tree, parent, work)
@@ -415,16 +413,16 @@ def grow_tree(
 ) -> tuple[float, int, int]:
     """Grow a tree until a flight to the goal is found that costs less than a bound.
 
-    The bound c, m/s, is on the cost of all robots together. `tree` is overwritten, and `states`
-    (K + 1, 6) with the flight: position (m) and velocity (m/s). Returns the cost of the flight,
-    `INVALID` if none was found; iterations used; nodes in the tree.
+    The bound c, m/s, is on the cost of all robots together. `tree` is overwritten; `states`
+    (K + 1, 6) becomes the flight's positions (m) and velocities (m/s). Returns the cost of the
+    flight, or `INVALID` if none was found, the iterations used, and the number of nodes.
     """
     direct = plant_root(scene, tree, work)
     drawn = np.zeros(6)
     if not forces_allowed(scene, 0, work):
         return INVALID, 0, 1
     for iteration in range(iterations):
-        # A path to the goal may take so many nodes: it is not to end half way for want of room.
+        # Leaves room for the nodes of a whole path to the goal.
         if tree.used[0] >= tree.cost.shape[0] - states.shape[0]:
             return INVALID, iteration, tree.used[0]
         new = 0

@@ -1,4 +1,4 @@
-"""Verification: a plan's controls flown forward on the nonlinear model, and what it must keep."""
+"""Verification of a plan, whose controls are simulated with the nonlinear model."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner import trajectories as ways
+from swarm_envs.baselines.neural_swarm.planner import trajectories as paths
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
@@ -14,22 +14,22 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """What came of flying a plan's controls forward under the planner's model of the forces."""
+    """The result of simulating a plan's controls with the planner's model of the forces."""
 
     goal_error_m: float  # Largest distance of a robot from its goal at the end, m
     goal_speed: float  # Largest speed of a robot at the end, m/s
     worst_force_g: dict[str, float]
-    """Largest vertical force |f_a,z| by vehicle token, grams, knots and between."""
+    """Largest vertical force |f_a,z| by vehicle token, at knots and between, grams."""
     force_ratio: float  # Largest vertical force over its bound
     clearance_ratio: float
-    """Smallest distance of a pair over the clearance to keep; 1 or more is good."""
+    """Smallest distance of a pair over its required clearance; should be 1 or more."""
     distance_ratio: float
     """Smallest distance of a pair over the sum of the radii; below 1 they collide."""
     box_excess: float  # Largest excess over the box, m, the speed, m/s, or the control bound, m/s^2
-    defect: float  # Largest difference between the plan and its flight forward, m and m/s
+    defect: float  # Largest difference between the plan and its simulation, m and m/s
 
     def shortcomings(self) -> tuple[str, ...]:
-        """What of the plan is not good, in words; empty if all is."""
+        """Return the requirements that the plan does not meet, as phrases."""
         kept = {
             f"a goal is missed by {self.goal_error_m:.3g} m": self.goal_error_m <= 0.01,
             f"a robot still flies {self.goal_speed:.3g} m/s": self.goal_speed <= 0.02,
@@ -43,34 +43,34 @@ class PlanCheck:
         return tuple(words for words, good in kept.items() if not good)
 
 
-def roll_out(problem: PlanningProblem, motions: ways.Trajectories) -> FloatArray:
-    """States (T + 1, N, 6) that controls lead to from the starts, by A x + B (u + f_a / m)."""
+def roll_out(problem: PlanningProblem, motions: paths.Trajectories) -> FloatArray:
+    """Return states (T + 1, N, 6) under the controls from the starts, by A x + B (u + f_a / m)."""
     dt, identity = motions.dt, np.eye(3)
     a = np.block([[identity, dt * identity], [np.zeros((3, 3)), identity]])
     b = np.vstack([0.5 * dt * dt * identity, dt * identity])
     states = np.empty_like(motions.states)
     states[0] = motions.states[0]
     for k, control in enumerate(motions.controls):
-        (force,) = ways.predict_forces(problem.model, problem.team, states[k, None])
+        (force,) = paths.predict_forces(problem.model, problem.team, states[k, None])
         acceleration = control + force / problem.masses[:, None]
         states[k + 1] = states[k] @ a.T + acceleration @ b.T
     return states
 
 
-def check_plan(problem: PlanningProblem, motions: ways.Trajectories) -> PlanCheck:
-    """Fly a plan's controls forward on the nonlinear model, and measure everything it must keep."""
+def check_plan(problem: PlanningProblem, motions: paths.Trajectories) -> PlanCheck:
+    """Simulate a plan's controls with the nonlinear model, and evaluate all requirements."""
     flown = roll_out(problem, motions)
-    within = ways.states_within(motions, ways.CHECKED_FRACTIONS)
-    force = np.abs(ways.vertical_forces(problem, within)).max(axis=(0, 1))
+    within = paths.states_within(motions, paths.CHECKED_FRACTIONS)
+    force = np.abs(paths.vertical_forces(problem, within)).max(axis=(0, 1))
     ratio = force / problem.bounds.force_bounds(problem.team)
     tokens = [vehicle.token for vehicle in problem.team]
     worst = {
         token: max(float(f) for f, t in zip(force, tokens) if t == token) / GRAM_FORCE
         for token in dict.fromkeys(tokens)
     }
-    bounds, distance = problem.bounds, ways.pairwise_approach(motions).distance.min(axis=0)
+    bounds, distance = problem.bounds, paths.pairwise_approach(motions).distance.min(axis=0)
     keep, pairs = bounds.clearances(problem.team), ~np.eye(len(problem.team), dtype=np.bool_)
-    clearance = float((distance[pairs] / keep[pairs]).min(initial=np.inf))  # infinite if alone
+    clearance = float((distance[pairs] / keep[pairs]).min(initial=np.inf))  # Infinite if alone
     excesses = (
         motions.position - np.array(bounds.upper),
         np.array(bounds.lower) - motions.position,

@@ -1,1 +1,1 @@
-"""From paths on a grid to flight: splines, how close they come, corridors."""
+"""Flights along paths on a grid: splines, clearances, and smoothing in corridors."""

@@ -1,8 +1,8 @@
-"""Clearances: the least distance of robots on splines of a grid, and that within a flight.
+"""Clearances: the least distance of robots on splines of any valid plan, and that of a flight.
 
-Two robots on valid paths never stand on one vertex and never exchange two. Within a step their
-distance is a spline of four differences of vertices. There are finitely many such windows near
-zero: the least distance over all of them holds for any plan, of any number of robots.
+Two robots on valid paths are never on the same vertex and never swap. Within a step their offset is
+a spline of four differences of vertices. There are finitely many such windows near zero, so the
+least distance over all of them holds for any plan of any number of robots.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ __all__ = ["smallest_distance"]
 
 _SAMPLES = 64
 _CURVATURE = 4.0
-"""Bounds the second derivative of a difference by the step's share: second differences of relative
-positions, of two robots that each turn back, are at most this many spacings long."""
+"""The bound of the second derivative of a difference by the fraction of a step: the longest second
+difference of two robots' relative positions, when both turn back, in spacings."""
 
 
 @cache
 def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
-    """Return the least distance of robots on any valid plan's splines, by the spacing along x.
+    """Return the least distance of robots on any valid plan's splines, over the spacing along x.
 
     Args:
-        stretch: spacing by axis over that along x, in the metric in which distances count: for a
-            scaled distance, with heights divided by Theta, what remains after the division.
+        stretch: The spacing by axis over that along x; for a scaled distance, after the division of
+            heights by Theta.
 
     Returns:
         A lower bound: 0.647 on a cubic lattice, where straight motion has 1 / sqrt(2).
 
     Raises:
-        ValueError: a stretch is not positive and finite.
+        ValueError: A stretch is not positive and finite.
     """
     if not all(0.0 < s < math.inf for s in stretch):
         raise ValueError(f"stretch is {stretch}, but must be positive and finite")
-    # By how much the difference of two robots may change in a step.
+    # All changes of the difference of two robots in a step.
     moves = np.unique((MOVES[:, None] - MOVES).reshape(-1, 3), axis=0).astype(np.float64)
     time = np.linspace(0.0, 1.0, _SAMPLES + 1)
     weights = np.vander(time, 4, increasing=True) @ BASIS
@@ -52,7 +52,7 @@ def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> fl
 
 @kernel
 def _worst_square(moves: FloatArray, stretch: FloatArray, weights: FloatArray) -> float:
-    """Return the least square of the stretched distance over windows of small inner differences."""
+    """Return the least squared stretched distance over windows of small inner differences."""
     least = np.inf
     d = np.zeros((4, 3))
     for cell in range(125):
@@ -76,7 +76,7 @@ def _worst_square(moves: FloatArray, stretch: FloatArray, weights: FloatArray) -
 
 @kernel
 def _apart(difference: FloatArray) -> bool:
-    """Return True if it is not zero: as a difference, one vertex; as a sum of two, an exchange."""
+    """Return True if not zero: a zero difference is a shared vertex, a zero sum of two a swap."""
     return bool(difference[0] != 0.0 or difference[1] != 0.0 or difference[2] != 0.0)
 
 
@@ -97,7 +97,7 @@ def _least_square(d: FloatArray, stretch: FloatArray, weights: FloatArray) -> fl
 def smallest_distance(
     flight: SplineFlight, scaling: tuple[float, float, float], samples: int = 8
 ) -> float:
-    """Return the smallest scaled distance of robots of a flight, at samples of each step, m."""
+    """Return the least scaled distance of a flight's robots, at samples of each step, m."""
     from scipy.spatial import cKDTree
 
     if flight.num_robots < 2:

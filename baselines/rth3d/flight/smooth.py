@@ -1,17 +1,17 @@
 """Smoother flights of up to about a thousand robots: corridors and quadratic programs.
 
-After Hoenig et al. 2018, whose corridors are separating planes: each robot's control points are
-moved to lower acceleration and jerk within planes that move half way between it and the others, and
-all robots at once, for the planes are shared. The flight before is a solution of every program, so
-no round makes it less safe; a robot whose program fails keeps its way.
+As in Hoenig et al. 2018, corridors are bounded by separating planes: each robot's control points
+are moved to lower acceleration and jerk within planes halfway between it and the others. All robots
+move at once, as pairs share their planes. The present flight is feasible for every program, so no
+round makes it less safe; a robot whose program fails keeps its path.
 
 A step of a spline lies in the hull of its four Bezier points, and so does the difference of two: if
 all four Bezier differences lie beyond a plane at distance d from the origin, the robots keep d.
 
-With the free control points X and the Hessian H = L L', a robot's cost is |L' X - Y|^2 / 2, the
-same for every robot and round: one factorisation serves all. Of the thousands of rows that planes
-and boxes put up, few are met. They are added as the solution breaks them, which is exact when none
-is broken.
+With the free control points X and the Hessian H = L L', a robot's cost is |L' X - Y|^2 / 2. H is
+the same for every robot and round, so it is factorized once. Few of the thousands of rows of planes
+and boxes are active. Rows are added when the solution breaks them; the result is exact when none is
+broken.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.
 
 
 class _Planes(NamedTuple):
-    """For each of P pairs of a robot and a step: normal . B_k >= offset_k, k = 0..3."""
+    """Half-spaces normal . B_k >= offset_k, k = 0..3, for each of P pairs of a robot and a step."""
 
-    robot: IntArray  # (P,) who keeps it
-    step: IntArray  # (P,) in which step
+    robot: IntArray  # (P,) the robot to which it applies
+    step: IntArray  # (P,) the step in which it applies
     normal: FloatArray  # (P, 3) of unit length in the scaled metric
     offset: FloatArray  # (P, 4) one for each Bezier point, m
 
@@ -64,19 +64,19 @@ def bezier_points(control: FloatArray) -> FloatArray:
 def planes_between(
     flight: SplineFlight, distance: float, scaling: FloatArray, travel: float
 ) -> _Planes:
-    """Return planes half way between robots that could meet, for both of each pair.
+    """Return planes halfway between robots that could come close, for both of each pair.
 
-    The flight as it is now satisfies every plane: pairs that are closer than `distance` keep what
-    they have. Who is farther off than control points may travel by axis, m, cannot meet.
+    The present flight satisfies every plane: pairs that are closer than `distance` keep their
+    distance. `travel` is the farthest that control points may move by axis, m.
     """
     points = bezier_points(flight.control) / scaling
     steps, first, second = _near_pairs(points, distance, travel / float(scaling.min()))
     a, b = points[steps, first], points[steps, second]
     normal, apart = _nearest_points(np.ascontiguousarray(a - b))
     world = normal / scaling
-    meet = (apart - distance) / 2 < travel * np.abs(world).sum(axis=1)
-    steps, first, second, a, b = (x[meet] for x in (steps, first, second, a, b))
-    normal, world, apart = normal[meet], world[meet], apart[meet]
+    near = (apart - distance) / 2 < travel * np.abs(world).sum(axis=1)
+    steps, first, second, a, b = (x[near] for x in (steps, first, second, a, b))
+    normal, world, apart = normal[near], world[near], apart[near]
     half = np.minimum(distance, apart)[:, None] / 2
     middle = np.einsum("px,pkx->pk", normal, (a + b) / 2)
     return _Planes(
@@ -90,7 +90,7 @@ def planes_between(
 def _near_pairs(
     points: FloatArray, distance: float, travel: float
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return steps and pairs of robots, first below second, that could come within a distance."""
+    """Return steps and pairs of robots (first < second) that could come within a distance."""
     middle = points.mean(axis=2)
     radius = np.linalg.norm(points - middle[:, :, None], axis=-1).max(axis=2)
     apart = distance + 2.0 * np.sqrt(3.0) * travel
@@ -107,9 +107,10 @@ def _near_pairs(
 def planes_to_boxes(
     flight: SplineFlight, boxes: FloatArray, distance: float, travel: float
 ) -> _Planes:
-    """Return the face of each near box (B, 2, 3) from which a robot is farthest, at a distance, m.
+    """Return planes at a distance, m, from the faces of near boxes (B, 2, 3).
 
-    Where a robot is closer now, it keeps what it has. `travel` as for `planes_between`.
+    The face of a box is that from which a robot is farthest. A robot that is closer keeps its
+    distance. `travel` is as for `planes_between`.
     """
     points = bezier_points(flight.control)
     nothing = np.empty(0, dtype=np.int64)
@@ -133,7 +134,7 @@ def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
     _nearest(hulls, nearest)
     apart = np.linalg.norm(nearest, axis=1)
     if (apart <= 1e-9).any():
-        raise ValueError("two robots of this flight touch: no plane separates them")
+        raise ValueError("no plane separates two robots of this flight; use one without contacts")
     return nearest / apart[:, None], apart
 
 
@@ -141,7 +142,7 @@ def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _nearest(hulls: FloatArray, out: FloatArray) -> None:
     """Write the point of each hull nearest to zero, by Gilbert's iteration with away steps.
 
-    Converged when no vertex is nearer along the direction, to 1e-10.
+    It has converged when no vertex is nearer along the direction, to 1e-10.
     """
     for p in range(len(hulls)):
         points = hulls[p]
@@ -171,10 +172,10 @@ def _nearest(hulls: FloatArray, out: FloatArray) -> None:
                 out[p, axis] += weight[k] * points[k, axis]
 
 
-FIXED = 3  # Control points at either end that stay: the robot rests there
-_TOLERANCE = 1e-6  # by which a row may be broken, m
-_AT_ONCE = 60  # broken rows that are added before the program is solved again
-_ROUNDS = 30  # how often rows are added; what is found by then is drawn towards the old way
+FIXED = 3  # The fixed control points at either end, where the robot rests
+_TOLERANCE = 1e-6  # The tolerance of rows, m
+_AT_ONCE = 60  # The most broken rows that are added before the program is solved again
+_ROUNDS = 30  # The most additions of rows, after which the solution is drawn towards the old path
 
 
 class _Smoothness(NamedTuple):
@@ -182,7 +183,7 @@ class _Smoothness(NamedTuple):
 
     pull: FloatArray  # (F, K) L' times the best free points, as a function of all control points
     inverse: FloatArray  # (F, F) inverse of L
-    # (4 S + F, F) by row, L^-1 times the weights of a Bezier point of a step, or of a point
+    # (4 S + F, F) by row, L^-1 times the weights of a Bezier point, or of a control point
     rows: FloatArray
 
 
@@ -205,9 +206,9 @@ def smoothness(count: int, jerk_weight: float) -> _Smoothness:
 
 
 class _Rows(NamedTuple):
-    """normal . point >= offset, for Bezier points and for the free control points themselves."""
+    """Rows normal . point >= offset, for Bezier points and for the free control points."""
 
-    point: IntArray  # (R,) which row of `_Smoothness.rows`
+    point: IntArray  # (R,) index of the point in `_Smoothness.rows`
     normal: FloatArray  # (R, 3)
     offset: FloatArray  # (R,) m
 
@@ -231,7 +232,7 @@ def _points(control: FloatArray) -> FloatArray:
 
 
 def _slack(rows: _Rows, control: FloatArray) -> FloatArray:
-    """Return by how much (R,) control points (K, 3) keep each row, m."""
+    """Return the slack (R,) of each row at control points (K, 3), m."""
     points = _points(control)[rows.point]
     return np.asarray(np.einsum("rx,rx->r", points, rows.normal) - rows.offset)
 
@@ -241,7 +242,7 @@ def improve(
 ) -> FloatArray:
     """Return better control points (K, 3) of one robot within its planes, or the same.
 
-    The free ones (F, 3) stay between `low` and `high`, m. `control` keeps every row.
+    The free ones (F, 3) stay between `low` and `high`, m. `control` must satisfy every row.
     """
     rows, slope = _rows(planes, low, high), -(cost.pull @ control)
     held, better = control.copy(), control.copy()
@@ -271,7 +272,7 @@ def _worst(slack: FloatArray) -> IntArray:
 
 
 def _between(rows: _Rows, control: FloatArray, better: FloatArray) -> FloatArray:
-    """Return the farthest point on the way from the old to the better that keeps every row."""
+    """Return the farthest point from the old towards the better that satisfies every row."""
     before, after = _slack(rows, control), _slack(rows, better)
     worse = after < np.minimum(before, -_TOLERANCE)
     room = np.maximum(before + _TOLERANCE, 0.0)
@@ -279,7 +280,7 @@ def _between(rows: _Rows, control: FloatArray, better: FloatArray) -> FloatArray
     return np.asarray(control + share * (better - control))
 
 
-_ROUNDING = 1e-5  # by which robots may come closer, m: what planes are broken by
+_ROUNDING = 1e-5  # By how much robots may come closer, due to the tolerance of planes, m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,32 +288,32 @@ class SmoothingConfig:
     """The distances, limits and rounds of smoothing.
 
     Raises:
-        ValueError: a number is out of range.
+        ValueError: A number is out of range.
     """
 
     distance: float
-    """Scaled distance that robots keep where they have it, m."""
+    """The scaled distance of robots, m; closer ones keep their distance."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Diagonal of Theta: distances are divided by it."""
+    """The diagonal of Theta, by which distances are divided."""
     box: tuple[tuple[float, float, float], tuple[float, float, float]]
-    """Corners of where robots may fly, m; widened to what the flight uses now."""
+    """The corners of the box in which robots may fly, m; enlarged to contain the present flight."""
     obstacles: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
-    """Corners of boxes to keep clear of, m."""
+    """The corners of boxes to avoid, m."""
     obstacle_distance: float = 0.1
-    """Distance kept to them, m, where it is kept now."""
+    """The distance from them, m; closer robots keep their distance."""
     travel: float = 0.25
     """The farthest that a control point moves by axis in a round, m."""
     rounds: int = 5
     """The number of rounds."""
     jerk_weight: float = 1.0
-    """Of squared third differences, relative to squared second differences."""
+    """The weight of squared third differences relative to squared second differences."""
     speed: float = 2.0
-    """Largest speed by axis for the time a step takes at the end, m/s."""
+    """The largest speed by axis, m/s."""
     acceleration: float = 5.0
-    """Largest acceleration by axis, m/s^2."""
+    """The largest acceleration by axis, m/s^2."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for a value out of range."""
         for name in ("distance", "obstacle_distance", "travel"):
             check_number(name, getattr(self, name), above=0.0, unit="m")
         check_numbers("scaling", self.scaling, 3, above=0.0)
@@ -327,11 +328,10 @@ class SmoothingConfig:
 
 
 def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
-    """Return a valid flight along the same vertices with less acceleration, no longer than before.
+    """Return a flight near the given one with less acceleration, at the limits of `config`.
 
-    It has the shortest step that keeps speed and acceleration. Planes keep the hulls of the steps
-    apart, which may be closer than the robots are: a round after which robots come closer than they
-    did, and than `config.distance`, is only a step towards the next.
+    Planes separate the hulls of steps, which may be closer than the robots. If robots come closer
+    in a round than before, and than `config.distance`, its flight is only used for the next round.
     """
     if flight.num_steps <= FIXED:
         return flight
@@ -345,7 +345,7 @@ def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
 
 
 def faster(flight: SplineFlight, speed: float, acceleration: float) -> SplineFlight:
-    """Return the flight with the shortest step that keeps speed and acceleration by axis, in SI."""
+    """Return the flight with the shortest step within speed, m/s, and acceleration, m/s^2."""
     fast, hard, _ = flight.largest()
     factor = max(fast / speed, (hard / acceleration) ** 0.5)
     return replace(flight, step_s=flight.step_s * factor) if factor > 0.0 else flight

@@ -1,8 +1,8 @@
-"""Paths on a grid as smooth flight: uniform cubic B-splines whose control points are the vertices.
+"""Smooth flights along paths on a grid: uniform cubic B-splines with vertices as control points.
 
-Acceleration is continuous and jerk constant within a step, so that one set-point a step says all of
-it. A robot never leaves the convex hull of four vertices of its path that follow each other; how
-close two robots come is bounded by the spacing alone (`clearance`).
+Acceleration is continuous and jerk is constant within a step, so that one setpoint per step
+describes the flight fully. A robot never leaves the convex hull of four consecutive vertices of its
+path; the least distance of robots depends on the spacing alone (`clearance`).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from swarm_envs.trajectories import Reference
 
 __all__ = ["on_grid", "shortest_step"]
 
-DEGREE = 3  # Of the splines
+DEGREE = 3  # The degree of the splines
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
-"""Coefficients of the power of u, by row, that weigh the four control points of a step."""
+"""Weights of the four control points of a step, with a row for each power of u."""
 _DERIVATIVE = (
     np.array([0.0, 1.0, 2.0, 3.0]),
     np.array([0.0, 0.0, 2.0, 6.0]),
@@ -34,13 +34,13 @@ class SplineFlight:
     """Uniform cubic B-splines of n robots that begin and end at rest.
 
     Args:
-        control: (K, n, 3) control points, m, at least four; the first three are the same and so
+        control: The control points (K, n, 3), m, at least four; the first three are equal, and so
             are the last three.
-        step_s: duration of a step, s.
+        step_s: The duration of a step, s.
 
     Raises:
-        ValueError: too few or infinite control points, a start or an end that is not at rest, or a
-            duration that is not positive.
+        ValueError: There are too few or infinite control points, a start or an end is not at rest,
+            or the duration is not positive.
     """
 
     control: FloatArray
@@ -55,7 +55,7 @@ class SplineFlight:
         control = check_array("control", self.control, (*np.shape(self.control)[:2], 3)).copy()
         for name, ends in (("first", control[:3]), ("last", control[-3:])):
             if not (ends == ends[0]).all():
-                raise ValueError(f"the {name} three control points differ, but must be the same")
+                raise ValueError(f"the {name} three control points differ, but must be equal")
         if not 0.0 < self.step_s < math.inf:
             raise ValueError(f"step_s is {self.step_s!r}, but must be positive and finite")
         control.flags.writeable = False
@@ -68,7 +68,7 @@ class SplineFlight:
 
     @property
     def num_steps(self) -> int:
-        """The number of pieces of constant jerk."""
+        """The number of steps, each of constant jerk."""
         return len(self.control) - DEGREE
 
     @property
@@ -77,10 +77,7 @@ class SplineFlight:
         return self.num_steps * self.step_s
 
     def reference(self, time: float) -> Reference:
-        """Return the set-points of the robots at a time since the start, s: arrays (n, 3).
-
-        They rest before the start and after the end.
-        """
+        """Return the robots' reference at a time since the start, s; at rest outside the flight."""
         if not 0.0 < time < self.duration_s:
             end = self.control[0 if time <= 0.0 else -1]
             still = np.zeros_like(end)
@@ -98,7 +95,7 @@ class SplineFlight:
     def largest(self) -> tuple[float, float, float]:
         """Return the largest speed, m/s, acceleration, m/s^2, and jerk, m/s^3, by axis.
 
-        Speed is bounded by the hull of its own control points; the others are exact.
+        The speed is an upper bound, by its control points; the others are exact.
         """
         differences = [np.diff(self.control, n=k, axis=0) / self.step_s**k for k in (1, 2, 3)]
         speed, acceleration, jerk = (float(np.abs(d).max(initial=0.0)) for d in differences)
@@ -110,7 +107,7 @@ def on_grid(
 ) -> SplineFlight:
     """Return the flight along paths (T + 1, n, 3) on a grid of spacing (3,) and origin (3,), m.
 
-    Steps last `step_s`; `shortest_step` says how short they may be.
+    A step lasts `step_s`, which should be at least `shortest_step`.
     """
     points = np.asarray(origin) + np.asarray(spacing) * np.asarray(paths, dtype=np.float64)
     ends = [points[:1]] * 2, [points[-1:]] * 2
@@ -118,10 +115,10 @@ def on_grid(
 
 
 def shortest_step(spacing: FloatArray, speed: float, acceleration: float) -> float:
-    """Return the duration of a step, s, that keeps any path on a grid within bounds by axis.
+    """Return the shortest step, s, with which any path on a grid is within bounds by axis.
 
-    A path moves along one axis a step, so that control points of the speed are at most a spacing
-    apart from rest, those of the acceleration at most two spacings (a turn back). SI units.
+    A path moves along one axis per step, so that control points of the speed are at most a spacing,
+    those of the acceleration at most two spacings (a turn back). SI units.
     """
     widest = float(np.max(spacing))
     return max(widest / speed, math.sqrt(2.0 * widest / acceleration))

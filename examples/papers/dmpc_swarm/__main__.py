@@ -1,10 +1,10 @@
-"""Reproduce a figure of DMPC-Swarm, or sweep the share of messages that the radio loses.
+"""Reproduce a figure of DMPC-Swarm, or sweep the message loss of the radio.
 
     python -m examples.papers.dmpc_swarm figure-3b --seeds 1 --out runs/figure-3b
     python -m examples.papers.dmpc_swarm losses --out runs/losses
 
-Each command prints its numbers, those of figures beside the paper's, and writes them as JSON, with
-a picture.
+Each command prints its numbers, for figures beside those of the paper, and writes them as JSON,
+with a picture.
 """
 
 from __future__ import annotations

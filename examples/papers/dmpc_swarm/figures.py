@@ -1,21 +1,29 @@
 """Figs. 3a to 4 of DMPC-Swarm, and a sweep of message loss.
 
-The paper prints no times. Those in brackets are of the authors' public simulation, on formations of
-its own (https://github.com/Data-Science-in-Mechanical-Engineering/DMPC-Swarm, commit ad30d51,
+The paper prints no times. Those in brackets are of the authors' public simulation, on other
+formations (https://github.com/Data-Science-in-Mechanical-Engineering/DMPC-Swarm, commit ad30d51,
 settings of `batch_simulation_local_pc.yaml`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.common import (
+    Row,
+    format_number,
+    markdown,
+    within,
+    write_compared,
+    write_json,
+)
 from examples.papers.dmpc_swarm.drawing import (
     draw_formations,
     draw_jam,
@@ -26,7 +34,7 @@ from examples.papers.dmpc_swarm.flights import (
     CRASH_M,
     OURS,
     PUBLISHED,
-    fly_cases,
+    ReferenceFlight,
     fly_circle,
     fly_sequence,
     measure,
@@ -45,6 +53,10 @@ RECOVERIES: dict[str, dict[str, Any]] = {
 """Options of `MlrDmpcSwarm` by the way in which units recover lost messages."""
 _OURS = ", ours"  # ends the names of cases with the defaults of this package
 JAM_S = 2.0  # time in which compute units receive nothing in Fig. 4
+JAM = LossModel(
+    jams=(Jam(first_round=0, last_round=round(JAM_S / MlrDmpcConfig().round_s) - 1,
+              receivers="units"),)
+)  # fmt: skip
 PUBLIC_S = {
     "1 CU": 69.8,
     "2 CUs": 44.4,
@@ -70,11 +82,6 @@ class Options:
     drones: int = 16
     """number of drones"""
 
-    def __post_init__(self) -> None:
-        """Refuse fewer than two drones."""
-        if self.drones < 2:
-            raise ValueError(f"--drones is {self.drones}; it must be at least 2")
-
 
 @dataclass(frozen=True, kw_only=True)
 class FlightOptions(Options):
@@ -85,17 +92,26 @@ class FlightOptions(Options):
     seed: int = 0
     """first of the seeds"""
 
-    def __post_init__(self) -> None:
-        """Refuse less than one flight and negative seeds."""
-        super().__post_init__()
-        for name, least in (("seeds", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"--{name} is {getattr(self, name)}; it must be at least {least}")
-
     @property
     def all_seeds(self) -> range:
         """Seeds of the flights of each case."""
         return range(self.seed, self.seed + self.seeds)
+
+
+def both_ways(cases: Cases) -> dict[str, dict[str, Any]]:
+    """Return cases as published, then with the defaults of this package."""
+    published = {name: {**PUBLISHED, **case} for name, case in cases.items()}
+    return published | {name + _OURS: {**OURS, **case} for name, case in cases.items()}
+
+
+UNITS = both_ways({f"{m} CU{'s' * (m > 1)}": {"compute_units": m} for m in (1, 2, 3)})
+"""Cases of Fig. 3b."""
+TRIGGERS = {
+    f"{trigger}{name}": {**way, "config": replace(way["config"], trigger=trigger)}
+    for name, way in both_ways({"": {}}).items()
+    for trigger in ("RR", "DT", "HT")
+}
+"""Cases of Fig. 3c."""
 
 
 def figure_3a(options: Options) -> None:
@@ -133,8 +149,7 @@ def figure_3b(options: FlightOptions) -> None:
 
     Writes figure_3b.json (times and least distances of each case, comparison) and figure_3b.png.
     """
-    cases = both_ways({f"{m} CU{'s' * (m > 1)}": {"compute_units": m} for m in (1, 2, 3)})
-    numbers = fly_formations(options, "3b", cases, "compute units")
+    numbers = fly_formations(options, "3b", UNITS, "compute units")
     finish(options, "figure_3b", numbers, compare_units(numbers["cases"]))
 
 
@@ -159,12 +174,7 @@ def figure_3c(options: FlightOptions) -> None:
 
     Writes figure_3c.json (times and least distances of each case, comparison) and figure_3c.png.
     """
-    cases = {
-        f"{trigger}{suffix}": {**way, "config": replace(way["config"], trigger=trigger)}
-        for suffix, way in (("", PUBLISHED), (_OURS, OURS))
-        for trigger in ("RR", "DT", "HT")
-    }
-    numbers = fly_formations(options, "3c", cases, "triggers")
+    numbers = fly_formations(options, "3c", TRIGGERS, "triggers")
     finish(options, "figure_3c", numbers, compare_triggers(numbers["cases"]))
 
 
@@ -187,11 +197,8 @@ def figure_4(options: FlightOptions) -> None:
 
     Writes figure_4.json (times and least distances of each case, comparison) and figure_4.png.
     """
-    last = round(JAM_S / MlrDmpcConfig().round_s) - 1
-    jam = LossModel(jams=(Jam(first_round=0, last_round=last, receivers="units"),))
-    cases = {f"jam, {name}": {**way, "loss": jam} for name, way in RECOVERIES.items()}
-    flights = fly_cases(fly_circle, cases, options.drones, options.all_seeds)
-    numbers = numbers_of(options, {name: measure(own) for name, own in flights.items()})
+    cases = {f"jam, {name}": {**way, "loss": JAM} for name, way in RECOVERIES.items()}
+    numbers, flights = fly_cases(fly_circle, cases, options)
     shown = {name.removeprefix("jam, "): own[0] for name, own in flights.items()}
     draw_jam(options.out / "figure_4.png", shown, JAM_S)
     finish(options, "figure_4", numbers, compare_recoveries(numbers["cases"]))
@@ -247,8 +254,7 @@ def losses(options: FlightOptions) -> None:
         for name, way in RECOVERIES.items()
         for loss in LOSSES
     }
-    flights = fly_cases(fly_circle, cases, options.drones, options.all_seeds)
-    numbers = numbers_of(options, {name: measure(own) for name, own in flights.items()})
+    numbers, _ = fly_cases(fly_circle, cases, options)
     draw_losses(options.out / "losses.png", numbers["cases"], LOSSES, tuple(RECOVERIES))
     finish(options, "losses", numbers, [])
 
@@ -257,8 +263,7 @@ def fly_formations(
     options: FlightOptions, figure: str, cases: Mapping[str, Mapping[str, Any]], by: str
 ) -> dict[str, Any]:
     """Fly the formations of Fig. 3a in each case, draw the first flights, return the numbers."""
-    flights = fly_cases(fly_sequence, cases, options.drones, options.all_seeds)
-    numbers = numbers_of(options, {name: measure(own) for name, own in flights.items()})
+    numbers, flights = fly_cases(fly_sequence, cases, options)
     published = {name: flown for name, flown in flights.items() if name in PUBLIC_S}
     totals = {name: (median_total(numbers["cases"][name]), PUBLIC_S[name]) for name in published}
     headline = f"Fig. {figure}: {options.drones} drones through five formations, by {by}"
@@ -267,21 +272,30 @@ def fly_formations(
     return numbers
 
 
-def numbers_of(options: FlightOptions, cases: Cases) -> dict[str, Any]:
-    """Return the numbers of all cases with their seeds and the times of the public simulation."""
-    known = {name: PUBLIC_S[name] for name in cases if name in PUBLIC_S}
-    return {
+def fly_cases(
+    fly: Callable[..., ReferenceFlight], cases: Cases, options: FlightOptions
+) -> tuple[dict[str, Any], dict[str, list[ReferenceFlight]]]:
+    """Fly every case once for each seed.
+
+    Args:
+        fly: `fly_sequence` or `fly_circle`.
+        cases: options of `MlrDmpcSwarm` by the name of a case.
+        options: number of drones, and seeds of the radio's losses and of the triggers.
+
+    Returns:
+        The numbers of all cases, with the times of the public simulation, and the flights.
+    """
+    flights: dict[str, list[ReferenceFlight]] = {name: [] for name in cases}
+    wanted = [(name, seed) for name in cases for seed in options.all_seeds]
+    for name, seed in tqdm(wanted, unit="flight"):
+        flights[name].append(fly(options.drones, seed=seed, **cases[name]))
+    numbers = {
         "drones": options.drones,
         "seeds": list(options.all_seeds),
-        "cases": dict(cases),
-        "public_simulation_s": known,
+        "cases": {name: measure(own) for name, own in flights.items()},
+        "public_simulation_s": {name: PUBLIC_S[name] for name in cases if name in PUBLIC_S},
     }
-
-
-def both_ways(cases: Cases) -> dict[str, dict[str, Any]]:
-    """Return cases as published, then with the defaults of this package."""
-    published = {name: {**PUBLISHED, **case} for name, case in cases.items()}
-    return published | {name + _OURS: {**OURS, **case} for name, case in cases.items()}
+    return numbers, flights
 
 
 def time_rows(cases: Cases) -> list[Row]:
@@ -327,30 +341,26 @@ def share_row(where: str, share: float) -> Row:
 def flight_table(cases: Cases) -> str:
     """Return a Markdown table of arrivals, times, distances and crashes by case."""
     lines = [
-        "| case | arrived | median s | public simulation, s | least scaled distance, m | crashes |",
-        "|---|---|---|---|---|---|",
+        {
+            "case": name,
+            "arrived": f"{case['arrived']}/{len(case['total_s'])}",
+            "median s": format_number(median_total(case)),
+            "public simulation, s": PUBLIC_S.get(name),
+            "least scaled distance, m": f"{min(case['least_scaled_distance_m']):.4f}",
+            "crashes": case["crashes"],
+        }
+        for name, case in cases.items()
     ]
-    for name, case in cases.items():
-        median, public = median_total(case), PUBLIC_S.get(name)
-        cells = (
-            name,
-            f"{case['arrived']}/{len(case['total_s'])}",
-            "-" if math.isnan(median) else f"{median:.1f}",
-            "-" if public is None else f"{public:.1f}",
-            f"{min(case['least_scaled_distance_m']):.4f}",
-            str(case["crashes"]),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return markdown(lines, list(lines[0]))
 
 
 def finish(options: Options, name: str, numbers: dict[str, Any], rows: Sequence[Row]) -> None:
     """Write the numbers of a figure and print them beside the paper's."""
-    if rows:
-        numbers["comparison"] = [row.as_json() for row in rows]
-    write_json(options.out / f"{name}.json", numbers)
+    path = options.out / f"{name}.json"
     if "cases" in numbers:
         print(flight_table(numbers["cases"]), end="\n\n")
     if rows:
-        print(comparison(rows), end="\n\n")
+        write_compared(path, numbers, rows)
+    else:
+        write_json(path, numbers)
     print(f"wrote {name}.json and {name}.png to {options.out}")

@@ -1,4 +1,4 @@
-"""Flights of references: the set-points of MLR-DMPC, as if drones followed them without error."""
+"""Simulations of the references of MLR-DMPC, without drones and tracking errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from examples.papers.common import Array
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig, MlrDmpcSwarm
@@ -110,24 +109,6 @@ def least_scaled(position: Array, config: MlrDmpcConfig) -> Array:
     first, second = np.triu_indices(position.shape[1], 1)
     apart = (position[:, first] - position[:, second]) * config.inverse_scaling
     return np.asarray(np.linalg.norm(apart, axis=-1).min(axis=-1))
-
-
-def fly_cases(
-    fly: Any, cases: Mapping[str, Mapping[str, Any]], drones: int, seeds: Sequence[int]
-) -> dict[str, list[ReferenceFlight]]:
-    """Fly every case once for each seed.
-
-    Args:
-        fly: `fly_sequence` or `fly_circle`.
-        cases: options of `MlrDmpcSwarm` by the name of a case.
-        drones: number of drones.
-        seeds: of the radio's losses and of the triggers.
-    """
-    flights: dict[str, list[ReferenceFlight]] = {name: [] for name in cases}
-    wanted = [(name, seed) for name in cases for seed in seeds]
-    for name, seed in tqdm(wanted, unit="flight"):
-        flights[name].append(fly(drones, seed=seed, **cases[name]))
-    return flights
 
 
 def measure(flights: Sequence[ReferenceFlight]) -> dict[str, Any]:

@@ -1,22 +1,30 @@
-"""Figs. 3 and 4 of DMPC-Swarm flown in the hall, and the distance of (26) that it needs.
+"""Figs. 3 and 4 of DMPC-Swarm with drones in the hall, and the distance that (26) requires.
 
-The other commands fly references, as if drones followed them exactly. Here sixteen small drones fly
-them by the tracking controller, with its force model, in `world="hall"`.
+The other commands simulate references only. Here sixteen small drones track them with compensation
+in `world="hall"`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Array, Row, bootstrap, comparison, write_json
-from examples.papers.dmpc_swarm.figures import APART_M, JAM_S, RECOVERIES, FlightOptions, both_ways
+from examples.papers.common import Array, Row, markdown, write_compared
+from examples.papers.dmpc_swarm.figures import (
+    APART_M,
+    JAM,
+    RECOVERIES,
+    TRIGGERS,
+    UNITS,
+    FlightOptions,
+)
 from examples.papers.dmpc_swarm.flights import CRASH_M, circle, least_scaled
-from swarm_envs.baselines.mlr_dmpc import Jam, LossModel, MlrDmpcConfig, MlrDmpcSwarm
+from swarm_envs.agents.evaluation import bootstrap_interval
+from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig, MlrDmpcSwarm
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.control.config import ControllerConfig
@@ -46,26 +54,17 @@ def figures_in_hall(options: FlightOptions) -> None:
     Writes hall.json (`cases` with arrivals, times, contacts and the largest tracking errors; and
     `distances`, the same by the distance that references keep).
     """
-    cases = {f"3b, {k}": v for k, v in both_ways(UNITS).items()}
-    for trigger in ("RR", "DT", "HT"):
-        for name, way in both_ways({"": {}}).items():
-            config = replace(way["config"], trigger=trigger)
-            cases[f"3c, {trigger}{name}"] = {**way, "config": config}
-    last = round(JAM_S / MlrDmpcConfig().round_s) - 1
-    jam = LossModel(jams=(Jam(first_round=0, last_round=last, receivers="units"),))
-    jams = {f"4, {name}": {**way, "loss": jam} for name, way in RECOVERIES.items()}
+    cases = {f"3b, {name}": case for name, case in UNITS.items()}
+    cases |= {f"3c, {name}": case for name, case in TRIGGERS.items()}
+    jams = {f"4, {name}": {**way, "loss": JAM} for name, way in RECOVERIES.items()}
     kept = {f"{d:g}": {"config": MlrDmpcConfig(distance_m=d)} for d in DISTANCES_M}
     found: dict[str, Any] = {
         "cases": fly_all("sequence", cases, options) | fly_all("circle", jams, options),
         "distances": fly_all("circle", kept, options),
     }
-    compared = compare(found)
-    found["comparison"] = [row.as_json() for row in compared]
-    write_json(options.out / "hall.json", found | {"seeds": list(options.all_seeds)})
-    print(table(found["cases"]), table(found["distances"]), comparison(compared), sep="\n\n")
-
-
-UNITS = {f"{m} CU{'s' * (m > 1)}": {"compute_units": m} for m in (1, 2, 3)}
+    print(table(found["cases"]), table(found["distances"]), sep="\n\n", end="\n\n")
+    numbers = found | {"seeds": list(options.all_seeds)}
+    write_compared(options.out / "hall.json", numbers, compare(found))
 
 
 def fly_all(
@@ -160,12 +159,12 @@ def compare(found: Mapping[str, Any]) -> list[Row]:
                         said, share, (expected, expected)))  # fmt: skip
     errors = np.array([e for name, case in kept.items() for e in case["errors_m"]
                        if float(name) >= APART_M])  # fmt: skip
-    interval = bootstrap(lambda pick: np.median(errors[pick]), len(errors))
+    low, high = bootstrap_interval(errors, np.median)
     middle = float(np.median(errors))
     free = [float(d) for d, case in kept.items() if case["arrived"] == case["flights"]]
     rows += [
         Row("(26): largest tracking error of a flight in the hall, m", "-", middle,
-            spread=(interval[0], interval[1]), spread_is="95 %"),
+            spread=(round(low, 4), round(high, 4)), spread_is="95 %"),
         Row("(26): distance of references that it asks for, m", f"{APART_M:g}",
             CRASH_M + 2.0 * middle, (0.0, APART_M), WORST, (APART_M, 0.4)),
         Row("least distance of references at which all flights arrive without a contact, m",
@@ -184,9 +183,5 @@ KINDER = (
 
 def table(cases: Mapping[str, Mapping[str, Any]]) -> str:
     """Return a Markdown table of cases."""
-    names = ("arrived", "median_s", "contacts", "least_scaled_m", "error_m")
-    lines = [f"| case | {' | '.join(names)} |", "|---" * (1 + len(names)) + "|"]
-    for name, case in cases.items():
-        cells = [f"{case['arrived']}/{case['flights']}", *(str(case[n]) for n in names[1:])]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    columns = ("case", "arrived", "flights", "median_s", "contacts", "least_scaled_m", "error_m")
+    return markdown(({"case": name, **case} for name, case in cases.items()), columns)

@@ -1,6 +1,6 @@
 """Table III: the validation error by H, L, velocities and spectral clip.
 
-Every fit takes minutes and keeps its report in a folder of its own: a fit that is there is read.
+Every fit takes minutes and stores its report in a folder of its own; existing reports are reused.
 """
 
 from __future__ import annotations
@@ -14,8 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, within, write_csv, write_json
-from examples.papers.neural_swarm2.tables import markdown
+from examples.papers.common import (
+    Row,
+    markdown,
+    within,
+    write_compared,
+    write_csv,
+)
 from swarm_envs.errors import check_name
 from swarm_envs.training.flight_logs.read import data_sha256
 from swarm_envs.training.force_model import pipeline
@@ -90,13 +95,10 @@ def table_3(
         reports[cell, s] = fit_or_read(ablation_fit(data, out, cell, s, steps))
     table = error_table(reports)
     simulated = (data / "manifest.json").is_file() or (data.parent / "manifest.json").is_file()
-    compared = compare_table(table, simulated)
-    table["comparison"] = [row.as_json() for row in compared]
-    write_json(out / "table_3.json", table)
+    write_compared(out / "table_3.json", table, compare_table(table, simulated))
     write_csv(out / "table_3.csv", [flat_row(row) for row in table["rows"]])
     plot_table(out / "table_3.png", table)
     print(markdown(table["rows"], COLUMNS))
-    print(comparison(compared))
 
 
 def ablation_fit(data: Path, out: Path, cell: str, seed: int, steps: int) -> FitConfig:

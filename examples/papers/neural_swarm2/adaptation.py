@@ -1,7 +1,7 @@
-"""Adaptive controllers beside compensation: the table of docs/adaptation.md.
+"""Adaptive control and compensation compared: the table of docs/adaptation.md.
 
-A small drone passes below a large one (L2S) in the forces `learned`, in those of `wake`, which are
-other ones than its force model was fitted to, and there with a wrong mass or noisy velocities.
+A small drone passes below a large one (L2S) with the forces `learned`, to which its force model was
+fitted, with those of `wake`, and with those of `wake` and a wrong mass or noisy velocities.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_json
+from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
+from swarm_envs.agents.evaluation import bootstrap_interval
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import swap_test
 from swarm_envs.control.config import ControllerConfig, Indi, MomentumObserver, NeuralFly
@@ -58,12 +59,13 @@ def adaptation(out: Path = Path("neural_swarm2"), episodes: int = 20) -> None:
     jobs = [(a, c, d) for a in ADAPTATIONS for c in (False, True) for d in DISTURBANCES]
     rows = [measure(a, c, d, episodes) for a, c, d in tqdm(jobs, "adaptation", unit="cell")]
     write_json(out / "adaptation.json", {"episodes": episodes, "rows": rows})
-    print("| adaptation | belief |", " | ".join(DISTURBANCES), "|")
-    print("|" + "---|" * (2 + len(DISTURBANCES)))
+    lines = []
     for first in range(0, len(rows), len(DISTURBANCES)):
         own = rows[first : first + len(DISTURBANCES)]
-        known = "yes" if own[0]["compensated"] else "no"
-        print(f"| {own[0]['adaptation']} | {known} |", " | ".join(map(describe, own)), "|")
+        line = {"adaptation": own[0]["adaptation"]}
+        line["belief"] = "yes" if own[0]["compensated"] else "no"
+        lines.append(line | {row["disturbance"]: describe(row) for row in own})
+    print(markdown(lines, list(lines[0])))
 
 
 def measure(name: str, compensated: bool, disturbance: str, episodes: int) -> dict[str, Any]:
@@ -74,15 +76,14 @@ def measure(name: str, compensated: bool, disturbance: str, episodes: int) -> di
     controller = ControllerConfig(feedforward=belief, adaptation=ADAPTATIONS[name])
     found = fly_imperfectly(test, controller, range(episodes), imperfection)
     worst = 100.0 * found.height_error[:, -1]
-    drawn = np.random.default_rng(0).choice(worst, (2000, len(worst)))
-    low, high = np.percentile(np.median(drawn, axis=1), [2.5, 97.5])
+    low, high = bootstrap_interval(worst, np.median)
     return {
         "adaptation": name,
         "compensated": compensated,
         "disturbance": disturbance,
         "median_cm": float(np.median(worst)),
-        "low_cm": float(low),
-        "high_cm": float(high),
+        "low_cm": low,
+        "high_cm": high,
         "crashed": int(found.crashed.sum()),
     }
 

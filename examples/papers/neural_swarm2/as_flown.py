@@ -1,4 +1,4 @@
-"""Swaps and rings with the sizes, speeds and gains that the authors' repository contains.
+"""Swaps and rings with the sizes, speeds and gains of the authors' repository.
 
 `three_rings16_pps`, `validation_swap.py` and `crazyflieTypes.yaml` of aerorobotics/neural-swarm
 (commit 48b1851): rings as `CLOSE_SIXTEEN`; swaps of 0.5 m in 4 s, a large drone 0.5 m above a small
@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, bootstrap, comparison, within, write_json
+from examples.papers.common import Row, markdown, within, write_compared
 from examples.papers.neural_swarm2.paired_flights import RINGS, FlightCase, fly_case
-from examples.papers.neural_swarm2.tables import markdown
-from swarm_envs.agents.evaluation import frozen_seeds
+from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import FlightTest, swap_test
 from swarm_envs.control.config import GAINS
 from swarm_envs.interactions import load
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.swap import StackedLayout
 
@@ -55,11 +55,9 @@ def as_flown(out: Path = Path("neural_swarm2"), episodes: int = 20, seed: int = 
     cases += [swap(team, gap) for team, gap in GAPS_M.items()]
     bar = tqdm(cases, "as flown", unit="case")
     rows = [fly_row(case, gap, gains, seeds) for case, gap, gains in bar]
-    compared = compare(rows)
     numbers = {"episodes": episodes, "rows": rows}
-    numbers["comparison"] = [row.as_json() for row in compared]
-    write_json(out / "as_flown.json", numbers)
-    print(markdown(rows, COLUMNS), comparison(compared), sep="\n")
+    print(markdown(rows, COLUMNS))
+    write_compared(out / "as_flown.json", numbers, compare(rows))
 
 
 def ring(figure: int, radius_m: float, gains: str) -> tuple[FlightCase, float, str]:
@@ -81,7 +79,12 @@ def fly_row(case: FlightCase, gap_m: float, gains: str, seeds: Sequence[int]) ->
     """Fly a case both ways, and return its numbers."""
     flown = fly_case(case, load_belief("learned"), seeds)
     before, after = case.errors(flown)
-    ratios = bootstrap(lambda pick: np.median(after[pick]) / np.median(before[pick]), len(before))
+
+    def ratio(flights: FloatArray, axis: int) -> FloatArray:
+        drawn = flights.astype(np.int64)
+        return np.asarray(np.median(after[drawn], axis) / np.median(before[drawn], axis))
+
+    ratios = bootstrap_interval(np.arange(len(before), dtype=np.float64), ratio)
     return {
         "case": case.name,
         "gains": gains,
@@ -89,7 +92,7 @@ def fly_row(case: FlightCase, gap_m: float, gains: str, seeds: Sequence[int]) ->
         "without_cm": round(float(np.median(before)), 2),
         "with_cm": round(float(np.median(after)), 2),
         "ratio": round(float(np.median(after) / np.median(before)), 3),
-        "ratio_95": ratios,
+        "ratio_95": [round(end, 4) for end in ratios],
         "better": int((after < before).sum()),
         "contacts": [int(each) for each in flown["crashed"].sum(axis=1)],
         "least_m": round(float(flown["separation_m"].min()), 3),

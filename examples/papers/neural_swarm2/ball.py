@@ -1,9 +1,9 @@
-"""Theorem 5 in flight: do position errors end in the ball of eq. (23), and do a quadrotor's?
+"""Test of Theorem 5: position errors of a point mass and of a quadrotor against eq. (23).
 
-A model error with known bounds is added. For the plant that the theorem assumes, a point mass that
-feels f_d at once, the bound must hold, and the worst error must come close to it. A quadrotor, with
-attitude, rotor lag and limits, is outside of the theorem: its errors are reported too, with the
-controller's clamp on the integral and without.
+A model error with known bounds is added. For the plant of the theorem, a point mass with the force
+f_d without lag, the bound must hold, and the worst error must come close to it. The theorem does
+not cover a quadrotor, with attitude, rotor lag and limits: its errors are reported too, with and
+without the clamp of the controller on the integral.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from examples.papers.common import write_json
+from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2 import theorem
-from examples.papers.neural_swarm2.tables import draw_bars, markdown
+from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import run_flights, swap_test

@@ -1,4 +1,4 @@
-"""Table II: flights of the twelve scenarios, and the rows of measured force that they give."""
+"""Table II: flights of the twelve scenarios, and their rows of measured force."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 from pathlib import Path
 
-from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.common import Row, within, write_compared
 from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 from swarm_envs.training.collection.collect import CollectionConfig
 
@@ -53,5 +53,4 @@ def table_2(out: Path = Path("neural_swarm2"), flights: int = 60, seed: int = 0)
             (1e3, math.inf),
         ),
     )
-    write_json(path, numbers | {"comparison": [row.as_json() for row in rows]})
-    print(comparison(rows))
+    write_compared(path, numbers, rows)

@@ -1,8 +1,8 @@
-"""The curriculum of Sec. IV-D: fit, fly closer with what was learned, fit again.
+"""The curriculum of Sec. IV-D: fit a model, fly closer with its compensation, fit again.
 
-Downwash drives drones apart that do not compensate it, so they cannot fly close enough to learn
-it. So it is done in rounds: one and two drones fly far apart, without compensation, and a model is
-fitted; with it as the pilot's feed-forward they fly closer; then three drones.
+Drones without compensation cannot fly close to each other, since downwash drives them apart. In the
+first round one and two drones fly far apart, and a model is fitted; with it as feed-forward they
+fly closer in the next round; then three drones.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from examples.papers.common import write_json
+from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2.curriculum_plots import plot_curriculum
 from examples.papers.neural_swarm2.explained import explained_variance
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray

@@ -1,8 +1,8 @@
-"""How much of a true force a model explains: possible in simulation, where the truth is known.
+"""The share of the variance of the true force that a model explains, in simulation.
 
-Flights give labels with noise; a simulator can be asked for the force itself. `generalisation`
-asks on swarms of any size, larger than those that a model was fitted to (Neural-Swarm2, Fig. 5(g,
-h) and Sec. VII-C: trained with at most three drones, used with up to sixteen).
+`generalisation` evaluates it on swarms that are larger than those to which a model was fitted
+(Neural-Swarm2, Fig. 5(g, h) and Sec. VII-C: trained with at most three drones, used with up to
+sixteen).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.common import Row, markdown, within, write_compared
 from examples.papers.neural_swarm2.flight_plots import plot_rings, plot_swaps
 from examples.papers.neural_swarm2.paired_flights import (
     SIDES,
@@ -24,7 +24,6 @@ from examples.papers.neural_swarm2.paired_flights import (
     ring_case,
     swap_case,
 )
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
@@ -158,12 +157,10 @@ def fly_figure(
         "truths": [_conditions_row(options, c, cases[c], flown[c]) for c in cases],
     }
     compared = [row for air in report["truths"] for row in compare(air)]
-    report["comparison"] = [row.as_json() for row in compared]
-    write_json(options.out / f"figure_{figure}.json", report)
+    write_compared(options.out / f"figure_{figure}.json", report, compared)
     draw = plot_swaps if figure == 8 else plot_rings
     draw(options.out / f"figure_{figure}.png", report, list(cases.values()), list(flown.values()))
     print_flights(report)
-    print(comparison(compared))
 
 
 # ---- Numbers

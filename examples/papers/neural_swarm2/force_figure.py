@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.common import Row, markdown, within, write_compared
 from examples.papers.neural_swarm2.explained import generalisation
 from examples.papers.neural_swarm2.heat_maps import (
     MAP_CASES,
@@ -20,7 +20,6 @@ from examples.papers.neural_swarm2.heat_maps import (
 )
 from examples.papers.neural_swarm2.larger_swarms import all_swarms, plot_swarms
 from examples.papers.neural_swarm2.published_weights import PublishedWeights
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.interactions import load
 
 READINGS = (
@@ -78,15 +77,13 @@ def figure_5(
     compared = [
         compare(model_name, row) for row in summary["readings"] for model_name in (name, *read)
     ]
-    summary["comparison"] = [row.as_json() for row in compared]
-    write_json(out / "figure_5.json", summary)
+    write_compared(out / "figure_5.json", summary, compared)
     plot_heat_maps(out / "figure_5.png", maps, name)
     plot_gaps(out / "superposition_gaps.png", maps, name)
     plot_swarms(out / "larger_swarms.png", swarms, forces)
     print(markdown(summary["larger_swarms"], SWARM_COLUMNS))
     if truth is not None:
         print(markdown(summary["generalisation"], ("team", "mean_neighbours", "explained")))
-    print(comparison(compared))
 
 
 def readings(maps: Sequence[ForceMap]) -> dict[str, float]:

@@ -1,9 +1,9 @@
-"""The cost of each part of the hall: two motions of the paper, one part after the other.
+"""The effect of each part of the hall on tracking errors, for two motions of the paper.
 
 A small drone passes below a large one (L2S, Sec. VII-E), and five drones fly the rings of Fig. 9,
-without and with a fitted force model, and with a controller that adapts (docs/adaptation.md): in
-the ideal world, in each part of `swarm_envs.hall.Hall` alone, in the whole hall, and in one whose
-rotors are wrong by 5 %. The rings are flown without any force between drones as well.
+without and with a fitted force model, and with adaptive control (docs/adaptation.md): in the ideal
+world, with each part of `swarm_envs.hall.Hall` alone, in the whole hall, and in one with a thrust
+error of 5 %. The rings are simulated without any force between drones as well.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_json
-from examples.papers.neural_swarm2.tables import draw_bars, markdown
+from examples.papers.common import markdown, write_json
+from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (

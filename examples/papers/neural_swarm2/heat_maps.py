@@ -1,7 +1,7 @@
 """The heat maps of Fig. 5: positions of the drones, joint forces, and superposition gaps.
 
-The paper's text gives the drones of (a), (e) and (g) and the speed in (d), and says that a small
-drone feels the force; the rest is in the picture alone. Each case says which is which.
+The text of the paper gives the drones of (a), (e) and (g), the speed in (d), and that the force is
+on a small drone; the rest is in the picture only. Each case states its source.
 """
 
 from __future__ import annotations

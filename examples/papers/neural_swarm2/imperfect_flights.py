@@ -1,9 +1,8 @@
-"""Flights whose force prediction is wrong, late or noisy, or whose sensors are noisy.
+"""Simulations with wrong, late or noisy force predictions, or with noisy sensors.
 
-The environment's own tracking loop knows the state exactly and evaluates its force model at once.
-Here the same controller, `TrackingController`, flies from outside and commands the rotors at
-240 Hz, so that its measurements and predictions can be made worse; the environment is the same.
-With nothing made worse it flies as the environment's loop does.
+The tracking loop of the environment has the exact state and evaluates its force model without
+delay. Here `TrackingController`, which is equal to it, commands the rotors at 240 Hz from outside
+of the environment, so that its measurements and predictions can be degraded.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Imperfection:
     noise_g: float = 0.0
     """Root mean square of noise below 5 Hz on its vertical part, gram-force, each drone's own."""
     delay_s: float = 0.0
-    """How late the predicted force comes, s; rounded to steps of 1/240 s."""
+    """Delay of the predicted force, s; rounded to steps of 1/240 s."""
     position_noise_m: float = 0.0
     """Standard deviation of measured positions, each component, white from step to step, m."""
     velocity_noise: float = 0.0

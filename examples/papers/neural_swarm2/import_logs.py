@@ -1,7 +1,7 @@
 """Rows of measured force from the public flight logs of Neural-Swarm2's authors.
 
 The logs (github.com/aerorobotics/neural-swarm, folder `data/training`) state no license, so neither
-they nor these rows are part of this project: they are read from a clone of yours. Scenarios,
+they nor these rows are part of this project; they are read from a clone. Scenarios,
 flights and filter are the authors' (`learning/training.py`).
 """
 
@@ -17,13 +17,12 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from examples.papers.common import Array, Row, comparison, within, write_json
-from examples.papers.neural_swarm2.tables import markdown
+from examples.papers.common import Array, Row, markdown, within, write_compared
 
 WITHOUT_FORCE = 100  # a drone whose inertial sensor is too noisy, says its readme
 COMMIT = "48b185118edde247f46ab76ee821ec23fc1b98ed"
 LOGS_SHA256 = "b54004ffd798eff8c2d16d20498f81947d5d6d77bd68268cc91c792ee5a61e49"
-"""Of the 483 logs that are read, one after another in the order of `GROUPS`."""
+"""SHA-256 of the 483 logs, one after another in the order of `GROUPS`."""
 FILE = "neural_swarm_flights_33hz.npz"
 NAMES = ("Ge2L", "Ge2S", "L2L", "S2S", "L2S", "S2L", "SS2L", "SL2L", "LL2S", "SL2S", "SS2S", "LL2L")
 
@@ -337,7 +336,6 @@ def report(out: Path, rows: Mapping[str, Any], flown: Mapping[str, float], logge
         Row("pairs at 100 Hz, all flights", "1.4 million", logged, within(1.4e6, 0.07)),
     ]  # fmt: skip
     numbers = {"rows": len(rows["step"]), "scenarios": table}
-    numbers["comparison"] = [row.as_json() for row in compared]
-    write_json(out / "table_2_flights.json", numbers)
     print(markdown(table, ("scenario", "seconds", "rows")))
-    print(comparison(compared), f"wrote {FILE} and table_2_flights.json to {out}", sep="\n")
+    write_compared(out / "table_2_flights.json", numbers, compared)
+    print(f"wrote {FILE} and table_2_flights.json to {out}")

@@ -1,7 +1,7 @@
-"""Compensation of the motors' lag, eq. (22), on and off, with an exact force model.
+"""Lag compensation of the motors, eq. (22), on and off, with an exact force model.
 
-The controller alone is measured: it feeds forward the environment's own force model, an oracle that
-no real controller has, so that the lag causes what is left of the error.
+The controller compensates the force model of the environment (an oracle), so that the remaining
+error is due to the lag.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_json
-from examples.papers.neural_swarm2.tables import draw_bars, markdown
+from examples.papers.common import markdown, write_json
+from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm.flights import default_engine, run_flights, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig

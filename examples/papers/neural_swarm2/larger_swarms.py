@@ -1,4 +1,4 @@
-"""Forces in stacks and rings of more drones than any measured flight had; they belong to Fig. 5."""
+"""Forces in stacks and rings of more drones than in any measured flight, beside Fig. 5."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Limits of compensation: its gain as prediction, sensors, motors or density get worse.
+"""Limits of compensation, by errors of the prediction, sensors, motors, and by density.
 
-Every point is stacked swaps flown without and with compensation, with the same swaps, gains and
-sensors. In the sweeps of imperfections the predicted force is that of the environment's own model,
-an oracle, with one error: what is lost is lost to that. In the others both the oracle and the
-fitted model that ships are flown.
+Every point has stacked swaps without and with compensation, with equal swaps, gains and sensors. In
+the sweeps of imperfections the predicted force is that of the environment's own model (an oracle)
+with one error. In the others both the oracle and the included model are simulated.
 """
 
 from __future__ import annotations
@@ -17,9 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_csv, write_json
+from examples.papers.common import markdown, write_csv, write_json
 from examples.papers.neural_swarm2.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (

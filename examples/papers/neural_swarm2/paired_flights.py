@@ -1,8 +1,8 @@
-"""The flight tests of Sec. VII-E, each flown without and with compensation by the same seeds.
+"""The flight tests of Sec. VII-E, without and with compensation for the same seeds.
 
 Fig. 8: stacked swaps. Its text has the notation (`SL2S`: small and large above small), the number
-of swaps (6), and one median; `S*` is a small drone with stronger motors, flown where the downwash
-was too much for a plain one: here wherever the lowest drone is a small one.
+of swaps (6), and one median; `S*` is a small drone with stronger motors, used where the downwash
+was too strong for a plain one: here wherever the lowest drone is a small one.
 
 Fig. 9 and 1: rings of 5 and 16, sizes and speeds of 16 as the authors flew them (`CLOSE_SIXTEEN`),
 those of 5 alike. Gains are `STIFF`, the nearest to theirs: in height they have 10, 5 and 10 for
@@ -37,7 +37,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 PLAIN_SWAPS = ("S2S", "L2S", "S2L", "L2L", "SS2S", "SL2S", "LL2S", "SS2L", "SL2L", "LL2L")
 """Teams of Fig. 8, the lowest drone last."""
 STRONG_SWAPS = ("S2S*", "L2S*", "SS2S*", "SL2S*", "LL2S*")
-"""The same with stronger motors for the small drone that flies lowest."""
+"""Teams with stronger motors for a small drone at the bottom."""
 SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)
 RINGS = {9: (5, CLOSE_FIVE), 1: (16, CLOSE_SIXTEEN)}  # drones and sizes by number of the figure
 SIDES = ("without", "compensated")  # the two controllers, in the order of arrays

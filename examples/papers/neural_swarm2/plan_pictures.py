@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import write_json
+from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2.planned_swaps import figure_6_swap
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray

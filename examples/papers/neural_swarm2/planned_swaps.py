@@ -1,15 +1,13 @@
-"""Swaps that are planned with and without the forces, and flown: one trial of Fig. 6 and 7.
+"""One trial of Fig. 6 and 7: swaps planned with and without a force model, and simulated.
 
-Both planners have the same parameters; they differ in the force model alone, and the one that does
-not know the forces has none. Their plans are flown (a) as published, on the planner's own model of
-the robots and the forces, tracked by a PID controller, and (b) by quadrotors, with forces that the
-planner does not know.
+Both planners have the same parameters except for the force model. Their plans are simulated (a) as
+published, with the planner's own model of the robots and the forces and a PID controller, and (b)
+with quadrotors and forces that differ from those of the planner.
 
 As published (Sec. VII-D): "we also implement a PID controller, which uses the planned controls as
-feed-forward term", and forward propagate the dynamics with the learned model of f_a, whether the
-plan knew it or not. A robot is a double integrator, dv/dt = u + f_a / m; no force is compensated.
-What that leaves out is in (b): attitude, rotor lag, thrust limits, and a force that differs from
-the one with which the plan was made.
+feed-forward term", and forward propagate the dynamics with the learned model of f_a, also for
+plans without it. A robot is a double integrator, dv/dt = u + f_a / m; no force is compensated.
+(b) adds attitude, rotor lag, thrust limits, and a force that differs from that of the plan.
 """
 
 from __future__ import annotations

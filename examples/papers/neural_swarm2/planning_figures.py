@@ -1,7 +1,7 @@
-"""Fig. 6 and 7: swaps planned knowing the forces and not, and flown.
+"""Fig. 6 and 7: swaps planned with and without a force model, and simulated.
 
-Fig. 6 shows one swap of three after stage 1, after stage 2, and planned without the forces; Fig. 7
-the worst errors and forces of random swaps of two and three.
+Fig. 6 shows one swap of three drones after stage 1, after stage 2, and planned without forces; Fig.
+7 the worst errors and forces of random swaps of two and three drones.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, write_json
+from examples.papers.common import Row, markdown, write_compared
 from examples.papers.neural_swarm2.plan_pictures import PlanColumn, draw_columns
 from examples.papers.neural_swarm2.planned_swaps import (
     PLANNERS,
@@ -26,7 +26,6 @@ from examples.papers.neural_swarm2.planned_swaps import (
     plan_swap,
     track_plan,
 )
-from examples.papers.neural_swarm2.tables import markdown
 from swarm_envs.baselines.neural_swarm import SwarmPlan, load_belief
 from swarm_envs.baselines.neural_swarm.flights import default_engine
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
@@ -99,9 +98,7 @@ def figure_6(
         planner: dict(Counter(passing_order(q) for (_, p), q in plans.items() if p == planner))
         for planner in ORDERS
     }
-    compared = compare_6(rows, orders)
     summary = {
-        "comparison": [row.as_json() for row in compared],
         "seed": seed,
         "team": swap.team,
         "truth": truth,
@@ -114,13 +111,12 @@ def figure_6(
         "orders": orders,
         "trials": flown,
     }
-    write_json(out / "figure_6.json", summary)
+    write_compared(out / "figure_6.json", summary, compare_6(rows, orders))
     plot_figure_6(out / "figure_6.png", own, model)
     print("Worst force and tracking error, on the planner's model and flown by quadrotors")
     print(markdown(rows, list(rows[0])))
     for planner, found in orders.items():
         print(f"where the large one and its nearest pass, {planner}: {found}")
-    print(comparison(compared))
 
 
 def robot_rows(planner: str, trial: Mapping[str, Any], plan: SwarmPlan) -> list[dict[str, Any]]:
@@ -261,9 +257,7 @@ def figure_7(
         trial = fly_trial(swap, plan, planner, s, model, truth, engine)
         found[f"{team}, {planner}, {s}"] = trial
     rows = {plant: scenario_rows(found.values(), plant) for plant in PLANTS}
-    compared = compare_7(rows["model_plant"])
     summary = {
-        "comparison": [row.as_json() for row in compared],
         "seed": seed,
         "truth": truth,
         "engine": engine,
@@ -273,14 +267,13 @@ def figure_7(
         "crashed": {s: [n for n, c in found.items() if c[s]["crashed"]] for s in SIDES},
         "trials": found,
     }
-    write_json(out / "figure_7.json", summary)
+    write_compared(out / "figure_7.json", summary, compare_7(rows["model_plant"]))
     for plant, title in PLANTS.items():
         name = "figure_7.png" if plant == "model_plant" else f"figure_7_{plant}.png"
         plot_trials(out / name, list(found.values()), f"Fig. 7 {title}", plant)
         print(f"{title}: worst of all trials", markdown(rows[plant], COLUMNS), sep="\n")
     print(f"plans that did not converge: {summary['not_converged']}")
     print(f"crashed in (b): {summary['crashed']}")
-    print(comparison(compared))
 
 
 def scenario_rows(

@@ -1,11 +1,11 @@
-"""The small vehicle against public logs of single Crazyflies that others have flown.
+"""The small vehicle compared with public logs of single Crazyflies.
 
 - NanoBench (github.com/syediu/nanobench-iros2026, BSD-3): a Crazyflie 2.1, CSV files at 100 Hz.
 - arplaboratory/data-driven-system-identification (MIT): a Crazyflie of 27 g, three logs at 1 kHz.
 
-They are read from clones and not part of this project. Neither gives a thrust: it is what the
-accelerometer measures along the body's axis, times the mass. NanoBench does not say its mass, and
-the other logs no voltage, so the first gives the mass at which psi1 is right, the second a voltage.
+They are read from clones and not part of this project. Thrust is the acceleration along the body
+axis times the mass. NanoBench states no mass, and the other logs no voltage, so psi1 gives the mass
+of the first and the voltage of the second.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from examples.papers.common import Array, Row, bootstrap, comparison, write_json
-from examples.papers.neural_swarm2.tables import markdown
+from examples.papers.common import Array, Row, markdown, write_compared
+from swarm_envs.agents.evaluation import bootstrap_interval
 from swarm_envs.motors import rotor_force_g
 from swarm_envs.vehicles import GRAVITY, SMALL
 
@@ -54,13 +54,10 @@ def real_flights(
     found += [examine_log(path) for path in tqdm(logs, "arplaboratory")]
     flights = [flight for flight in found if flight is not None]
     means = {key: mean(key, flights) for key in QUANTITIES if any(key in f for f in flights)}
-    compared = compare(means)
-    numbers = {"flights": flights, "means": means}
-    numbers["comparison"] = [row.as_json() for row in compared]
-    write_json(out / "real_flights.json", numbers)
     print(markdown([{k: f.get(k) for k in ("name", *QUANTITIES)} for f in flights],
                    ("name", *QUANTITIES)))  # fmt: skip
-    print(comparison(compared))
+    numbers = {"flights": flights, "means": means}
+    write_compared(out / "real_flights.json", numbers, compare(means))
 
 
 def examine_csv(path: Path) -> dict[str, Any] | None:
@@ -140,8 +137,12 @@ def examine_log(path: Path) -> dict[str, Any]:
 def mean(key: str, flights: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the median of a number over flights, with its 95 % interval."""
     values = np.array([flight[key] for flight in flights if key in flight])
-    interval = bootstrap(lambda pick: np.median(values[pick]), len(values))
-    return {"median": float(np.median(values)), "interval": interval, "flights": len(values)}
+    interval = bootstrap_interval(values, np.median)
+    return {
+        "median": float(np.median(values)),
+        "interval": [round(end, 4) for end in interval],
+        "flights": len(values),
+    }
 
 
 def compare(means: Mapping[str, Mapping[str, Any]]) -> list[Row]:

@@ -1,15 +1,14 @@
 """Theorem 5 (Sec. VI-B, version 1) as functions: the ball of the position error.
 
-The theorem speaks of a point mass that feels the desired force f_d at once, so that
-m dv/dt = m g + f_d + f_a: no attitude, no rotor lag, no limit of the thrust and none of the
-integral. With p~ = p - p_d, s1 = dp~/dt + Lambda p~ and s2 = m ds1/dt + K_v s1, eqs. (18) and (19)
-leave
+The theorem is for a point mass with the desired force f_d without lag, m dv/dt = m g + f_d + f_a:
+no attitude, no rotor lag, no limits of thrust and integral. With p~ = p - p_d, s1 = dp~/dt + Lambda
+p~ and s2 = m ds1/dt + K_v s1, eqs. (18) and (19) leave
 
     dp~/dt = -Lambda p~ + s1,   m ds1/dt = -K_v s1 + s2,   ds2/dt = -Gamma s2 + d eps_f/dt
 
-with the model error eps_f = f_a - f_hat. If it changes by at most d_f newton a second, each line is
-a low-pass of the one after it, so that p~ ends in a ball of radius d_f / (Lambda Gamma K_v):
-eq. (23). A steadily growing model error comes as close to that radius as one waits.
+with the model error eps_f = f_a - f_hat. If it changes by at most d_f newton per second, each line
+is a low-pass of the next one, so that p~ converges to a ball of radius d_f / (Lambda Gamma K_v):
+eq. (23). With a steadily growing model error p~ converges to that radius.
 """
 
 from __future__ import annotations

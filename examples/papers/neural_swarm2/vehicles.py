@@ -1,9 +1,9 @@
-"""Table I: both quadrotors identified again, on simulated vehicles and a simulated load cell.
+"""Table I: identification of both quadrotors, on simulated vehicles and a simulated load cell.
 
 Mass, largest thrust and motor rate come from the motion of `BatchPhysics`; psi1 comes from noisy
 readings of the force at random signals and voltages, as the authors measured theirs (Sec. VII-A).
 psi2 is then fitted to the same readings and compared with the printed psi2: the authors identified
-both from one set of measurements, so that each checks the other.
+both from one set of measurements.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, comparison, within, write_json
+from examples.papers.common import Row, within, write_compared
 from swarm_envs.motors import pwm_for_force, rotor_force_g
 from swarm_envs.physics import TIME_STEP, BatchPhysics
 from swarm_envs.state import FloatArray, hover_state
@@ -59,11 +59,9 @@ def table_1(out: Path = Path("neural_swarm2"), seed: int = 0) -> None:
         seed: of the load cell's readings.
     """
     rows = [row for vehicle in tqdm((SMALL, LARGE), "Table I") for row in identify(vehicle, seed)]
-    found = [compared(row) for row in rows]
     numbers = {"seed": seed, "readings": READINGS, "noise_g": NOISE_G, "rows": rows}
-    write_json(out / "table_1.json", numbers | {"comparison": [row.as_json() for row in found]})
+    write_compared(out / "table_1.json", numbers, [compared(row) for row in rows])
     plot_readings(out / "table_1.png", seed)
-    print(comparison(found))
 
 
 def compared(row: Mapping[str, Any]) -> Row:

@@ -3,7 +3,7 @@
     python -m examples.papers.rth3d figure-6 --runs 2 --out runs/figure-6
     python -m examples.papers.rth3d figure-11 --out runs/figure-11
 
-Each command prints its numbers beside the paper's and writes them as JSON, with a picture.
+Each command prints its numbers beside those of the paper and writes them as JSON, with a picture.
 """
 
 from __future__ import annotations

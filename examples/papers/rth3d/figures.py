@@ -1,14 +1,14 @@
 """Figs. 5 to 9: time and makespan of the planners over the size of the grid.
 
 A command measures the curves of its figure, writes all runs and points as JSON, the points as CSV
-and a picture, and prints what the paper says beside what was measured.
+and a picture, and prints the numbers beside those of the paper.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from examples.papers.common import Row, comparison, write_csv, write_json
+from examples.papers.common import Row, write_compared, write_csv
 from examples.papers.rth3d.drawing import draw_patterns, draw_times_and_ratios
 from examples.papers.rth3d.runs import (
     GUARANTEED,
@@ -244,9 +244,7 @@ def finish(
         "runs": runs,
         "points": points,
         "growth": {key: law for key, law in laws.items() if law is not None},
-        "comparison": [row.as_json() for row in rows],
     }
-    write_json(options.out / f"{name}.json", numbers)
     write_csv(options.out / f"{name}.csv", points)
-    print(comparison(rows))
+    write_compared(options.out / f"{name}.json", numbers, rows)
     print(f"\nwrote {name}.json, {name}.csv and {name}.png to {options.out}")

@@ -1,4 +1,4 @@
-"""Fig. 11: ten drones write A-R-C-R-U, planned on a grid and flown in learned downwash."""
+"""Fig. 11: ten drones write A-R-C-R-U, planned on a grid and simulated with learned downwash."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.papers.common import Row, comparison, write_json
+from examples.papers.common import Row, write_compared
 from swarm_envs import formation_v1
 from swarm_envs.agents import record_episode
 from swarm_envs.baselines.rth3d.grid_agent import GridAgent
@@ -60,10 +60,8 @@ def figure_11(options: LetterOptions) -> None:
         Row("least distance of two drones, m", "-", numbers["least_distance_m"]),
         Row("longest plan of a change of letter, steps", "-", max(makespans)),
     ]
-    numbers["comparison"] = [row.as_json() for row in rows]
-    write_json(options.out / "figure_11.json", numbers)
+    write_compared(options.out / "figure_11.json", numbers, rows)
     draw_letters(options.out / "figure_11.png", recording, shown)
-    print(comparison(rows))
     print(f"\nwrote figure_11.json and figure_11.png to {options.out}")
 
 

@@ -1,4 +1,4 @@
-"""Runs of the planners on growing grids: instances are drawn, planned, timed and put together."""
+"""Runs of the planners on growing grids: sample instances, plan, measure times and summarize."""
 
 from __future__ import annotations
 
@@ -68,10 +68,7 @@ class Options:
     """first of the seeds of the instances"""
 
     def __post_init__(self) -> None:
-        """Refuse numbers below their least value and methods that are named twice."""
-        for name, least in (("runs", 1), ("budget", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"--{name} is {getattr(self, name)}; it must be at least {least}")
+        """Refuse methods that are named twice."""
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"--methods is {' '.join(self.methods)!r}; name each method once")
 

@@ -140,7 +140,7 @@ def test_a_deaf_drone_is_named_while_it_flies():
         fly_episode(env, agent, 0)
     assert agent.faults == {
         0: "the target of drone 0 is unreachable because another drone, 1, rests on it",
-        1: "drone 1 has accepted none of the last 20 plans for it: it seems to hear nothing",
+        1: "drone 1 has accepted none of the last 20 plans for it: it seems to receive nothing",
     }
     assert {str(one.message) for one in warned} == set(agent.faults.values())
     fly_episode(env, MlrDmpcAgent(loss=0.3), 0)  # warnings are errors here

@@ -185,7 +185,9 @@ def test_what_messages_cannot_name_is_refused_at_once():
 
     with pytest.raises(ValueError, match=r"compute_units is 30, .* drones of more than 16: use"):
         swarm(16, 30)
-    with pytest.raises(ValueError, match=r"there are 512 drones, but 132 bytes .* than 4..: use"):
+    with pytest.raises(
+        ValueError, match=r"there are 512 drones, but 132 bytes .* than 4.. members: use"
+    ):
         swarm(32, 3)
     most = swarm(16, 16)
     most.run_round()  # says who is planned for

@@ -12,7 +12,6 @@ from swarm_envs.baselines.mlr_dmpc.information_tracker import (
     SeparationGuarantee,
 )
 from swarm_envs.baselines.mlr_dmpc.messages import (
-    Codec,
     DroneStates,
     MembershipView,
     MessageKind,
@@ -241,7 +240,7 @@ def locked(*messages: UnitMessage) -> ViewId:
     """What a drone is locked to that hears these, one a round; deployed were drones 0 and 1."""
     view = MembershipView(ViewId(0, 0), (0, 1), frozenset({0, 1}))
     config = MlrDmpcConfig()
-    drone = Drone(0, REST, view, config, Codec(4, 2, config))
+    drone = Drone(0, REST, view, config)
     for round_, message in enumerate(messages):
         drone.receive(Inbox(round_, heard_states(), {message.unit: message}))
     return drone.view.id

@@ -61,7 +61,7 @@ def test_what_it_cannot_plan_for_is_refused() -> None:
     refused = (
         (swap_v1.parallel_env(num_drones=7, **given), "got 7 drones, but plans for at most 6"),
         (ring_v1.parallel_env(num_drones=5, **given), "those of ring_v1 move"),
-        (swap_v1.parallel_env(num_drones=2, obstacles=(column,), **given), "knows no obstacles"),
+        (swap_v1.parallel_env(num_drones=2, obstacles=(column,), **given), "avoid obstacles"),
     )
     for env, said in refused:
         env.reset(seed=0)

@@ -17,20 +17,6 @@ from swarm_envs.tasks.obstacles import (
     obstacle_rows,
 )
 
-LETTERS = tuple(f"letter:{character}" for character in "ARCRU")
-
-
-def test_ten_drones_write_letters_with_places_drawn():
-    """Fig. 11 of the paper: ARC-RU by ten drones, each with a place of its own."""
-    agent = GridAgent.compensated()
-    env = formation_v1.parallel_env(
-        num_drones=10, shapes=LETTERS, labels="random", physics="batch", **agent.requires
-    )
-    metrics = fly_episode(env, agent, 1)
-    assert metrics["success"], metrics
-    assert metrics["near_misses"] == 0
-    assert len(agent.plans) == 4
-
 
 def test_flights_go_around_buildings():
     agent = load("rth3d")

@@ -226,5 +226,5 @@ def test_what_cannot_be_flown_is_refused():
             SplineFlight(control, step_s)
     with pytest.raises(ValueError, match="stretch"):
         worst_clearance((1.0, 0.0, 1.0))
-    with pytest.raises(ValueError, match="two robots of this flight touch: no plane separates"):
+    with pytest.raises(ValueError, match="no plane separates two robots of this flight"):
         planes_between(SplineFlight(np.zeros((7, 2, 3)), 0.5), 0.3, np.ones(3), 0.2)

@@ -213,7 +213,7 @@ def test_obstacles_outside_the_pattern_are_named():
     with pytest.raises(ValueError, match="leaves z = 5 free"):
         plan(STARTS, GOALS, (6, 6, 6), walls, method="rth3d-lba")
     walls[1, 4] = True
-    with pytest.raises(ValueError, match=r"starts\[1\] is \(1, 4, 0\), where an obstacle stands"):
+    with pytest.raises(ValueError, match=r"starts\[1\] is \(1, 4, 0\), but there is an obstacle"):
         plan([[0, 0, 0], [1, 4, 0]], GOALS, (6, 6, 6), walls)
 
 
@@ -322,7 +322,7 @@ def test_only_free_vertices_take_memory(monkeypatch, method):
     monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120)
     assert validate(plan(**given, method=method).paths, **given)
     monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120 - 1)
-    with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 numbers"):
+    with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 lengths"):
         plan(**given, method=method)
 
 

@@ -172,7 +172,7 @@ def test_rooms_are_searched_one_by_one():
     walls[:4] = True
     walls[0, :3, 0] = walls[0, 1, 1] = False  # a T, full
     full = np.argwhere(~walls[:4])
-    with pytest.raises(NoPlanExists, match="all that 4 robots can do"):
+    with pytest.raises(NoPlanExists, match="all moves of the 4 robots"):
         plan(np.vstack([starts, full]), np.vstack([goals, full[[1, 0, 2, 3]]]), walls.shape, walls)
 
 

@@ -22,7 +22,7 @@ QUICK = ("--steps", "30", "--batch-size", "64")
 def logs(flown, as_table, tmp_path_factory):
     """A folder of three flights; one small drone weighs 2 g less than its type."""
     folder = tmp_path_factory.mktemp("logs")
-    for team, mass_g in (("S", -2.0), ("L", 0.0), ("SL", 0.0)):
+    for team, mass_g in (("S", -2.0), ("L", 1.5), ("SL", 0.0)):
         names = [f"cf-{letter}{mass_g:g}" for letter in team]
         table = as_table(flown(team, "walk", 25.0, mass_g), team, names)
         write_table(folder / f"{team}.csv", table)
@@ -51,7 +51,9 @@ def test_flights_of_lone_drones_give_their_offsets_and_no_pairs_to_report(logs, 
     assert main(["fit", "--data", str(alone), "--out", str(tmp_path / "fit"), *QUICK]) == 0
     report = json.loads((tmp_path / "fit" / "learned.json").read_text())
     assert report["findings"]["rows"] > 100 and report["findings"]["axis_bins"] == []
-    assert report["vehicle_offsets_g"]["cf-S-2"] == pytest.approx(2.0, abs=0.1)
+    # m a / g - T: of a drone lighter than its type, the offset is positive.
+    offsets = report["vehicle_offsets_g"]
+    assert offsets == pytest.approx({"cf-S-2": 2.0, "cf-L1.5": -1.5}, abs=0.1)
     assert "vehicle cf-S-2: offset +" in capsys.readouterr().out
 
 

@@ -42,16 +42,6 @@ def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_ta
     assert np.abs(error.mean(axis=0)).max() < 0.01
 
 
-def test_planted_mass_is_recovered_from_lone_flight(flown, as_table, tmp_path):
-    for team, mass_g in (("S", -2.0), ("L", 1.5)):
-        table = as_table(flown(team, "walk", 25.0, mass_g), team, names=[f"cf-{team}"])
-        write_table(tmp_path / f"{team}.csv", table)
-    rows, _ = read_data(tmp_path)
-    offsets, numbers = estimate_offsets(rows), {n: v for v, n in rows.vehicle_names.items()}
-    for name, planted in (("cf-S", 2.0), ("cf-L", -1.5)):  # m a / g - T: too heavy a type, +
-        assert offsets.vehicle[numbers[name]] == pytest.approx(planted, abs=0.1)
-
-
 def test_an_offset_that_no_vehicle_has_is_noted(flown, as_table, tmp_path):
     write_table(tmp_path / "a.csv", as_table(flown("S", "walk", 25.0), "S", names=["cf7"]))
     rows, _ = read_data(tmp_path)

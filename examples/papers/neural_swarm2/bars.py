@@ -1,9 +1,9 @@
-"""Tables of numbers as Markdown, and bars side by side with their numbers above."""
+"""Bars side by side with their numbers above."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,19 +11,6 @@ from swarm_envs.viewing.style import INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-def markdown(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> str:
-    """Return some columns of rows as a Markdown table; numbers have two decimals."""
-    lines = [columns, ["---"] * len(columns)]
-    lines += [[_cell(row[name]) for name in columns] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def draw_bars(
