@@ -3,10 +3,10 @@
 from swarm_envs import swap_v1
 env = swap_v1.parallel_env(num_drones=4)
 
-`help(swap_v1)` describes the task, and `help(swap_v1.parallel_env)` every option. Importing the
+`help(swap_v1)` describes the task, and `help(swap_v1.parallel_env)` its options. Importing the
 package registers the tasks with Gymnasium and PettingZoo: `gymnasium.make("swarm_envs/Swap-v1",
-num_drones=4)` flies a team as one agent, `gymnasium.make("swarm_envs/SwapSolo-v1", ...)` one drone
-of it, `gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=1024, ...)` many teams at once, and
+num_drones=4)` makes a team as one agent, `gymnasium.make("swarm_envs/SwapSolo-v1", ...)` one drone
+of a team, `gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=1024, ...)` a batch of teams, and
 `pettingzoo.make("parallel", "swarm_envs/swap_v1", num_drones=4)` is `swap_v1.parallel_env(...)`.
 """
 
@@ -34,29 +34,29 @@ TASKS = (
     *("swap_v1", "ring_v1", "formation_v1", "columns_v0", "delivery_v0"),
     *("crowd_v0", "pursuit_v0", "gates_v0"),
 )
-"""Every task by its versioned name: modules with a `parallel_env()`."""
+"""The versioned names of all tasks, which are modules with a `parallel_env()`."""
 
 
 def task_family(task: str) -> str:
-    """The name that all versions of a task share: `swap` for `swap_v1`, and for `swap`."""
+    """Return the name of a task without its version: `swap` for `swap_v1`, and for `swap`."""
     check_type("task", task, str)
     return task.partition("_v")[0]
 
 
 def gymnasium_name(task: str, suffix: str = "") -> str:
-    """`swarm_envs/Swap-v1` for `swap_v1`."""
+    """Return Gymnasium's id of a task: `swarm_envs/Swap-v1` for `swap_v1`."""
     family = task_family(task)
     return f"swarm_envs/{family.capitalize()}{suffix}{task.removeprefix(family).replace('_', '-')}"
 
 
 def register() -> None:
-    """Register every task with Gymnasium and, from 1.27 on, PettingZoo, unless it is registered."""
+    """Register all tasks with Gymnasium and, from 1.27 on, PettingZoo, unless they already are."""
     for task in TASKS:
         if gymnasium_name(task) not in gymnasium.registry:
             _register_with_gymnasium(task, task)
         if not hasattr(pettingzoo, "register"):
             continue
-        known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`
+        known = pettingzoo.parallel_registry  # which stores an id `x_v0` as `x-v0`
         if f"swarm_envs/{task.replace('_v', '-v')}" not in known:
             pettingzoo.register("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
             pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
@@ -73,9 +73,9 @@ def make(task: str | type[Task], **options: Any) -> SwarmParallelEnv:
     """Make a task's parallel environment.
 
     Args:
-        task: such as `"swap_v1"`; or a task of one's own: a class, or `"path/to/file.py:Class"`.
-        **options: as the task's `parallel_env` takes them; of a task of one's own, those of every
-            task and the fields of its class.
+        task: a name such as `"swap_v1"`; or a custom task: a class, or `"path/to/file.py:Class"`.
+        **options: the options of the task's `parallel_env`; for a custom task, the options of all
+            tasks and the fields of its class.
 
     Raises:
         ValueError: there is no such task; the message names the nearest.
@@ -87,13 +87,13 @@ def make(task: str | type[Task], **options: Any) -> SwarmParallelEnv:
 
 
 def register_task(task: type[OwnTask]) -> type[OwnTask]:
-    """Register a task of one's own with Gymnasium and PettingZoo; a decorator of its class.
+    """Register a custom task with Gymnasium and PettingZoo; a decorator of its class.
 
-    `@register_task` above `class LineTask(Task)` gives the ids `swarm_envs/Line-v0` and
-    `swarm_envs/LineSolo-v0` of Gymnasium, and `swarm_envs/line_v0` of PettingZoo.
+    `@register_task` above `class LineTask(Task)` registers the ids `swarm_envs/Line-v0` and
+    `swarm_envs/LineSolo-v0` with Gymnasium, and `swarm_envs/line_v0` with PettingZoo.
 
     Raises:
-        ValueError: it is no task, or its name is that of a task of the package.
+        ValueError: it is no task, or has the name of a task of the package.
     """
     from swarm_envs.envs.options import task_class
 
@@ -101,10 +101,10 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
     if task.name in TASKS:
         raise ValueError(
             f"name of {task.__name__} is {task.name!r}, which is a task of the package; give it "
-            f"one of its own, such as name = {task.__name__.lower() + '_v0'!r}"
+            f"another name, such as name = {task.__name__.lower() + '_v0'!r}"
         )
     for suffix in ("", "Solo"):
-        gymnasium.registry.pop(gymnasium_name(task.name, suffix), None)  # of an earlier import
+        gymnasium.registry.pop(gymnasium_name(task.name, suffix), None)  # from an earlier import
     _register_with_gymnasium(task.name, task)
     if hasattr(pettingzoo, "register"):
         pettingzoo.parallel_registry.pop(f"swarm_envs/{task.name.replace('_v', '-v')}", None)
@@ -113,7 +113,7 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
 
 
 def __getattr__(name: str) -> ModuleType:
-    """Import a task when it is asked for: `import swarm_envs; swarm_envs.swap_v1`."""
+    """Import a task's module at its first use: `import swarm_envs; swarm_envs.swap_v1`."""
     if name not in TASKS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return importlib.import_module(f"{__name__}.{name}")

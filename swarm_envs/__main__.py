@@ -1,4 +1,4 @@
-"""`python -m swarm_envs`: the command `swarm-envs`, where its script is not on the path."""
+"""`python -m swarm_envs`: the command `swarm-envs`."""
 
 import runpy
 

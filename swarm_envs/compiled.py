@@ -1,9 +1,9 @@
-"""Compilation of the inner loops with numba: decorators, a cache on disk and one message.
+"""Compilation of the inner loops with Numba: decorators, and a cache on disk.
 
-Numba ties a cached kernel to the one file that defines it. Our kernels call each other across
-files and freeze each other's constants, so each module's kernels are cached in a folder whose name
-carries a hash of every file that the module imports, directly or not, from this package. An edit to
-any of them leads to another folder, hence to a compilation.
+Numba invalidates a cached kernel only if the file that defines it changes. Our kernels call each
+other across files and contain each other's constants. Each module's kernels are therefore cached in
+a folder whose name contains a hash of all files of this package that the module imports, directly
+or indirectly; an edit of any of them leads to another folder and a compilation.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ _IMPORT = re.compile(
     rb"^(?:from (swarm_envs[\w.]*) import (\([^)]*\)|[^\n]*)|import (swarm_envs[\w.]*))", re.M
 )
 _COMMENT = re.compile(rb"#.*")
-_UNSAFE = re.compile(r"[^\w.]")  # in the name of a file
+_UNSAFE = re.compile(r"[^\w.]")  # Characters that are not used in file names
 _NO_BRACKETS = re.compile("[<>]")
-_KERNELS = "*/*.nb[ci]"  # numba's files of machine code, and their indexes
+_KERNELS = "*/*.nb[ci]"  # Numba's files of machine code, and their indexes
 _DIGESTS = "digests.json"
 _EMPTY = hashlib.sha256().hexdigest()
 _DAY = 86400.0  # s
@@ -56,23 +56,23 @@ _folders: set[Path] = set()  # Folders of the kernels of this process's modules
 
 
 def kernel(function: F) -> F:
-    """Compile a function to machine code at its first call and keep the result on disk.
+    """Compile a function to machine code at its first call, cached on disk.
 
-    Division by zero follows IEEE arithmetic. Sums are not reordered, so the same input gives the
-    same bytes on the same machine. Called from Python, a kernel lets other threads run meanwhile.
+    Division by zero follows IEEE arithmetic. Sums are not reordered, so that equal inputs give
+    bitwise equal results on one machine. A kernel called from Python releases the GIL.
     """
     if numba.config.DISABLE_JIT:
-        silent: F = np.errstate(all="ignore")(function)  # as in machine code: integers wrap around
+        silent: F = np.errstate(all="ignore")(function)  # no warnings, as in machine code
         return silent
     folder = _folder(function)
     settings = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
     before = {name: getattr(numba.config, name, "") for name in settings}
     decorate = partial(numba.njit, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
     try:
-        for name, value in settings.items():  # numba reads them while it decorates
+        for name, value in settings.items():  # Numba reads them in the decorator
             setattr(numba.config, name, value)
         compiled: F = decorate(cache=folder is not None)(function)
-    except RuntimeError:  # numba cannot write there: it compiles in each process
+    except RuntimeError:  # the folder is not writable: compile in each process
         compiled = decorate()(function)
     finally:
         for name, value in before.items():
@@ -85,14 +85,14 @@ def part(function: F) -> F: ...
 @overload
 def part(*, fastmath: bool | set[str] = False) -> Callable[[F], F]: ...
 def part(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
-    """A function that kernels call; from Python it stays as it is, and is interpreted.
+    """Decorate a function that kernels call; Python calls run the undecorated function.
 
-    It is compiled with the kernel that calls it, and kept on disk as a piece of that. A kernel that
-    only other kernels call costs more to compile: an entry point for Python, and a file of its own.
+    It is compiled and cached with the kernel that calls it. A `kernel` in its place would take
+    longer to compile, since it also has an entry point for Python and its own file.
 
     Args:
-        function: what to compile; leave it out to pass an option, as `@part(fastmath=...)`.
-        fastmath: the freedoms of LLVM's floating-point arithmetic, such as `{"contract"}`.
+        function: the function; leave it out to pass an option, as in `@part(fastmath=...)`.
+        fastmath: options of LLVM's floating-point arithmetic, such as `{"contract"}`.
     """
     if function is None:
         return lambda decorated: _within_kernels(decorated, fastmath=fastmath)
@@ -100,11 +100,10 @@ def part(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
 
 
 def equation(function: F) -> F:
-    """A function that becomes part of the kernel that calls it; from Python it stays as it is.
+    """Decorate a function that is inlined into the kernel; Python calls run it undecorated.
 
-    That is for what loops over lanes call, before LLVM looks for operations that several lanes can
-    do at once: a call that remained would prevent that. And for what takes tuples of many arrays,
-    which a call would copy.
+    It is for functions that are called in loops over lanes, since a remaining call prevents
+    vectorization, and for functions with tuples of many arrays, which a call would copy.
     """
     return _within_kernels(function, forceinline=True)
 
@@ -123,9 +122,7 @@ _bar: Any = None  # The progress bar of the innermost `compilation`
 
 
 def announce_compilation(entry: Callable[..., Any]) -> None:
-    """Say on stderr, once a process, that the first call of an uncached kernel takes a while.
-
-    Without a folder for the cache it is so in every process, and the message says how to end that.
+    """Write to stderr, once per process, that the first call of an uncached kernel takes time.
 
     Args:
         entry: the kernel that is about to be called.
@@ -138,8 +135,8 @@ def announce_compilation(entry: Callable[..., Any]) -> None:
     folder = _folder(function)
     if folder is None:
         when = (
-            ", in every process, because no folder to keep them in can be written; "
-            "set NUMBA_CACHE_DIR to one that can"
+            ", in every process, because no folder for the cache is writable; "
+            "set NUMBA_CACHE_DIR to a writable folder"
         )
     elif not any(folder.glob(f"*/*.{_NO_BRACKETS.sub('', function.__qualname__)}-*.nbi")):
         when = ", once after an installation or an edit"
@@ -152,7 +149,7 @@ def announce_compilation(entry: Callable[..., Any]) -> None:
 
 @contextmanager
 def compilation(kernels: int) -> Iterator[None]:
-    """Show one progress bar if `entry_point` needs more than two seconds for so many kernels."""
+    """Show a progress bar if `entry_point` takes more than two seconds for a number of kernels."""
     global _bar
     before = _bar
     with tqdm(total=kernels, unit="kernel", delay=2.0) as _bar:
@@ -170,35 +167,35 @@ def compilation(kernels: int) -> Iterator[None]:
 
 
 def _folder(function: Callable[..., Any]) -> Path | None:
-    """Folder for the cached kernels of the module that defines a function, if there can be one."""
+    """Return the cache folder of the module that defines a function, or None."""
     base = kernel_folder()
     file = Path(function.__code__.co_filename)
-    if base is None or not file.is_file():  # such as a function that was typed at a prompt
+    if base is None or not file.is_file():  # such as a function defined at a prompt
         return None
     return _prepared(base, function.__module__, file.absolute())
 
 
 def kernel_folder() -> Path | None:
-    """Folder that holds the kernels of all modules; None where none can be written."""
+    """Return the folder of the kernels of all modules; None if no folder is writable."""
     return _base(str(numba.config.CACHE_DIR or ""))
 
 
 @cache
 def _base(chosen: str) -> Path | None:
-    """Folder for all kernels: the chosen one, else one in the package, else one of the user's."""
-    places = [Path(chosen).absolute()] if chosen else []
-    places.append(_PACKAGE / "__pycache__" / "kernels")
+    """Return the first writable folder: the chosen one, one in the package, or the user's."""
+    folders = [Path(chosen).absolute()] if chosen else []
+    folders.append(_PACKAGE / "__pycache__" / "kernels")
     with suppress(RuntimeError):  # the user may have no home
         home = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
-        places.append((Path(home) if home else Path.home() / ".cache") / "swarm_envs")
-    return next((place for place in places if _can_write(place)), None)
+        folders.append((Path(home) if home else Path.home() / ".cache") / "swarm_envs")
+    return next(filter(_can_write, folders), None)
 
 
 def _can_write(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(b"a full disk, or a limit, lets files be made and not written")
+            file.write(b"on a full disk, files can be created but not written")
     except OSError:
         return False
     return True
@@ -206,15 +203,15 @@ def _can_write(folder: Path) -> bool:
 
 @cache
 def _prepared(base: Path, module: str, file: Path) -> Path | None:
-    """Make the folder and empty those of older sources, or check what the folder holds."""
+    """Create the folder and empty those of older sources, or check the kernels in the folder."""
     content = hashlib.sha256()
     try:
         for source in sorted(_sources(file)):
             content.update(_read(source)[0])
-    except OSError:  # without the sources nobody knows whether they have changed
+    except OSError:  # without the sources, changes cannot be detected
         return None
-    place = hashlib.sha256(f"{_VERSIONS} {file}".encode()).hexdigest()[:8]
-    name = f"{_UNSAFE.sub('_', module)}-{place}"
+    origin = hashlib.sha256(f"{_VERSIONS} {file}".encode()).hexdigest()[:8]
+    name = f"{_UNSAFE.sub('_', module)}-{origin}"
     folder = base / f"{name}-{content.hexdigest()[:16]}"
     new = not folder.exists()
     if not _can_write(folder):
@@ -231,7 +228,7 @@ def _prepared(base: Path, module: str, file: Path) -> Path | None:
 def _empty(folder: Path) -> None:
     """Remove the kernels of older sources.
 
-    The folder itself stays for a day: a process that began before an edit may be writing into it.
+    The folder itself remains for a day: a process that began before an edit may still write to it.
     """
     with suppress(OSError):
         if time.time() - folder.stat().st_mtime > _DAY:
@@ -242,7 +239,7 @@ def _empty(folder: Path) -> None:
 
 
 def _sources(file: Path) -> set[Path]:
-    """The file and every file of the package that its imports reach."""
+    """Return a file and all files of the package that it imports, directly or indirectly."""
     found, ahead = {file}, {file}
     while ahead:
         ahead = set().union(*(_read(source)[1] for source in ahead)) - found
@@ -252,9 +249,9 @@ def _sources(file: Path) -> set[Path]:
 
 @cache
 def _read(file: Path) -> tuple[bytes, frozenset[Path]]:
-    """Digest of a source file, and the files that its imports at module level name.
+    """Return the digest of a source file, and the files that it imports at module level.
 
-    Imports in functions or under `if TYPE_CHECKING` are indented: they bring in no constants.
+    Imports in functions or under `if TYPE_CHECKING`, which are indented, import no constants.
     """
     text = file.read_bytes()
     imported: set[Path | None] = set()
@@ -269,21 +266,21 @@ def _read(file: Path) -> tuple[bytes, frozenset[Path]]:
 
 @cache
 def _module(name: str) -> Path | None:
-    """File of a module of the package by its full name."""
+    """Return the file of a module of the package by its full name, or None."""
     stem = _PACKAGE.joinpath(*name.split(".")[1:])
     files = (stem.with_name(f"{stem.name}.py"), stem / "__init__.py")
     return next((file for file in files if file.is_file()), None)
 
 
-# ---- Damage: numba would run a cached kernel of which a byte has changed
+# ---- Damaged files: Numba does not check the machine code that it loads
 
 
 def _check(folder: Path) -> None:
-    """Remove the kernels that are not as they were recorded, so that numba compiles them again.
+    """Remove kernels whose digests differ from the recorded ones, so that they are compiled again.
 
-    What is not recorded is trusted unless it is empty: a running process has just written it, or
-    has been killed since. What another process has just written once more is removed as well; that
-    costs a compilation.
+    Files without a record are kept unless they are empty: a running process has just written them,
+    or was killed. Files that another process has just rewritten are removed too, at the cost of a
+    compilation.
     """
     recorded: dict[str, str] = {}
     with suppress(OSError, ValueError):
@@ -299,7 +296,7 @@ def _check(folder: Path) -> None:
 
 
 def _record(folder: Path) -> None:
-    """Write the digests of a folder's kernels, whichever process has compiled them."""
+    """Write the digests of all kernels in a folder."""
     digests = {}
     for file in folder.glob(_KERNELS):
         with suppress(OSError):
@@ -315,7 +312,7 @@ def _record(folder: Path) -> None:
 
 @atexit.register
 def _record_all() -> None:
-    """Write the digests of what this process may have compiled."""
+    """Write the digests of all folders in which this process may have compiled kernels."""
     for folder in _folders:
         _record(folder)
 
@@ -331,11 +328,10 @@ def _digest_of(file: Path, size: int, written_ns: int) -> str:  # read again onc
 
 
 def entry_point(compiled: F, *arguments: object) -> F:
-    """Compile a kernel for the types of these arguments, and return what to call directly.
+    """Compile a kernel for the types of these arguments, and return its entry point.
 
-    A kernel looks up the types of its arguments at every call, which takes microseconds where they
-    are many. What is returned here does not: it must only be called with arguments of the same
-    types.
+    A kernel looks up the types of its arguments at every call, which takes microseconds if there
+    are many. The entry point does not: it must only be called with arguments of the same types.
     """
     announce_compilation(compiled)
     if _bar is not None:
@@ -345,11 +341,11 @@ def entry_point(compiled: F, *arguments: object) -> F:
     dispatcher: Any = compiled
     signature = tuple(map(_type_of, arguments))
     if signature in dispatcher.signatures:
-        entry: F = dispatcher.compile(signature)  # which only looks it up
+        entry: F = dispatcher.compile(signature)  # only looks it up
     else:
         collects = gc.isenabled()
         with _alone_in(_folder(dispatcher.py_func)):
-            gc.disable()  # compilation makes little garbage; looking for it takes an eighth of it
+            gc.disable()  # garbage collection takes an eighth of the time, and finds little
             try:
                 entry = dispatcher.compile(signature)
             finally:
@@ -361,7 +357,7 @@ def entry_point(compiled: F, *arguments: object) -> F:
 
 
 def _type_of(argument: object) -> Any:
-    """`numba.typeof`; that of arrays of records takes a millisecond, and is kept."""
+    """Return `numba.typeof`, cached for arrays, since it takes a millisecond for records."""
     if not isinstance(argument, np.ndarray):
         return numba.typeof(argument)
     flags = argument.flags
@@ -377,10 +373,11 @@ _array_types: dict[object, Any] = {}
 
 @contextmanager
 def _alone_in(folder: Path | None) -> Iterator[None]:
-    """Compile while no other process compiles a kernel of the same module, and record the result.
+    """Lock a module's folder during a compilation, and record the result.
 
-    Of two at once numba may write one's machine code under the other's signature. The second finds
-    what the first has compiled. One that waits too long, or cannot lock, compiles all the same.
+    If two processes compile at once, Numba may write the machine code of one under the signature of
+    the other. With the lock, the second process finds the kernel of the first. A process that waits
+    too long, or cannot lock, compiles without the lock.
     """
     with ExitStack() as stack:
         if folder is not None and fcntl is not None:
@@ -390,12 +387,11 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
                 while time.monotonic() < until and not _locked(file):
                     time.sleep(0.02)
         yield
-        # Now, as a process that begins before this one ends would take the new index for damaged.
-        _record_all()
+        _record_all()  # now, since a process that starts before the lock ends checks the digests
 
 
 def _locked(file: IO[str]) -> bool:
-    """Whether this process has the lock of a file, or has got it now; it ends with the file."""
+    """Return True if this process holds the lock of a file, which ends when the file is closed."""
     with suppress(BlockingIOError):
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return True

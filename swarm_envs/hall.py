@@ -1,8 +1,8 @@
-"""The world `"hall"`: what separates a room with drones from their equations.
+"""The world `"hall"`: a simulated motion-capture hall.
 
-Three things are added to the simulation: force that no model knows, rotors that do not quite give
-what they say, and a state that has to be estimated. `Hall` holds every number; docs/hall.md has
-them in a table. The kernels are in `swarm_envs.physics.hall_lanes`.
+It adds to the simulation a random force that no model contains, errors of the rotors' thrust, and a
+state estimate. `Hall` has the parameters; docs/hall.md lists them. The kernels are in
+`swarm_envs.physics.hall_lanes`.
 """
 
 from __future__ import annotations
@@ -20,68 +20,69 @@ from swarm_envs.vehicles import GRAVITY, LARGE, SMALL
 __all__ = ["Hall"]
 
 _STEP = 1.0 / 240.0
-Shares = tuple[float, float]  # Of the weight: of a small vehicle, and of a large one
+Shares = tuple[float, float]  # Shares of the weight, for `SMALL` and `LARGE`
 
 
 @dataclass(frozen=True)
 class Hall:
-    """How far a hall with motion capture is from the ideal world: every number can be changed.
+    """The parameters of the motion-capture hall.
 
-    What begins with `residual` and `offset` was identified by `swarm-envs fit --residual` on the
-    192 measured flights of Neural-Swarm2 (docs/hall.md). Pairs are shares of the weight, of a
-    vehicle of 34 g (`SMALL`) and one of 67 g (`LARGE`); others have those between by their mass,
-    or the nearer.
+    Those whose names begin with `residual` and `offset` were identified by `swarm-envs fit
+    --residual` on the 192 measured flights of Neural-Swarm2 (docs/hall.md). Pairs are shares of the
+    weight, for vehicles of 34 g (`SMALL`) and 67 g (`LARGE`); they are interpolated by mass, and
+    constant beyond.
 
     Raises:
         ValueError: a number is out of its range; the message names it, the rule and the fix.
     """
 
     residual_quiet: Shares = (0.016, 0.021)
-    """Standard deviation of the random vertical force where the force model says nothing. Source:
-    fit to flights."""
-    residual_wake: Shares = (0.088, 0.082)
-    """The same where the modelled force is large. Source: fit to flights."""
-    residual_half: tuple[float, float] = (0.053, 0.028)
-    """Modelled force at which the standard deviation lies halfway between both. Source: fit to
+    """Standard deviation of the random vertical force where the modeled force is 0. Source: fit to
     flights."""
+    residual_wake: Shares = (0.088, 0.082)
+    """Standard deviation of the random vertical force where the modeled force is large. Source: fit
+    to flights."""
+    residual_half: tuple[float, float] = (0.053, 0.028)
+    """Modeled force at which the standard deviation is halfway between `residual_quiet` and
+    `residual_wake`. Source: fit to flights."""
     residual_alone: Shares = (0.011, 0.019)
-    """The same where no other drone is in the interaction volume of the force model. Source: fit
-    to flights of one drone."""
+    """Standard deviation of the random vertical force if no other drone is in the interaction
+    volume. Source: fit to flights of one drone."""
     residual_time_s: float = 0.14
-    """Correlation time of that force, s, an Ornstein-Uhlenbeck process of each drone and axis.
-    Source: fit to flights."""
+    """Correlation time of the random force, an Ornstein-Uhlenbeck process for each drone and axis,
+    s. Source: fit to flights."""
     residual_sideways: float = 0.27
     """Horizontal random force along each axis over the vertical one. Source: fit to flights."""
     offset: Shares = (0.018, 0.021)
     """Standard deviation of the constant vertical force of a drone in an episode: errors of mass
     and thrust at hover. Source: fit to flights."""
     thrust_error: float = 0.014
-    """Standard deviation of the factor on the force of a drone's rotors in an episode. Source:
-    Table I of Neural-Swarm2: over half to one and a half times hover and 3.4 to 4.0 V, psi1 of the
-    signal psi2 over the force asked for, of the small vehicle."""
+    """Standard deviation of the factor of a drone's rotor forces in an episode. Source: Table I of
+    Neural-Swarm2 for the small vehicle, psi1(psi2(f)) / f for forces f of half to one and a half
+    times hover at 3.4 to 4.0 V."""
 
     frame_rate_hz: float = 100.0
-    """Frames of motion capture a second. Source: Neural-Swarm2, Sec. VII-A."""
+    """Frames of motion capture per second. Source: Neural-Swarm2, Sec. VII-A."""
     frame_delay_s: float = 0.010
-    """Age of a frame when the drone has it, s, over which it is taken to have flown straight on.
-    Source: an assumption, one frame for cameras and radio."""
+    """Age of a frame when the drone receives it, s; the drone's velocity is taken as constant over
+    it. Source: an assumption, one frame for cameras and radio."""
     frame_loss: float = 0.01
     """Probability that a drone does not receive a frame. Source: an assumption."""
     position_noise_m: float = 0.001
-    """Standard deviation of a frame's position, each axis, m. Source: `locSrv.extPosStdDev` of
+    """Standard deviation of a frame's position along each axis, m. Source: `locSrv.extPosStdDev` of
     Crazyswarm."""
     attitude_noise_rad: float = 0.0045
     """Standard deviation of a frame's attitude about each axis, rad. Source: `extQuatStdDev` of the
     Crazyflie's firmware."""
     accelerometer_noise: float = 0.05
-    """Noise density of the accelerations that predict the state, vibrations included,
-    m/s^2/sqrt(Hz). Source: `procNoiseAcc_xy` of the firmware's filter, 0.5 m/s^2 at 100 Hz."""
+    """Noise density of the measured accelerations, vibrations included, m/s^2/sqrt(Hz). Source:
+    `procNoiseAcc_xy` of the firmware's filter, 0.5 m/s^2 at 100 Hz."""
     gyro_noise: float = 0.01
     """Noise density of the measured body rates, rad/s/sqrt(Hz). Source: `measNoiseGyro` of the
     firmware's filter, 0.1 rad/s at 100 Hz."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         for name in ("residual_quiet", "residual_wake", "residual_alone", "offset"):
             check_numbers(name, getattr(self, name), 2, at_least=0.0, at_most=1.0)
         check_numbers("residual_half", self.residual_half, 2, above=0.0, at_most=1.0)
@@ -108,18 +109,18 @@ class Hall:
 
     @classmethod
     def of(cls, world: str | Hall) -> Hall | None:
-        """The numbers that an option `world` stands for; None for the ideal world."""
+        """Return the hall of an option `world`; None for the ideal world."""
         if isinstance(world, Hall):
             return world
         return cls() if world == "hall" else None
 
     def draw(self, rng: np.random.Generator, e: int, world: World) -> None:
-        """Draw what is constant in a new episode of environment `e`, and where its noise begins."""
+        """Sample the constant errors and the noise of a new episode of environment `e`."""
         drones = world.drones[e]
         weight = GRAVITY * drones["nominal_mass"]
 
         def share(pair: Shares) -> FloatArray:
-            """The same share of the weights in newton."""
+            """Return shares of the weights in newton."""
             masses = (SMALL.mass, LARGE.mass)
             return np.asarray(weight * np.interp(drones["nominal_mass"], masses, pair))
 
@@ -130,14 +131,14 @@ class Hall:
         drones["residual_process"] = rng.standard_normal((len(drones), 3))
         drones["force_offset"] = share(self.offset) * rng.standard_normal(len(drones))
         drones["thrust_gain"] = 1.0 + self.thrust_error * rng.standard_normal(len(drones))
-        drones["frame_phase"] = rng.uniform()  # cameras see all drones at once
+        drones["frame_phase"] = rng.uniform()  # a frame has the poses of all drones
         world.environments["hall_key"][e] = rng.integers(2**63)
 
     def filter_gains(self) -> tuple[float, float, float]:
-        """Gains of a frame on position, velocity (1/s) and attitude: those of the Kalman filter.
+        """Return the gains of a frame on position, velocity (1/s) and attitude.
 
-        Steady state of the discrete filter whose process noise are accelerations and body rates of
-        these densities between frames, for frames that all arrive; delay is not known to it.
+        They are those of a steady-state discrete Kalman filter. Its process noise between frames is
+        that of the accelerometer and the gyroscope; it ignores lost frames and the delay.
         """
         time = 1.0 / self.frame_rate_hz
         walk = np.array([[time**3 / 3.0, time**2 / 2.0], [time**2 / 2.0, time]])
@@ -150,7 +151,7 @@ class Hall:
         return float(position), float(velocity), float(attitude)
 
     def settings(self) -> dict[str, object]:
-        """The fields of `swarm_envs.tables.SETTINGS` that follow."""
+        """Return the fields of `swarm_envs.tables.SETTINGS` for these parameters."""
         return {
             "residual_kept": math.exp(-_STEP / self.residual_time_s),
             "residual_sideways": float(self.residual_sideways),
@@ -165,9 +166,9 @@ class Hall:
 
 
 def _steady_gain(moves: FloatArray, process: FloatArray, measured: float) -> FloatArray:
-    """Gain of a Kalman filter that measures its first state, after so long that it stays."""
+    """Return the steady-state gain of a Kalman filter that measures its first state."""
     if not process.any():
-        return np.zeros(len(moves))  # nothing drifts: nothing has to be corrected
+        return np.zeros(len(moves))
     covariance, gain = process, np.zeros(len(moves))
     for _ in range(100_000):
         last, gain = gain, covariance[:, 0] / (covariance[0, 0] + measured)

@@ -1,7 +1,6 @@
-"""Who is near whom, without looking at every pair: drones sorted along x, and swept.
+"""Search for near drones: all pairs in small teams; in large ones a sweep of drones sorted along x.
 
-A team of few is searched pair by pair, which is faster there. Both ways find the same drones and
-give them in the same order, so that results have the same bits whichever way was taken.
+Both methods find the same drones in the same order, so that results are bitwise equal.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records
 
-FEW = 24  # Up to so many drones, every pair is looked at
+FEW = 24  # Largest number of drones for which all pairs are compared
 
 
 @part
 def sort_along_x(position: FloatArray, order: IntArray) -> None:
-    """Sort the `order` of drones (N,) by the x of `position` (N, 3), m, equal ones by their index.
+    """Sort the `order` of drones (N,) by the x of `position` (N, 3), and equal ones by index.
 
-    Drones change places seldom, so an order from a step ago is nearly sorted, and is soon sorted.
+    Insertion sort is fast here, since the order of the last step is nearly sorted.
     """
     for a in range(1, order.shape[0]):
         i = order[a]
@@ -38,7 +37,7 @@ def sort_along_x(position: FloatArray, order: IntArray) -> None:
 
 @part
 def insert_sorted(value: int, count: int, values: IntArray) -> None:
-    """Insert a value among the first `count` of `values`, which ascend."""
+    """Insert a value among the first `count` of `values`, which are sorted."""
     place = count
     while place > 0 and values[place - 1] > value:
         values[place] = values[place - 1]
@@ -55,10 +54,10 @@ def within_box(
     vertical: float,
     found: IntArray,
 ) -> int:
-    """List the drones inside a box around the drone at a place of `order` (N,), sorted along x.
+    """Write the sorted indices of the drones in a box around one to `found`; return their number.
 
-    The box reaches `lateral` metres in x and y and `vertical` ones in z. Indices are written into
-    `found`, ascending; returned is how many there are. `position` (N, 3) is in m.
+    The drone is that at index `place` of `order` (N,), which is sorted along x. The box extends
+    `lateral` meters to each side in x and y, and `vertical` meters in z. `position` is (N, 3), m.
     """
     i, count = order[place], 0
     for step in (-1, 1):
@@ -69,7 +68,7 @@ def within_box(
                 break
             beside = abs(position[j, 1] - position[i, 1]) < lateral
             level = abs(position[j, 2] - position[i, 2]) < vertical
-            if beside & level:  # one branch, seldom taken
+            if beside & level:  # one rarely taken branch is faster than two
                 insert_sorted(j, count, found)
                 count += 1
             b += step
@@ -80,16 +79,17 @@ def within_box(
 def nearest(
     i: int, position: FloatArray, drones: Records, found: IntArray, square: FloatArray
 ) -> int:
-    """Write indices (K,) and squared distances, m^2, of the drones nearest to drone `i`; return K.
+    """Write indices (K,) and squared distances, m^2, of the drones nearest to `i`; return a number.
 
-    Nearest first, equal ones by their index; those that no longer fly are left out.
+    Nearest drones are first, equally near ones in the order of their indices. Drones whose episode
+    has ended are left out; the returned number is that of the drones found, at most K.
     """
     count, places, bound = 0, found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for j in range(position.shape[0]):
         dx = position[j, 0] - position[i, 0]
         dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
         d = dx * dx + dy * dy + dz * dz
-        # At equal distance, those before have the smaller index.
+        # Of equally near drones, earlier ones have the smaller index
         if j != i and d < bound and drones[j].active > 0.0:
             place = count if count < places else places - 1
             count = place + 1
@@ -112,7 +112,7 @@ def nearest_sorted(
     found: IntArray,
     square: FloatArray,
 ) -> int:
-    """Do what `nearest` does among drones in an `order` along x: look only as far as it matters."""
+    """Do the same as `nearest` in a large team; drone `i` is at index `place` of the `order`."""
     count: Any = np.int64(0)  # a literal 0 would compile `_offer` twice
     places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for step in (-1, 1):
@@ -132,7 +132,7 @@ def nearest_sorted(
 
 @part
 def _offer(j: int, d: float, count: int, found: IntArray, square: FloatArray) -> int:
-    """Put drone `j`, at squared distance `d`, among the `count` nearest; return their number."""
+    """Insert drone `j`, at squared distance `d`, among the `count` nearest; return their number."""
     place = count
     while place > 0 and (
         square[place - 1] > d or (square[place - 1] == d and found[place - 1] > j)
@@ -149,7 +149,7 @@ def _offer(j: int, d: float, count: int, found: IntArray, square: FloatArray) ->
 
 @part
 def squared_distance(position: FloatArray, i: int, j: int) -> float:
-    """Squared distance of two drones' centres, m^2."""
+    """Return the squared distance of two drones' centers, m^2."""
     dx = position[j, 0] - position[i, 0]
     dy = position[j, 1] - position[i, 1]
     dz = position[j, 2] - position[i, 2]

@@ -1,7 +1,7 @@
-"""Random numbers inside compiled kernels: pure functions of a key and a counter.
+"""Counter-based random numbers for kernels: pure functions of a key and a counter.
 
-A key is drawn from an environment's generator at reset; from then on number `counter` of its stream
-is the same wherever and in whatever order it is computed, and a snapshot need only hold the key.
+A key is sampled from an environment's generator at reset. The numbers of its stream do not depend
+on the order in which they are computed, and a snapshot contains only the key.
 """
 
 from __future__ import annotations
@@ -40,36 +40,35 @@ def _unit(random: np.uint64) -> float:
 
 @part
 def uniform(key: np.uint64, counter: np.uint64) -> float:
-    """Number `counter` of the uniform stream `key`, in (0, 1): SplitMix64 (Steele 2014)."""
+    """Return number `counter` of the uniform stream `key`, in (0, 1): SplitMix64 (Steele 2014)."""
     return _unit(_mixed(key + (counter + _ONE) * _GOLDEN))
 
 
 @part
 def normal(key: np.uint64, counter: np.uint64) -> float:
-    """Number `counter` of the standard normal stream `key` (Box and Muller 1958)."""
+    """Return number `counter` of the standard normal stream `key` (Box and Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(uniform(key, _TWO * counter)))
     return radius * math.cos(2.0 * math.pi * uniform(key, _TWO * counter + _ONE))
 
 
 @part
 def stream_of(key: np.uint64, member: int) -> np.uint64:
-    """Where the stream of one of the members that share a key begins: for loops over lanes."""
+    """Return the state of the stream of a member, one of several that share a key."""
     return _mixed(key ^ _mixed((np.uint64(member) + _ONE) * _GOLDEN))
 
 
 @equation
 def moved(stream: np.uint64, count: int) -> np.uint64:
-    """Where a stream is after `count` more numbers."""
+    """Return the state of a stream after `count` further numbers."""
     return stream + np.uint64(count) * _GOLDEN
 
 
 @equation
 def pair_of_normals(stream: np.uint64, number: int) -> tuple[float, float]:
-    """Two independent numbers of mean 0 and variance 1 from number `number` of a stream.
+    """Return two independent numbers of mean 0 and variance 1 from number `number` of a stream.
 
-    Each is the sum of four of its bytes, standardised: bounded by 3.45, of kurtosis 2.7 in place
-    of 3. It takes a few integer instructions, which do several lanes at once, where `normal` calls
-    library functions.
+    Each is the standardized sum of four bytes, bounded by 3.45, with a kurtosis of 2.7 instead
+    of 3. Unlike `normal`, it calls no library functions and is vectorized.
     """
     random = _mixed(moved(stream, number + 1))
     twos = (random & _EVEN_BYTES) + ((random >> _S8) & _EVEN_BYTES)
@@ -80,5 +79,5 @@ def pair_of_normals(stream: np.uint64, number: int) -> tuple[float, float]:
 
 @equation
 def even_number(stream: np.uint64, number: int) -> float:
-    """Number `number` of a stream, in (0, 1)."""
+    """Return number `number` of a stream, in (0, 1)."""
     return _unit(_mixed(moved(stream, number + 1)))

@@ -1,21 +1,21 @@
-"""The equations of the simulator, to be read, differentiated and compiled: NumPy, torch, JAX.
+"""The equations of the simulator in NumPy, torch or JAX: to read, differentiate and compile.
 
-The tests hold both engines to this file, to 1e-9. Equation numbers, and most symbols, are those of
+Tests compare both engines with this file, to 1e-9. Equation numbers, and most symbols, are those of
 Neural-Swarm2 (version 1):
 
-    p, v    position and velocity, m, m/s, in the world: x and y horizontal, z up
-    R, q    attitude, from the body to the world: the rotation, and its quaternion (x, y, z, w)
+    p, v    position and velocity, m, m/s, in the world frame: x and y horizontal, z up
+    R, q    attitude, from body to world: the rotation, and its quaternion (x, y, z, w)
     w       angular velocity (omega), rad/s, in the world frame; in `held` in the body frame
-    u, u_c  thrust of each rotor, and what it is commanded to give, N
-    T, tau  thrust of all rotors, N, and their torque, N m, in the body frame
-    lambda  motor rate, 1/s: rotors respond late by 1/lambda, 62.5 ms at 16 1/s
-    f_a     force of the air on a drone apart from its thrust: downwash, ground effect, drag; N
-    p_ij    push down on drone i by the jet of drone j, N, at depth dz and distance r from its axis
+    u, u_c  thrust and commanded thrust of each rotor, N
+    T, tau  total thrust of the rotors, N, and their torque, N m, in the body frame
+    lambda  motor rate, 1/s: the time constant of rotors is 1/lambda, 62.5 ms at 16 1/s
+    f_a     aerodynamic force on a drone besides its thrust: downwash, ground effect, drag; N
+    p_ij    downwash on drone i by the jet of drone j, N, at depth dz and distance r from its axis
     x_d, x_r, x~, x'  desired, reference, error (actual minus desired), derivative; f^: predicted
 
-Arrays are (..., N, 3) for N drones; leading axes count independent flights. Numbers of vehicles,
-air and controller are arguments, see `swarm_envs.reference_numbers`. Nothing is changed in place,
-and no value decides which line runs, so that gradients go through a flight, and it compiles whole:
+Arrays are (..., N, 3) for N drones; leading axes count independent flights. Parameters of vehicles,
+forces and controller are arguments, see `swarm_envs.reference_numbers`. Functions change no
+argument, and no value decides which line runs, so that flights can be differentiated and compiled:
 
     body, air, gains = bodies_of("LS"), air_of("learned", "LS"), gains_of()
     p = np.array([[[0.0, 0.0, 1.3], [0.0, 0.0, 1.0]]])  # one flight of two drones
@@ -45,11 +45,11 @@ Array = Any  # of NumPy, torch or JAX
 Forces = Callable[..., Array]  # f_a of positions and velocities: `partial(wake, air=air)`
 
 DT = 1.0 / 240.0  # s, one step
-ROTORS = ((1, -1), (-1, -1), (-1, 1), (1, 1))  # places 1 to 4, in rotor offsets: x forward, y left
+ROTORS = ((1, -1), (-1, -1), (-1, 1), (1, 1))  # positions of rotors 1 to 4, in rotor offsets
 
 
 class State(NamedTuple):
-    """The state passed between steps: the drones, then the memory of their controllers."""
+    """The state: that of the drones, then that of their controllers."""
 
     position: Array  # p (..., N, 3), m
     velocity: Array  # v (..., N, 3), m/s
@@ -64,17 +64,17 @@ class State(NamedTuple):
     rate_error: Array  # w - w_r of the last step, in the body frame (..., N, 3), rad/s
     rate_error_rate: Array  # its derivative, low-passed, rad/s^2
     rate_integral: Array  # its integral, rad
-    started: Array  # 0 before the first step, then 1 (..., N): at first there is no last step
+    started: Array  # 0 before the first step, then 1 (..., N)
 
 
-# Vectors and quaternions: nothing of drones yet
+# Vectors and quaternions
 def along_z(length: Array) -> Array:
     """Return the vectors (0, 0, length)."""
     return array_namespace(length).stack([0.0 * length, 0.0 * length, length], axis=-1)
 
 
 def components(a: Array) -> tuple[Array, ...]:
-    """Return the numbers of vectors or quaternions, each as an array."""
+    """Return the components of vectors or quaternions, each as an array."""
     return tuple(a[..., k] for k in range(a.shape[-1]))
 
 
@@ -105,25 +105,25 @@ def multiply(a: Array, b: Array) -> Array:
 
 
 def inverse(q: Array) -> Array:
-    """Return the rotation back."""
+    """Return the inverse rotation."""
     return array_namespace(q).concat([-q[..., :3], q[..., 3:]], axis=-1)
 
 
 def rotate(q: Array, a: Array) -> Array:
-    """Return R a: a vector of the body, in the world frame."""
+    """Return R a: a vector of the body frame in the world frame."""
     twice = 2.0 * cross(q[..., :3], a)
     return a + q[..., 3:] * twice + cross(q[..., :3], twice)
 
 
 def turn_by(angle: Array) -> Array:
-    """Return the quaternion of a turn about the axis `angle` by the angle of its length, rad."""
+    """Return the quaternion of a rotation vector, rad."""
     xp, half = array_namespace(angle), 0.5 * root(dot(angle, angle))
     sinc = xp.where(half > 0.0, xp.sin(half) / xp.where(half > 0.0, half, 1.0), 1.0)
     return xp.concat([(0.5 * sinc)[..., None] * angle, xp.cos(half)[..., None]], axis=-1)
 
 
 def from_to(a: Array, b: Array) -> Array:
-    """Return the shortest rotation from attitude a to b: a^-1 b, its scalar not negative."""
+    """Return the shortest rotation from attitude a to b: a^-1 b, with a scalar part >= 0."""
     q = multiply(inverse(a), b)
     return array_namespace(q).where(q[..., 3:] < 0.0, -q, q)
 
@@ -137,7 +137,7 @@ def lagged(thrust: Array, command: Array, body: Parameters, dt: float = DT) -> A
 
 
 def wrench(rotors: Array, body: Parameters) -> tuple[Array, Array]:
-    """Return thrust and torque of the rotors, (T, tau) = B_0 u; tau = sum r_k x (0, 0, u_k)."""
+    """Return thrust and torque of the rotors, (T, tau) = B_0 u."""
     u1, u2, u3, u4 = components(rotors)
     arm, yaw = body.rotor_offset, body.thrust_to_torque
     tau = [arm * (-u1 - u2 + u3 + u4), arm * (-u1 + u2 + u3 - u4), yaw * (-u1 + u2 - u3 + u4)]
@@ -145,10 +145,10 @@ def wrench(rotors: Array, body: Parameters) -> tuple[Array, Array]:
 
 
 def turned(q: Array, w: Array, tau: Array, inertia: Array, dt: float) -> tuple[Array, Array]:
-    """Turn bodies by eq. (1b), J w' = J w x w + tau in the body frame, as both engines do.
+    """Rotate bodies by eq. (1b), J w' = J w x w + tau in the body frame, as both engines do.
 
-    Semi-implicit: first the angular velocity, by the torque as it was, then the attitude by the new
-    angular velocity. A free spin gains energy by that; in `turned_exactly` it does not.
+    The step is semi-implicit: the attitude changes by the new angular velocity. A free spin thereby
+    gains energy, unlike in `turned_exactly`.
     """
     w_b = rotate(inverse(q), w)
     w = rotate(q, w_b + dt * (tau - cross(w_b, inertia * w_b)) / inertia)
@@ -157,9 +157,9 @@ def turned(q: Array, w: Array, tau: Array, inertia: Array, dt: float) -> tuple[A
 
 
 def turned_exactly(q: Array, w: Array, tau: Array, inertia: Array, dt: float) -> Any:
-    """Turn bodies so that their angular momentum R J R^T w changes by the torque alone.
+    """Rotate bodies so that only the torque changes their angular momentum R J R^T w.
 
-    The attitude turns by the angular velocity of the middle of the step. No engine does this.
+    The attitude changes by the angular velocity in the middle of the step. No engine does this.
     """
     momentum = rotate(q, inertia * rotate(inverse(q), w))
     middle = multiply(turn_by(0.5 * dt * w), q)
@@ -172,9 +172,9 @@ def turned_exactly(q: Array, w: Array, tau: Array, inertia: Array, dt: float) ->
 def moved(
     state: State, command: Array, force: Array, torque: Array, body: Parameters, dt: float = DT
 ) -> State:
-    """Move rotors, then bodies: eqs. (1c), (1b), and (1a), m v' = m g + R (0, 0, T) + f_a.
+    """Advance rotors and bodies: eqs. (1c), (1b), and (1a), m v' = m g + R (0, 0, T) + f_a.
 
-    `force` is f_a, `torque` the air's, in the body frame. Semi-implicit: p follows the new v.
+    `force` is f_a, `torque` that of `air_torque`. The step is semi-implicit: p follows the new v.
     """
     rotors = lagged(state.rotor_thrust, command, body, dt)
     thrust, tau = wrench(rotors, body)
@@ -184,22 +184,22 @@ def moved(
     return State(state.position + dt * v, v, q, w, rotors, *state[5:])
 
 
-# Forces of the air f_a. Arrays of pairs are (..., N, N-1): row i feels, column j is another drone
+# Aerodynamic forces f_a. Arrays of pairs are (..., N, N-1): on drone i, the row, by another drone j
 def of_others(x: Array, air: Numbers) -> Array:
-    """Return positions or velocities of all others for each drone: (..., N, N-1, 3)."""
+    """Return positions or velocities of the other drones for each drone: (..., N, N-1, 3)."""
     xp, shape = array_namespace(x), (*x.shape[:-1], x.shape[-2] - 1, x.shape[-1])
     return xp.reshape(xp.take(x, air["others"], axis=-2), shape)
 
 
 def fade(distance: Array, full: float, end: float) -> Array:
-    """Weight by a distance, m: 1 up to `full`, 0 from `end` on, and no kink between."""
+    """Return a smooth weight by a distance, m: 1 up to `full`, 0 from `end` on."""
     xp = array_namespace(distance)
     u = xp.clip((distance - full) / max(end - full, 1e-12), 0.0, 1.0)
-    return xp.maximum(1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0)), 0.0)  # rounding at the end
+    return xp.maximum(1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0)), 0.0)  # 0 despite rounding
 
 
 def fade_in_box(offset: Array, air: Numbers) -> Array:
-    """Weight w_ij of a pair in the interaction volume, along x, y and z."""
+    """Return the weight w_ij of pairs in the interaction volume, along x, y and z."""
     x, y, z = components(array_namespace(offset).abs(offset))
     return fade(x, *air["sides"]) * fade(y, *air["sides"]) * fade(z, *air["depth"])
 
@@ -207,17 +207,17 @@ def fade_in_box(offset: Array, air: Numbers) -> Array:
 def way_to_axis(offset: Array, velocity: Array, air: Numbers) -> tuple[Array, Array]:
     """Return the horizontal offset, m, from drone i to the axis of j's jet, which trails behind j.
 
-    The air at depth dz under j has left it `delay` (s/m) times dz ago, from where j was then.
+    The air at depth dz below j left it at j's position of `delay` (s/m) times dz earlier.
     """
     late = air["delay"] * array_namespace(offset).maximum(offset[..., 2], 0.0)
     return offset[..., 0] - velocity[..., 0] * late, offset[..., 1] - velocity[..., 1] * late
 
 
 def jet(square: Array, dz: Array, air: Numbers) -> Array:
-    """Return the push of one jet alone, N, before its weight, at r^2 = `square` from its axis.
+    """Return the downwash of a single jet, N, without its weight, at r^2 = `square` from its axis.
 
     strength (width / wide)^decay exp(-(r / wide)^2 / 2) s(dz / 3 cm), wide = width + spread dz, in
-    N and m: a jet widens and weakens. s is the logistic function, so it fades above the rotors.
+    N and m: a jet widens and weakens. s is the logistic function: the jet fades above the rotors.
     """
     xp = array_namespace(square)
     wide = air["width"] + air["spread"] * xp.maximum(dz, 0.0)
@@ -227,11 +227,11 @@ def jet(square: Array, dz: Array, air: Numbers) -> Array:
 
 
 def added_up(push: Array, height: Array, air: Numbers) -> Array:
-    """Return the downwash of all neighbours, N: (1 - share exp(-h / fading)) (sum_j p_ij^q)^(1/q).
+    """Return the downwash of all neighbors, N: (1 - share exp(-h / fading)) (sum_j p_ij^q)^(1/q).
 
-    The exponent q is 1.13 in `wake`, 1.07 in `learned` (with 1 it would be a sum): two equal jets
-    push 2^(1/q) times as hard as one, 1.85 or 1.91 and not 2, as their wakes overlap. One jet
-    pushes by p_ij whatever q is. Near the ground, at height h, a share of all is lost.
+    The exponent q is 1.13 in `wake` and 1.07 in `learned`; q = 1 would be a sum. Since wakes
+    overlap, the downwash of two equal jets is 2^(1/q) times that of one, 1.85 or 1.91 instead of 2.
+    Near the ground, at height h, a share of the downwash is lost.
     """
     xp, q = array_namespace(push), air["combine"]
     together = root(xp.sum(push**q, axis=-1), q)
@@ -242,7 +242,7 @@ def added_up(push: Array, height: Array, air: Numbers) -> Array:
 def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
     """Return f_a of the `wake` model, N: jets in closed form, ground effect and drag -c v.
 
-    `felt`: where the force is felt, if not at the centres of drones; alike in all force models.
+    `felt` are the points of the drones at which the force is evaluated; by default their centers.
     """
     xp, felt = array_namespace(position), position if felt is None else felt
     p_j, height = of_others(position, air), felt[..., 2]
@@ -255,50 +255,52 @@ def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = No
 
 
 def network(layers: list[tuple[Array, Array]], x: Array) -> Array:
-    """Apply ReLU networks, each drone or pair its own: (..., N, inputs), (..., N, N-1, inputs)."""
-    xp, own = array_namespace(x), layers[0][0].ndim - 1  # number of axes not of flights
+    """Apply the ReLU network of each drone or pair: (..., N, inputs) or (..., N, N-1, inputs)."""
+    xp, own = array_namespace(x), layers[0][0].ndim - 1  # number of axes without those of flights
     rows = xp.reshape(x, (math.prod(x.shape[:-own]), *x.shape[-own:]))
-    rows = xp.moveaxis(rows, 0, -2)  # flights are rows of one matrix product for each network
+    rows = xp.moveaxis(rows, 0, -2)  # one matrix product for each network, with flights as rows
     for k, (weight, bias) in enumerate(layers):
         rows = xp.matmul(xp.maximum(rows, 0.0) if k else rows, weight) + bias[..., None, :]
     return xp.reshape(xp.moveaxis(rows, -2, 0), (*x.shape[:-1], rows.shape[-1]))
 
 
 def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """Return f_a of `learned`: p_ij = weight max(0, jet + n) with a network n, and a lean aside.
+    """Return f_a of `learned`: p_ij = weight max(0, jet + n) with a network n, and a lateral force.
 
-    Inputs of n stay the same when the swarm is turned about the vertical or mirrored: distance r
-    from the jet's axis, depth dz, relative velocity along the way to the axis, across, and upwards.
+    The inputs of n are invariant under rotation about the vertical and reflection: distance r from
+    the jet's axis, depth dz, and relative velocity toward the axis, across, and upward.
     """
     xp, at = array_namespace(position), position if felt is None else felt
     p_j, v_j, (low, high) = of_others(position, air), of_others(velocity, air), air["pair_range"]
     offset, v = p_j - at[..., None, :], v_j - velocity[..., None, :]
     x, y = way_to_axis(offset, v_j, air)
     square = x * x + y * y
-    way = 1.0 / xp.sqrt(square + AXIS_RADIUS**2)  # (x, y) way leads to the axis, by 1, less near it
-    towards = (x * v[..., 0] + y * v[..., 1]) * way
-    across = root(xp.maximum(v[..., 0] ** 2 + v[..., 1] ** 2 - towards**2, 0.0))
+    per_r = 1.0 / xp.sqrt(
+        square + AXIS_RADIUS**2
+    )  # (x, y) per_r: unit vector, shorter near the axis
+    toward = (x * v[..., 0] + y * v[..., 1]) * per_r
+    across = root(xp.maximum(v[..., 0] ** 2 + v[..., 1] ** 2 - toward**2, 0.0))
     r = xp.minimum(root(square), (high[0] ** 2 + high[1] ** 2) ** 0.5)
     dz, rise = xp.clip(offset[..., 2], low[2], high[2]), xp.clip(v[..., 2], low[5], high[5])
-    motion = (r, dz, xp.clip(towards, low[3], high[3]), xp.minimum(across, high[3]), rise)
+    motion = (r, dz, xp.clip(toward, low[3], high[3]), xp.minimum(across, high[3]), rise)
     inputs = [value / unit for value, unit in zip(motion, UNITS_OF_PAIR, strict=True)]
-    n = network(air["pair"], xp.stack(inputs, axis=-1))  # a push, g, and its lean to the axis
+    n = network(air["pair"], xp.stack(inputs, axis=-1))  # downwash, g, and ratio of lateral force
 
     beside = root(offset[..., 0] ** 2 + offset[..., 1] ** 2)
     weight = fade(beside, *air["sides"]) * fade(xp.abs(offset[..., 2]), *air["depth"])
-    if felt is not None:  # the distance of centres decides which are near
+    if felt is not None:  # the centers decide which pairs interact
         weight = xp.where(fade_in_box(p_j - position[..., None, :], air) > 0.0, weight, 0.0)
     push = weight * xp.maximum(jet(r * r, dz, air) + GRAM_FORCE * n[..., 0], 0.0)
     down, total = added_up(push, at[..., 2], air), xp.sum(push, axis=-1)
     share = down / xp.where(total > 0.0, total, 1.0)
-    lean = push * xp.clip(n[..., 1], -1.0, 1.0) * way
-    aside = [share * xp.sum(lean * x, axis=-1), share * xp.sum(lean * y, axis=-1)]
+    lean = push * xp.clip(n[..., 1], -1.0, 1.0) * per_r
+    lateral = [share * xp.sum(lean * x, axis=-1), share * xp.sum(lean * y, axis=-1)]
     lift = ground_effect(at[..., 2], velocity, air)
-    return xp.stack([*aside, lift - down], axis=-1) - air["drag"] * velocity
+    return xp.stack([*lateral, lift - down], axis=-1) - air["drag"] * velocity
 
 
 def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
-    """Return the lift of a lone drone in `learned`, N: g(z) - g(z_a), none above the height z_a."""
+    """Return the lift of a lone drone in `learned`, N: g(z) - g(z_a), 0 above the height z_a."""
     xp, (low, high) = array_namespace(height), air["own_range"]
     speed = xp.minimum(root(velocity[..., 0] ** 2 + velocity[..., 1] ** 2), high[1])
     sinking = xp.clip(-velocity[..., 2], low[3], high[3])
@@ -312,10 +314,11 @@ def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
 
 
 def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
-    """Return f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), 0 alone aloft.
+    """Return f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), anchored.
 
-    Neighbours are added up as codes, not as forces: rho has learned what several do together. A sum
-    knows no order, so drones of one type may change places (Theorem 4).
+    Codes phi of neighbors are summed, not forces; rho maps their sum to a force. It is invariant
+    under permutations of drones of one type (Theorem 4). The force on a lone drone at the anchor
+    height is subtracted.
     """
     xp, felt = array_namespace(position), position if felt is None else felt
     p_j, v = of_others(position, air), of_others(velocity, air) - velocity[..., None, :]
@@ -334,14 +337,15 @@ def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None 
 
 
 def still_air(position: Array, velocity: Array, felt: Array | None = None) -> Array:
-    """Return f_a = 0, of the model `none`."""
+    """Return f_a = 0, the force of the model `none`."""
     return 0.0 * velocity
 
 
 def air_torque(forces: Forces, state: State, body: Parameters) -> Array:
-    """Return the torque of the air in the body frame, N m: an assumption, not a measurement.
+    """Return the aerodynamic torque in the body frame, N m: an assumption, not a measurement.
 
-    Each rotor feels a quarter of the vertical force at its place: sum_k r_k x R^T (0, 0, f_z / 4).
+    Each rotor receives a quarter of the vertical force at its position:
+    sum_k r_k x R^T (0, 0, f_z / 4).
     """
     p, q, total = state.position, state.quaternion, 0.0 * state.position
     arm = body.rotor_offset[..., None] + 0.0 * p[..., :1]
@@ -354,13 +358,13 @@ def air_torque(forces: Forces, state: State, body: Parameters) -> Array:
 
 # Contacts
 def clearances(position: Array, body: Parameters) -> Array:
-    """Return distances (..., N, N) over sums of radii: below 1 a pair touches, diagonal aside."""
+    """Return distances (..., N, N) over sums of radii, below 1 for a contact (off the diagonal)."""
     apart = position[..., None, :, :] - position[..., :, None, :]
     return root(dot(apart, apart)) / (body.radius[..., None, :] + body.radius[..., :, None])
 
 
 def wall_gaps(position: Array, body: Parameters, low: Array, high: Array) -> Array:
-    """Return distances (..., N, 6), m, to walls, floor and ceiling: below 0 a drone touches."""
+    """Return distances (..., N, 6), m, to walls, floor and ceiling, below 0 for a contact."""
     gaps = [position - low - body.radius[..., None], high - position - body.radius[..., None]]
     return array_namespace(position).concat(gaps, axis=-1)
 
@@ -371,8 +375,8 @@ def desired_force(
 ) -> tuple[Array, Array]:
     """Return f_d of eqs. (18) and (19), N, with a least vertical part, and the integral of v~, m.
 
-    v_r leads back to the desired path, the faster the farther. A force that a model predicts, f^_a,
-    is compensated at once; the integral slowly finds the rest.
+    v_r leads back to the desired path. The predicted force f^_a is compensated at once; the
+    integral slowly compensates the remaining force.
     """
     p_error = state.position - setpoint.position  # p~
     v_r = setpoint.velocity - k["position"] * p_error  # (18)
@@ -381,26 +385,26 @@ def desired_force(
     xp, least = array_namespace(p_error), k["min_vertical_thrust_fraction"]
     integral = xp.clip(state.velocity_integral + v_error * dt, -limit, limit)
     gain, rate = k["velocity"], k["integral"]  # K_v / m, Gamma_v
-    wanted = v_r_rate - (gain + rate) * v_error - gain * rate * integral
+    acceleration = v_r_rate - (gain + rate) * v_error - gain * rate * integral
     weight = body.mass * GRAVITY
-    x, y, z = components(body.mass[..., None] * wanted + along_z(weight) - predicted)  # (19)
+    x, y, z = components(body.mass[..., None] * acceleration + along_z(weight) - predicted)  # (19)
     return xp.stack([x, y, xp.maximum(z, least * weight)], axis=-1), integral
 
 
 def followed(
     state: State, setpoint: Setpoint, predicted: Array, body: Parameters, k: Numbers, dt: float = DT
 ) -> tuple[State, tuple[Array, Array, Array]]:
-    """Return the new memory of the position and attitude loops; commanded thrust, w_r and w_r'."""
+    """Return the new state of the position and attitude loops; commanded thrust, w_r and w_r'."""
     xp, q = array_namespace(state.position), state.quaternion
     f_d, integral = desired_force(state, setpoint, predicted, body, k, dt)
-    # T_d = f_d . R e_z. Delay compensation, eq. (22): rotors respond late by 1 / lambda, (1c), so
-    # T_d + T_d' / lambda is commanded. T_d' is low-passed, as a difference amplifies noise.
+    # T_d = f_d . R e_z. Delay compensation, eq. (22): rotors lag by 1 / lambda, (1c), so that
+    # T_d + T_d' / lambda is commanded. T_d' is low-passed, since differences amplify noise.
     thrust = dot(f_d, rotate(q, along_z(1.0 + 0.0 * f_d[..., 2])))
     change = (thrust - state.thrust) / dt - state.thrust_rate
     thrust_rate = state.thrust_rate + k["thrust_rate_blend"] * state.started * change  # low-passed
-    asked = thrust + k["lead"] / body.motor_rate * thrust_rate
+    commanded = thrust + k["lead"] / body.motor_rate * thrust_rate
 
-    # R_d is the shortest turn of the vertical to f_d, after the yaw about the vertical.
+    # R_d is the yaw about the vertical, followed by the shortest rotation of the vertical to f_d.
     length = root(dot(f_d, f_d))
     half_cos = xp.sqrt(0.5 * (1.0 + f_d[..., 2] / length))
     scale = 0.5 / (half_cos * length)
@@ -413,34 +417,34 @@ def followed(
     error = from_to(multiply(tilt, yaw), q)  # q~, of R~ = R_d^T R
     vector, fed = error[..., :3], rotate(inverse(error), w_d)
     w_r = fed - k["attitude"] * vector  # (20)
-    # Only the error is differentiated, not w_d, which would need a third derivative of v.
+    # Only the error is differentiated; the derivative of w_d would need a third derivative of v.
     relative = rotate(inverse(q), state.angular_velocity) - fed
     w_r_rate = -0.5 * k["attitude"] * (error[..., 3:] * relative + cross(vector, relative))
     memory = (integral, thrust, thrust_rate, tilt, tilt_rate)
-    return State(*state[:5], *memory, *state[10:]), (asked, w_r, w_r_rate)
+    return State(*state[:5], *memory, *state[10:]), (commanded, w_r, w_r_rate)
 
 
 def held(
-    state: State, asked: tuple[Array, Array, Array], body: Parameters, k: Numbers, dt: float = DT
+    state: State, commanded: tuple[Array, ...], body: Parameters, k: Numbers, dt: float = DT
 ) -> tuple[State, Array]:
-    """Return the memory and rotor commands u_c, N, of the rate loop (21), ahead of the lag (22)."""
-    thrust, w_r, w_r_rate = asked
+    """Return the new state and rotor commands u_c, N, of the rate loop (21), with lead (22)."""
+    thrust, w_r, w_r_rate = commanded
     w, limit = rotate(inverse(state.quaternion), state.angular_velocity), k["rate_integral_limit"]
     error = w - w_r  # w~
     change = (error - state.rate_error) / dt - state.rate_error_rate
     rate = state.rate_error_rate + k["rate_error_blend"] * state.started[..., None] * change
     integral = array_namespace(w).clip(state.rate_integral + error * dt, -limit, limit)
     ahead = error + k["lead"] / body.motor_rate[..., None] * rate  # (22)
-    wanted = w_r_rate - k["rate"] * ahead - k["rate_integral"] * integral
-    torque = body.inertia * wanted - cross(body.inertia * w, w_r)  # (21)
+    acceleration = w_r_rate - k["rate"] * ahead - k["rate_integral"] * integral
+    torque = body.inertia * acceleration - cross(body.inertia * w, w_r)  # (21)
     memory = (error, rate, integral, 1.0 + 0.0 * state.started)
     return State(*state[:10], *memory), mixed(thrust, torque, body)
 
 
 def mixed(thrust: Array, torque: Array, body: Parameters) -> Array:
-    """u_c = B_0^-1 (T, tau) where the rotors can; else yaw is given up first, then thrust.
+    """Return rotor thrusts u_c = B_0^-1 (T, tau), N; beyond the limits, reduce yaw, then thrust.
 
-    Only where roll and pitch alone ask for more than there is are they made smaller, both alike.
+    Roll and pitch are only scaled down, both by one factor, if they alone exceed the limits.
     """
     xp, most, (x, y, z) = array_namespace(thrust), body.max_rotor_thrust, components(torque)
     diagonal_1 = -0.25 * (x + y) / body.rotor_offset  # added to rotor 1, taken from rotor 3
@@ -472,20 +476,20 @@ def step(
     predicted: Forces = still_air,
     dt: float = DT,
 ) -> State:
-    """Return the state after dt: the controller reads it, the air pushes, rotors and bodies move.
+    """Return the state after dt: controller, aerodynamic forces, rotors and bodies.
 
-    `forces` are those of the air, f_a; `predicted` those that the controller compensates, f^_a.
-    The air turns no bodies here: for that, call `moved` with the torque of `air_torque`.
+    `forces` are the aerodynamic forces f_a; `predicted` those that the controller compensates,
+    f^_a. The aerodynamic torque is 0; otherwise call `moved` with that of `air_torque`.
     """
-    believed = predicted(state.position, state.velocity)
-    memory, asked = followed(state, setpoint, believed, body, gains, dt)
-    memory, command = held(memory, asked, body, gains, dt)
+    predicted_force = predicted(state.position, state.velocity)
+    memory, commanded = followed(state, setpoint, predicted_force, body, gains, dt)
+    memory, command = held(memory, commanded, body, gains, dt)
     force = forces(state.position, state.velocity)
     return moved(memory, command, force, 0.0 * force, body, dt)
 
 
 def moved_on(setpoint: Setpoint, dt: float = DT) -> Setpoint:
-    """Return set-points a step later: each goes on by its derivatives, the jerk stays."""
+    """Return set-points a step later: they are extrapolated by their derivatives."""
     p, v, a, j, yaw, yaw_rate = setpoint
     p, v = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0)
     return Setpoint(p, v, a + dt * j, j, yaw + dt * yaw_rate, yaw_rate)

@@ -1,6 +1,6 @@
-"""The numbers that `swarm_envs.reference` computes with, as arrays of NumPy, torch or JAX.
+"""The parameters of `swarm_envs.reference`, as arrays of NumPy, torch or JAX.
 
-They are arguments of its functions: to differentiate by one, or to try another, replace it.
+They are arguments of its functions, so that they can be replaced, and differentiated by.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ Numbers = dict[str, Any]
 
 
 def bodies_of(team: str | Sequence[Vehicle], xp: ModuleType = np) -> Parameters:
-    """Return masses, inertias and so on of a team, (N, ...), as arrays of the library `xp`."""
+    """Return masses, inertias etc. of a team, (N, ...), as arrays of the library `xp`."""
     return Parameters(*(xp.asarray(value) for value in parameters(parse_team(team))))
 
 
 def gains_of(
     config: ControllerConfig | None = None, dt: float = 1.0 / 240.0, xp: ModuleType = np
 ) -> Numbers:
-    """Return the numbers of a controller for steps of dt, s, as arrays of the library `xp`.
+    """Return the parameters of a controller for steps of dt, s, as arrays of the library `xp`.
 
     | name | |
     |---|---|
     | `position`, `velocity`, `integral` | Lambda_p, K_v / m, Gamma_v, 1/s |
     | `attitude`, `rate`, `rate_integral` | (3,) Lambda_q, K_w / J, 1/s, Gamma_w / J, 1/s^2 |
-    | `lead` | 1 if the rotors' lag is compensated, eq. (22), else 0 |
+    | `lead` | 1 if the motor lag is compensated, eq. (22), else 0 |
     | `thrust_rate_blend`, `desired_rate_blend`, `rate_error_blend` | 1 - exp(-2 pi f dt) |
     | `velocity_integral_limit`, `rate_integral_limit` | largest integrals, m, rad |
     | `min_vertical_thrust_fraction` | least vertical part of f_d over the weight |
 
     Raises:
-        ValueError: the configuration adapts, which the reference does not; or dt is not positive.
+        ValueError: the configuration has adaptation, or dt is not positive.
     """
     chosen = ControllerConfig() if config is None else config
     if chosen.adaptation is not None:
         raise ValueError(
-            f"adaptation is {chosen.adaptation}, but the reference has none; leave it out"
+            f"adaptation is {chosen.adaptation}, but must be None: the reference has no adaptation"
         )
     found = gains(chosen, dt)
     return {
@@ -76,33 +76,33 @@ _LOW_PASSES_AND_LIMITS = (
 def air_of(
     model: str | InteractionModel, team: str | Sequence[Vehicle], xp: ModuleType = np
 ) -> Numbers:
-    """Return the numbers of a force model for a team of N drones, as arrays of the library `xp`.
+    """Return the parameters of a force model for N drones, as arrays of the library `xp`.
 
-    Those of drones are (N, ...). Those of pairs are (N, N-1, ...): what drone i, the row, feels of
-    each of the others, which `others` lists.
+    Those of drones are (N, ...). Those of pairs are (N, N-1, ...), for the force on drone i, the
+    row, by each of the other drones, which `others` lists.
 
     | name | of | |
     |---|---|---|
-    | `others` | | (N (N-1),) indices of the others of each drone, row after row |
+    | `others` | | (N (N-1),) indices of the other drones for each drone, row by row |
     | `strength`, `width`, `spread`, `decay` | pairs | A (N), w0 (m), S, p of a jet |
-    | `delay` | pairs | s/m by which the jet of the other trails behind it |
-    | `combine`, `mitigation` | | q; M and the height over which it fades, m |
-    | `lift`, `cushion` | drones | ground effect at 7 cm, N, and the height over which it fades, m |
+    | `delay` | pairs | delay of the other drone's jet per depth, s/m |
+    | `combine`, `mitigation` | | q; M and its decay height, m |
+    | `lift`, `cushion` | drones | ground effect at 7 cm, N, and its decay height, m |
     | `drag` | drones | c (N, 3), N s/m |
-    | `sides`, `depth` | | where the weight of a pair begins to fade, and is 0, m |
+    | `sides`, `depth` | | distances at which the weight of a pair begins to fade, and is 0, m |
     | `own_range`, `pair_range` | | (2, 4), (2, 6): least and largest measured (-z, -v), x_ij |
-    | `anchor` | | height z_a from which a lone drone feels nothing, m |
+    | `anchor` | | height z_a above which the force on a lone drone is only drag, m |
     | `pair`, `own` | pairs, drones | networks of `learned` |
     | `phi`, `phi_env`, `rho` | pairs, drones, drones | networks of `deep-set` |
 
     Raises:
-        ValueError: the model is a function or a sum of pairs, or does not know a vehicle's type.
+        ValueError: the model is a function or a sum of pairs, or lacks a vehicle's type.
     """
     found, drones = load(model), parse_team(team)
     field, own = found.field, found.type_indices(drones)
     if found.function is not None or field.kind not in (0, 1, DEEP_SET, COMPOSED):
         raise ValueError(
-            f"interaction model {found.name!r} has no equations in swarm_envs.reference; give "
+            f"interaction model {found.name!r} has no equations in swarm_envs.reference; use "
             "'wake', 'learned', 'deep-set', or a file that was fitted as one of these"
         )
     count = len(drones)
@@ -141,7 +141,7 @@ Layers = list[tuple[FloatArray, FloatArray]]
 
 
 def _networks(field: ForceField, own: IntArray, blows: IntArray) -> dict[str, Layers]:
-    """Networks by name, for each drone or pair its own."""
+    """Return networks by name, with one for each drone or pair."""
     kinds, none = len(field.drag), np.zeros_like(own)
 
     def chosen(first: int, number: int, index: IntArray) -> Layers:

@@ -1,6 +1,6 @@
-"""What changes over time, and what each drone is made of: named arrays that lead with (E, N).
+"""The state and parameters of drones, and set-points, as named arrays of shape (E, N, ...).
 
-E counts environments, N drones. These are what users see of the records of `swarm_envs.tables`.
+E is the number of environments, N that of drones.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ __all__ = [
 ]
 
 FloatArray = npt.NDArray[np.float64]
-"""float64, of any shape."""
+"""An array of float64."""
 IntArray = npt.NDArray[np.int64]
-"""int64, of any shape."""
+"""An array of int64."""
 BoolArray = npt.NDArray[np.bool_]
-"""Truth values, of any shape."""
+"""An array of booleans."""
 
 
 class SwarmState(NamedTuple):
-    """State of every drone. World frame (x, y horizontal, z up, origin on the ground), SI units."""
+    """State of the drones. World frame (x, y horizontal, z up, origin on the ground), SI units."""
 
     position: FloatArray
-    """(E, N, 3) position p of the centre of mass, m."""
+    """(E, N, 3) position p of the center of mass, m."""
     velocity: FloatArray
     """(E, N, 3) velocity v, m/s."""
     quaternion: FloatArray
@@ -46,16 +46,16 @@ class SwarmState(NamedTuple):
     angular_velocity: FloatArray
     """(E, N, 3) angular velocity in the *world* frame, rad/s."""
     rotor_thrust: FloatArray
-    """(E, N, 4) thrust that each rotor gives now, N."""
+    """(E, N, 4) present thrust of each rotor, N."""
     battery: FloatArray
-    """(E, N) charge left, from 1 (full) to 0 (empty)."""
+    """(E, N) charge, from 1 (full) to 0 (empty)."""
 
     def copy(self) -> SwarmState:
-        """Return a state whose arrays are independent of this one's."""
+        """Return a copy."""
         return SwarmState(*(array.copy() for array in self))
 
     def read_only(self) -> SwarmState:
-        """Return views of the same arrays that refuse to be written."""
+        """Return read-only views of the arrays."""
         views = SwarmState(*(array.view() for array in self))
         for view in views:
             view.flags.writeable = False
@@ -63,12 +63,12 @@ class SwarmState(NamedTuple):
 
 
 def state_of(drones: Records) -> SwarmState:
-    """The state of drones (E, N) as read-only views of their records."""
+    """Return the state of drones (E, N) as read-only views of their records."""
     return SwarmState(*(drones[name] for name in SwarmState._fields)).read_only()
 
 
 class Parameters(NamedTuple):
-    """What each drone is made of: (E, N, ...) so that randomised teams may differ."""
+    """The parameters of the drones."""
 
     mass: FloatArray
     """(E, N) mass m, kg."""
@@ -86,12 +86,12 @@ class Parameters(NamedTuple):
     """(E, N) radius of the collision sphere, m."""
 
     def copy(self) -> Parameters:
-        """Return parameters whose arrays are independent of these."""
+        """Return a copy."""
         return Parameters(*(array.copy() for array in self))
 
 
 def parameters(team: Sequence[Vehicle]) -> Parameters:
-    """Nominal parameters of a team, (N, ...) each."""
+    """Return the nominal parameters of a team, with shapes (N, ...)."""
 
     def table(values: Sequence[object]) -> FloatArray:
         return np.array(values, dtype=np.float64)
@@ -108,9 +108,9 @@ def parameters(team: Sequence[Vehicle]) -> Parameters:
 
 
 def hover_state(team: Team, position: npt.ArrayLike) -> SwarmState:
-    """State of a team at rest, level, its rotors at hover thrust, with full batteries.
+    """Return the state of a team at rest, with rotors at hover thrust and full batteries.
 
-    Positions are (E, N, 3) or (N, 3), m; the latter makes one environment.
+    Positions are (E, N, 3), or (N, 3) for one environment, m.
 
     Raises:
         ValueError: the positions do not fit the team.
@@ -138,7 +138,7 @@ def hover_state(team: Team, position: npt.ArrayLike) -> SwarmState:
 
 
 class Setpoint(NamedTuple):
-    """What every drone is asked to follow at one instant. World frame, SI units."""
+    """The set-points of the drones' tracking controllers at one instant. World frame, SI units."""
 
     position: FloatArray
     """(E, N, 3) desired position p_d, m."""
@@ -147,26 +147,26 @@ class Setpoint(NamedTuple):
     acceleration: FloatArray
     """(E, N, 3) its second derivative, m/s^2."""
     jerk: FloatArray
-    """(E, N, 3) its third derivative, m/s^3: used to extrapolate between decisions."""
+    """(E, N, 3) its third derivative, m/s^3, which extrapolates set-points between decisions."""
     yaw: FloatArray
-    """(E, N) desired turn about the thrust axis, from the world x axis, rad."""
+    """(E, N) desired rotation about the thrust axis, from the world x axis, rad."""
     yaw_rate: FloatArray
     """(E, N) derivative of yaw, rad/s."""
 
     @classmethod
     def zeros(cls, num_envs: int, num_drones: int) -> Setpoint:
-        """Set-points at the origin, at rest."""
+        """Return set-points at rest at the origin."""
         shape = (num_envs, num_drones)
         widths = ((3,), (3,), (3,), (3,), (), ())
         return cls._make(np.zeros((*shape, *width)) for width in widths)
 
     @classmethod
     def hold(cls, position: FloatArray) -> Setpoint:
-        """Set-points at rest at the given (E, N, 3) positions, m."""
+        """Return set-points at rest at positions (E, N, 3), m."""
         setpoint = cls.zeros(*position.shape[:2])
         setpoint.position[...] = position
         return setpoint
 
     def copy(self) -> Setpoint:
-        """Return set-points whose arrays are independent of these."""
+        """Return a copy."""
         return Setpoint(*(array.copy() for array in self))

@@ -1,7 +1,7 @@
-"""Reference trajectories with exact derivatives: pure functions of time, over any leading axes.
+"""Reference trajectories with exact derivatives, as functions of time.
 
-Positions are (..., 3); times broadcast against their leading axes, so that a (3,) start with (T,)
-times gives (T, 3), and (N, 3) starts with one time give (N, 3).
+Positions are (..., 3). Times broadcast with their leading axes: a start (3,) with times (T,) gives
+(T, 3), and starts (N, 3) with one time give (N, 3).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Reference(NamedTuple):
 
 
 def rest(position: FloatArray) -> Reference:
-    """The motion that stays at a position (..., 3), m."""
+    """Return the motion at rest at a position (..., 3), m."""
     still = np.zeros_like(position)
     return Reference(position, still, still, still)
 
@@ -40,14 +40,14 @@ def rest(position: FloatArray) -> Reference:
 def rest_to_rest(
     start: npt.ArrayLike, goal: npt.ArrayLike, duration: npt.ArrayLike, t: npt.ArrayLike
 ) -> Reference:
-    """Straight minimum-snap motion between two points at rest: a polynomial of 7th order in time.
+    """Return a straight minimum-snap motion from rest to rest, a polynomial of 7th order in time.
 
-    Velocity, acceleration and jerk are zero at both ends; before the start and after the end the
-    motion rests there.
+    Velocity, acceleration and jerk are zero at both ends, and the motion is at rest before and
+    after.
 
     Args:
-        start: (..., 3) where it starts, m.
-        goal: (..., 3) where it ends, m.
+        start: (..., 3) start position, m.
+        goal: (..., 3) end position, m.
         duration: (...) time from start to goal, s.
         t: (...) times since the start, s.
 
@@ -71,13 +71,13 @@ def ramped_line(
     t: npt.ArrayLike,
     ramp: float = 0.2,
 ) -> Reference:
-    """Straight motion at constant speed, with quintic ramps of the speed at both ends.
+    """Return a straight motion at constant speed, with quintic ramps of the speed at both ends.
 
-    Jerk is continuous; before the start and after the end the motion rests there.
+    The jerk is continuous, and the motion is at rest before and after.
 
     Args:
-        start: (..., 3) where it starts, m.
-        goal: (..., 3) where it ends, m.
+        start: (..., 3) start position, m.
+        goal: (..., 3) end position, m.
         duration: (...) time from start to goal, s.
         t: (...) times since the start, s.
         ramp: share of the duration that each of the two ramps takes, in (0, 0.5].
@@ -89,7 +89,7 @@ def ramped_line(
     check_number("ramp", ramp, above=0.0, at_most=0.5)
     time = _positive("duration", duration)
     u = np.clip(_times(t) / time, 0.0, 1.0)
-    full = 1.0 - ramp  # what the two halves of the warped time sum to
+    full = 1.0 - ramp  # the sum of both halves of the warped time
     value, first, second, third = _ramped_time(1.0 - u, ramp)
     down, up = (full - value, first, -second, third), _ramped_time(u, ramp)
     profile = [np.where(u > 0.5, after, before) / full for after, before in zip(down, up)]
@@ -97,7 +97,7 @@ def ramped_line(
 
 
 def _ramped_time(t: FloatArray, ramp_time: float) -> tuple[FloatArray, ...]:
-    """Time that stands still before zero and runs at full rate after ramp_time; three slopes."""
+    """Return a time with rate 0 before t = 0 and rate 1 after ramp_time; and three derivatives."""
     x = np.clip(t / ramp_time, 0.0, 1.0)
     begun = np.where(t < ramp_time, x**4 * (2.5 - 3.0 * x + x**2), x - 0.5) * ramp_time
     value = begun + np.maximum(t - ramp_time, 0.0)
@@ -110,23 +110,23 @@ def _ramped_time(t: FloatArray, ramp_time: float) -> tuple[FloatArray, ...]:
 def _along_line(
     start: npt.ArrayLike, goal: npt.ArrayLike, duration: FloatArray, profile: Sequence[FloatArray]
 ) -> Reference:
-    """The motion of which a share, and its slopes by the share of the duration, are given."""
+    """Return the motion with this share of the line; the profile has its derivatives too."""
     origin, end = _points("start", start), _points("goal", goal)
     try:
         np.broadcast_shapes(origin.shape[:-1], end.shape[:-1], profile[0].shape)
     except ValueError:
         raise ValueError(
             f"start {origin.shape}, goal {end.shape}, duration and t {profile[0].shape} do not "
-            "fit together: each leads with as many, or with one"
+            "broadcast; give leading axes of equal length, or of length one"
         ) from None
-    way = end - origin
-    with np.errstate(over="ignore"):  # what takes for ever has no derivatives
+    path = end - origin
+    with np.errstate(over="ignore"):  # for very long durations
         slopes = [part / duration**k for k, part in enumerate(profile[1:], start=1)]
     value = profile[0][..., None]
-    # Weighted so that the end is met to the last bit.
+    # Weighted so that the end is reached to the last bit
     position = origin * (1.0 - value) + end * value
-    parts = np.broadcast_arrays(position, *(slope[..., None] * way for slope in slopes))
-    return Reference(*map(np.array, parts))  # each with its own memory
+    parts = np.broadcast_arrays(position, *(slope[..., None] * path for slope in slopes))
+    return Reference(*map(np.array, parts))  # copies, since broadcast views share memory
 
 
 def _points(name: str, value: npt.ArrayLike) -> FloatArray:
@@ -134,14 +134,14 @@ def _points(name: str, value: npt.ArrayLike) -> FloatArray:
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ValueError(f"{name} has shape {array.shape}, but must end in 3: x, y, z")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} is {array.tolist()}, but must be finite")
+        raise ValueError(f"{name} is {array.tolist()}, but all numbers must be finite")
     return array
 
 
 def _times(t: npt.ArrayLike) -> FloatArray:
     array = as_numbers("t", t)
     if np.isnan(array).any():
-        raise ValueError(f"t is {t!r}, but must hold no NaN")
+        raise ValueError(f"t is {t!r}, but must not contain NaN")
     return array
 
 

@@ -1,10 +1,10 @@
-"""The vehicles: what the papers flew, with the source of every number.
+"""The vehicles of the papers, with the source of every number.
 
-`SMALL` and `LARGE` are the quadrotors of Neural-Swarm2, Table I; `SMALL_STRONG` (written `S*`)
-is the small one with stronger motors, used in its ring flights (Fig. 9).
+`SMALL` and `LARGE` are the quadrotors of Neural-Swarm2, Table I; `SMALL_STRONG` (token `S*`) is the
+small one with stronger motors of its ring flights (Fig. 9).
 
-Rotors form an X, numbered as on the Crazyflie, seen from above with x forward and y left:
-1 front right, 2 back right, 3 back left, 4 front left. Rotors 1 and 3 turn counter-clockwise.
+Rotors form an X and are numbered as on the Crazyflie, seen from above with x forward and y left:
+1 front right, 2 back right, 3 back left, 4 front left. Rotors 1 and 3 turn counterclockwise.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ GRAVITY = 9.80665
 """Standard gravity, m/s^2. World z points up, so gravity is (0, 0, -GRAVITY)."""
 
 GRAM_FORCE = GRAVITY * 1e-3
-"""Newton per gram-force: the papers give forces in grams."""
+"""One gram-force in newton: the papers give forces in grams."""
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One type of quadrotor. SI units; body frame x forward, y left, z up along thrust.
+    """A type of quadrotor. SI units; body frame x forward, y left, z up along thrust.
 
     Raises:
         ValueError: a quantity is not positive and finite; the message names it.
     """
 
     token: str
-    """How team strings write it: `S`, `L`, `S*`."""
+    """The token in team strings: `S`, `L`, `S*`."""
     mass: float
     """Mass m, kg."""
     inertia: tuple[float, float, float]
@@ -54,24 +54,25 @@ class Vehicle:
     diameter: float
     """Diameter of the collision sphere, m."""
     arm: float
-    """Distance from the centre to a rotor's axis, m."""
+    """Distance from the center to a rotor's axis, m."""
     rotor_radius: float
     """Radius of one propeller, m."""
     thrust_to_torque: float
     """Yaw torque per newton of rotor thrust, m."""
     motor_rate: float
-    """First-order motor rate lambda of eq. (1c), 1/s: thrust follows its command with 1/lambda."""
+    """Motor rate lambda of eq. (1c), 1/s, the inverse of the time constant of the thrust."""
     interaction_type: str
-    """The name under which interaction models know its airframe: `S` or `L`."""
+    """The type of the airframe in interaction models: `S` or `L`."""
     pwm_to_force: tuple[float, float, float, float, float]
-    """psi1 of Table I: coefficients of 1, p, v, p^2, p v; gives grams of one rotor."""
+    """psi1 of Table I, the force of one rotor, g: coefficients of 1, p, v, p^2, p v."""
     force_to_pwm: tuple[float, float, float, float, float]
-    """psi2 of Table I: coefficients of 1, f, v, f^2, f v; f in grams of one rotor."""
+    """psi2 of Table I, the signal for a force f, g, of one rotor: coefficients of 1, f, v, f^2,
+    f v."""
     pwm_to_max_force: tuple[float, float, float]
-    """psi3 of Table I: coefficients of 1, p, v; gives the largest grams of one rotor."""
+    """psi3 of Table I, the largest force of one rotor, g: coefficients of 1, p, v."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         for name in (
             "mass",
             "max_thrust",
@@ -100,7 +101,7 @@ class Vehicle:
 
     @property
     def hover_rotor_thrust(self) -> float:
-        """Thrust of one rotor that carries a quarter of the weight, N."""
+        """Thrust of one rotor in hover, N: a quarter of the weight."""
         return self.mass * GRAVITY / 4
 
     @property
@@ -128,7 +129,7 @@ SMALL = Vehicle(
 
 
 def _scaled_inertia(mass: float, diameter: float) -> tuple[float, float, float]:
-    """Inertia of a vehicle like SMALL, scaled by mass and by diameter squared, kg m^2."""
+    """Return the inertia of SMALL, scaled by mass and by diameter squared, kg m^2."""
     scale = mass / SMALL.mass * (diameter / SMALL.diameter) ** 2
     x, y, z = SMALL.inertia
     return (x * scale, y * scale, z * scale)
@@ -144,7 +145,7 @@ LARGE = Vehicle(
     diameter=0.19,  # Table I
     arm=SMALL.arm * _LARGE_SCALE,  # not published: SMALL's, by diameter
     rotor_radius=SMALL.rotor_radius * _LARGE_SCALE,  # not published: SMALL's, by diameter
-    thrust_to_torque=SMALL.thrust_to_torque * _LARGE_SCALE,  # not published: a length, as the arm
+    thrust_to_torque=SMALL.thrust_to_torque * _LARGE_SCALE,  # not published: SMALL's, by diameter
     motor_rate=16.0,  # Table I
     interaction_type="L",
     pwm_to_force=(44.1039, -122.5115, -36.1848, 53.1077, 107.6819),  # Table I, identified digits
@@ -155,7 +156,7 @@ LARGE = Vehicle(
 
 
 def _stronger(vehicle: Vehicle, token: str, max_thrust: float) -> Vehicle:
-    """The vehicle with motors that give more force at every signal, by the ratio of the maxima."""
+    """Return a vehicle whose motors give proportionally more force at every signal."""
     k = max_thrust / vehicle.max_thrust
     a, b, c, d, e = vehicle.force_to_pwm
     f0, f1, f2, f3, f4 = vehicle.pwm_to_force
@@ -172,26 +173,26 @@ def _stronger(vehicle: Vehicle, token: str, max_thrust: float) -> Vehicle:
 
 SMALL_STRONG = _stronger(SMALL, "S*", 2.6 * SMALL.mass * GRAVITY)
 """SMALL with motors for a thrust-to-weight ratio of 2.6 (Neural-Swarm2, Sec. VII-E). Their
-polynomials are not published: SMALL's, scaled in force so that psi3 allows that ratio."""
+polynomials are not published; they are those of SMALL, with forces scaled to this ratio."""
 
 VEHICLES: dict[str, Vehicle] = {v.token: v for v in (SMALL, LARGE, SMALL_STRONG)}
-"""Every shipped vehicle by its token."""
+"""The shipped vehicles by token."""
 
 _TOKEN = re.compile(r"[A-Z]\*?|.")
 
 Team = tuple[Vehicle, ...]
-"""The vehicles that fly together, at least one, in the order of the agents."""
+"""The vehicles of a team, at least one, in the order of the agents."""
 
 
 def parse_team(team: str | Sequence[Vehicle]) -> Team:
-    """Read a team such as `"SSL"`, `"S*S*LL"` or `"L2S"` as a tuple of vehicles.
+    """Return a team such as `"SSL"`, `"S*S*LL"` or `"L2S"` as a tuple of vehicles.
 
     The tokens are `S`, `L` and `S*`. A `2` separates the upper drones from the lowest in the
-    notation of Neural-Swarm2 (`"SL2S"`: small and large above small); the order is kept, so the
-    lowest drone comes last. A sequence of vehicles is returned as a tuple.
+    notation of Neural-Swarm2 (`"SL2S"`: small and large above small); the lowest drone comes last.
+    A sequence of vehicles is returned as a tuple.
 
     Raises:
-        ValueError: the team is empty, or holds an unknown token.
+        ValueError: the team is empty or has an unknown token.
     """
     if not isinstance(team, Sequence):
         raise ValueError(f"team is {team!r}, but must be a string such as 'SSL' or Vehicles")
@@ -203,8 +204,8 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
         for vehicle in vehicles:
             if not isinstance(vehicle, Vehicle):
                 raise ValueError(
-                    f"team holds {vehicle!r}, but must be a string such as 'SSL' or hold Vehicles, "
-                    "such as swarm_envs.vehicles.SMALL"
+                    f"team contains {vehicle!r}, but must be a string such as 'SSL' or a sequence "
+                    "of Vehicles, such as swarm_envs.vehicles.SMALL"
                 )
     if not vehicles:
         raise ValueError(f"team {team!r} has no drones; name at least one, such as 'S' or 'SSL'")
@@ -212,7 +213,7 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
 
 
 def team_string(team: Sequence[Vehicle]) -> str:
-    """Write a team as the string that `parse_team` reads: the inverse of it."""
+    """Return the string of a team, the inverse of `parse_team`."""
     return "".join(vehicle.token for vehicle in parse_team(team))
 
 
@@ -221,7 +222,7 @@ def _read_tokens(team: str) -> Team:
     tokens = [token for token in _TOKEN.findall(team) if token != "2"]
     for token in tokens:
         if token not in VEHICLES:
-            said = unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}")
-            counts = "; write a letter for each drone, such as 'LLLSSS'" if token.isdigit() else ""
-            raise ValueError(said + counts)
+            problem = unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}")
+            fix = "; write a letter for each drone, such as 'LLLSSS'" if token.isdigit() else ""
+            raise ValueError(problem + fix)
     return tuple(VEHICLES[token] for token in tokens)

@@ -254,7 +254,7 @@ def test_the_page_of_the_architecture_shows_every_field(name):
 
 
 def test_a_row_says_what_a_field_holds_after_a_reset():
-    assert "| `held` | `()` | `bool` |  | `False` | Whether" in state_table("ENVIRONMENT")
+    assert "| `held` | `()` | `bool` |  | `False` | True if" in state_table("ENVIRONMENT")
     assert "| `touched_drone` | `()` | `float64` |  | `-1.0` | Drone" in state_table("DRONE")
     assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
     with pytest.raises(KeyError, match="DRONES"):

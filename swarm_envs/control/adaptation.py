@@ -1,15 +1,15 @@
-"""Adaptation of the tracking controller: which force do nominal thrust and feed-forward leave over?
+"""Adaptation of the tracking controller: estimation of unmodeled forces.
 
-At each step of 1/240 s `adapt` compares how the velocity has changed with what the nominal motors,
-the nominal mass and the feed-forward explain of it. This residual holds what no model knows: errors
-of the force model, of mass and thrust, and noise. One of three estimators makes `adaptive_force` of
-it, which `track` compensates in addition to the feed-forward. They use what a drone knows: its
-estimate of the state, its commands, its nominal mass and lag; never the true force.
+At each step of 1/240 s, `adapt` compares the change of the velocity with that expected from nominal
+motors, nominal mass and feed-forward. The residual contains errors of the force model, of mass and
+thrust, and noise. From it, one of three estimators computes `adaptive_force`, which `track`
+compensates in addition to the feed-forward. They use only information that a drone has: its state
+estimate, its commands, its nominal mass and motor lag; not the true force.
 
-- Momentum observer (`MomentumObserver`): the residual through a first-order low-pass. De Luca and
+- Momentum observer (`MomentumObserver`): a first-order low-pass of the residual. De Luca and
   Mattone (ICRA 2003) for robot arms, Tomic et al. (IEEE Trans. Robotics 33(6), 2017) for
   multirotors.
-- Incremental inversion (`Indi`): through a second-order Butterworth filter. Smeur et al. (Control
+- Incremental inversion (`Indi`): a second-order Butterworth filter. Smeur et al. (Control
   Engineering Practice 73, 2018), Tal and Karaman (IEEE Trans. Control Systems Technology 29(3),
   2021); with a learned feed-forward, Cobo-Briesewitz et al. (L4DC 2026, the hybrid method).
 - Neural-Fly (`NeuralFly`): coefficients of a fitted basis, by composite adaptation. O'Connell et
@@ -27,9 +27,9 @@ from swarm_envs.vehicles import GRAVITY
 
 @part
 def adapt(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
-    """Make one step of the adaptation for the first `count` blocks: `adaptive_force` is written.
+    """Write `adaptive_force` of the first `count` blocks, for one step.
 
-    Blocks hold the state as it is known, the force that is fed forward now, and the commands of the
+    Blocks have the state or its estimate, the present feed-forward force, and the commands of the
     last step. `hall` is True in the world "hall", else None.
     """
     find_residual(blocks, count, settings, hall)
@@ -42,10 +42,10 @@ def adapt(blocks: Records, count: int, settings: Records, hall: bool | None = No
 def find_residual(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
     """Write `residual`, m (dv/dt + g) - T z - f_hat over the last step, N; 0 in the first one.
 
-    The acceleration is the difference of the velocities. T is the thrust that the nominal motors
-    give after their lag (eq. 1c), z its direction when the last commands were given. What this
-    step had and the next one needs is kept; what the last one had goes to `old_velocity` and
-    `old_feedforward`.
+    The acceleration is the difference of the velocities. T is the thrust of nominal motors with
+    their lag (eq. 1c), and z its direction at the last commands. The present velocity and
+    feed-forward are stored for the next step; those of the last step are copied to `old_velocity`
+    and `old_feedforward`.
     """
     per_step = 1.0 / settings[0].step
     for n in range(count):
@@ -79,10 +79,10 @@ def find_residual(blocks: Records, count: int, settings: Records, hall: bool | N
 
 @equation
 def within_weight(force: float, mass: float) -> float:
-    """A force along one axis, N, limited to the weight of a mass, kg.
+    """Return a force along one axis, N, clipped to the weight of a mass, kg.
 
-    What jumps of the estimated state seem to ask for must not turn a drone over. Rotors that lift
-    1.9 weights could not hold more anyway.
+    Jumps of the state estimate thereby cannot flip a drone. Rotors with a thrust-to-weight ratio of
+    1.9 could not compensate more.
     """
     weight = mass * GRAVITY
     return min(max(force, -weight), weight)
@@ -90,11 +90,12 @@ def within_weight(force: float, mass: float) -> float:
 
 @part
 def filter_residual(blocks: Records, count: int, settings: Records) -> None:
-    """Low-pass the residual r: what is left is the force of the momentum observer and of INDI.
+    """Low-pass the residual r, which gives the force f of the momentum observer and of INDI.
 
-    Over a step, f - r <- a (f - r) + b f' and f' <- c (f - r) + d f': exact for a second-order
-    low-pass. Of a first-order one only a is not zero, exp(-w dt): that is the momentum observer
-    f = w (m v - integral of (T z - m g + f_hat + f)) for forces that are held over the step.
+    Over a step, f - r <- a (f - r) + b f' and f' <- c (f - r) + d f', which is exact for a
+    second-order low-pass. For a first-order one, a = exp(-w dt) and b = c = d = 0: this is the
+    momentum observer f = w (m v - integral of (T z - m g + f_hat + f)) for forces that are constant
+    in a step.
     """
     low_pass = settings[0].residual_filter
     a, b_rate, c, d = low_pass[0], low_pass[1], low_pass[2], low_pass[3]
@@ -114,14 +115,14 @@ def filter_residual(blocks: Records, count: int, settings: Records) -> None:
 def learn_last_layer(
     blocks: Records, count: int, settings: Records, hall: bool | None = None
 ) -> None:
-    """Neural-Fly: coefficients of a basis in each axis, see `learn_axis`."""
+    """Update the coefficients of Neural-Fly in each axis; see `learn_axis`."""
     s = settings[0]
     rates = s.step, s.position_gain, s.adaptive_kept, s.adaptive_noise
     drift = s.adaptive_drift[0], s.adaptive_drift[1], s.adaptive_drift[2]
     for n in range(count):
         b = blocks[n]
         position, velocity, _, _ = seen_state(b, hall)
-        for lane in range(LANES):  # called thrice: LLVM does not unroll so long a loop over axes
+        for lane in range(LANES):  # three calls, since LLVM does not unroll such a loop over axes
             learn_axis(b, 0, lane, position, velocity, rates, drift)
             learn_axis(b, 1, lane, position, velocity, rates, drift)
             learn_axis(b, 2, lane, position, velocity, rates, drift)
@@ -137,15 +138,15 @@ def learn_axis(
     rates: tuple[float, float, float, float],
     drift: tuple[float, float, float],
 ) -> None:
-    """Coefficients a of a basis phi along one axis, by errors of prediction and of tracking.
+    """Update the coefficients a of a basis phi along one axis, by prediction and tracking errors.
 
-    phi = (f_hat / m, v, 1): what the force model predicts there, a drag, a constant; phi a is an
+    phi = (f_hat / m, v, 1): the prediction of the force model, drag, and a constant; phi a is an
     acceleration. With the filtered residual acceleration y and the velocity error s = v - v_r,
 
         da/dt = -l a - P phi R^-1 (phi a - y) + P phi s,   dP/dt = -2 l P + Q - P phi R^-1 phi P.
 
-    All but P phi s is taken as the prediction and the correction of a Kalman filter over the step,
-    so that no covariance makes it unstable; there phi is that of the step in which y was measured.
+    All terms except P phi s are computed as prediction and correction of a Kalman filter over the
+    step, which is stable for any covariance; there phi is that of the step in which y was measured.
     """
     step, kp, kept, noise = rates
     mass, per_mass = b.nominal_mass[lane], 1.0 / b.nominal_mass[lane]

@@ -1,9 +1,10 @@
-"""The tracking controller of Neural-Swarm2, Sec. VI (version 1): from set-points to rotor thrusts.
+"""The tracking controller of Neural-Swarm2, Sec. VI (version 1), from set-points to rotor thrusts.
 
-Position loop, eqs. (18) and (19); attitude loop, eqs. (20) and (21); the delay compensation of
-the motors, eq. (22), which adds to the desired thrust its low-passed derivative over lambda, and to
-the torque the derivative of the rate error; the mixer. At 240 Hz `track` makes one step of the
-outer loops for blocks of drones, and `hold_rates` one of the rate loop and the mixer.
+It consists of the position loop, eqs. (18) and (19), the attitude loop, eqs. (20) and (21), the
+delay compensation of the motors, eq. (22), and the mixer. Delay compensation adds to the desired
+thrust its low-passed derivative over lambda, and to the torque the derivative of the rate error.
+For blocks of drones, `track` makes a step of the outer loops, and `hold_rates` one of the rate loop
+and the mixer.
 
 Rotors: 1 front right, 2 back right, 3 back left, 4 front left; body x forward, y left, z up.
 """
@@ -17,26 +18,26 @@ from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
 Vector = tuple[float, float, float]  # x, y, z
-Quaternion = tuple[float, float, float, float]  # x, y, z, w: scalar last, body to world
+Quaternion = tuple[float, float, float, float]  # x, y, z, w; body to world
 
 
 @equation
 def three(field: Record, lane: int) -> Vector:
-    """The three numbers that a field of a block has in a lane."""
+    """Return the three numbers of a block's field in a lane."""
     return field[0, lane], field[1, lane], field[2, lane]
 
 
 @equation
 def four(field: Record, lane: int) -> Quaternion:
-    """The four numbers that a field of a block has in a lane."""
+    """Return the four numbers of a block's field in a lane."""
     return field[0, lane], field[1, lane], field[2, lane], field[3, lane]
 
 
 @equation
 def seen_state(b: Record, hall: bool | None) -> tuple[Record, Record, Record, Record]:
-    """Position, velocity, attitude and angular velocity of a block that the controller is given.
+    """Return a block's position, velocity, attitude and angular velocity for the controller.
 
-    They are estimated where `hall` is True, in the world "hall"; else it is None.
+    They are the estimates if `hall` is True; else it is None.
     """
     if hall is None:
         return b.position, b.velocity, b.quaternion, b.angular_velocity
@@ -45,7 +46,7 @@ def seen_state(b: Record, hall: bool | None) -> tuple[Record, Record, Record, Re
 
 @equation
 def rotate_back(q: Quaternion, v: Vector) -> Vector:
-    """Components, in a frame of attitude q = (x, y, z, w), of a vector given outside it: R^T v."""
+    """Return R^T v: a vector of the world frame in a frame of attitude q."""
     tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
     ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
     tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
@@ -58,7 +59,7 @@ def rotate_back(q: Quaternion, v: Vector) -> Vector:
 
 @equation
 def relative_rotation(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Rotation from frame a to frame b, conj(a) b, with its scalar part not negative."""
+    """Return the rotation from frame a to frame b, conj(a) b, with a scalar part >= 0."""
     x = a[3] * b[0] - a[0] * b[3] - a[1] * b[2] + a[2] * b[1]
     y = a[3] * b[1] - a[1] * b[3] - a[2] * b[0] + a[0] * b[2]
     z = a[3] * b[2] - a[2] * b[3] - a[0] * b[1] + a[1] * b[0]
@@ -77,16 +78,15 @@ def mix_rotors(
     rotor_offset: float,
     thrust_to_torque: float,
 ) -> tuple[float, float, float, float]:
-    """Rotor thrusts (N) of a drone that give a thrust (N) and a body torque (N m), in their range.
+    """Return rotor thrusts, N, for a thrust, N, and a body torque, N m, within the rotors' range.
 
-    A wrench that the rotors can give is given exactly. Otherwise parts of it are given up in the
-    order yaw, thrust, roll and pitch: yaw is scaled down as far as the rest needs; if that is not
-    enough the thrust is shifted, as little as possible; only when roll and pitch alone ask for more
-    than the rotors' range are they scaled, both alike. `rotor_offset` (m) is the distance of each
-    rotor from the body x and y axes, `thrust_to_torque` (m) the yaw torque per newton of rotor
+    A feasible wrench is realized exactly. Otherwise, yaw is scaled down as far as necessary; if
+    that is not enough, the thrust is shifted as little as possible; roll and pitch are scaled down,
+    both by one factor, only if they alone exceed the range. `rotor_offset` (m) is the distance of
+    each rotor from the body x and y axes, `thrust_to_torque` (m) the yaw torque per newton of rotor
     thrust.
     """
-    # Rotors 1 and 3 take opposite shares of roll and pitch, and so do 2 and 4.
+    # Rotors 1 and 3 have opposite shares of roll and pitch, and so do 2 and 4
     per_arm = 0.25 / rotor_offset
     diagonal_1 = -(torque_x + torque_y) * per_arm
     diagonal_2 = (torque_y - torque_x) * per_arm
@@ -97,8 +97,8 @@ def mix_rotors(
     diagonal_2 *= scale
     largest = 0.5 * max_rotor_thrust if too_much else largest
 
-    # Positive yaw takes thrust from rotors 1 and 3 and gives it to 2 and 4, so it narrows the range
-    # of thrusts that fit on one side and may widen it on the other.
+    # Positive yaw shifts thrust from rotors 1 and 3 to 2 and 4, which reduces the range of feasible
+    # thrusts on one side and may extend it on the other
     yaw = torque_z / (4.0 * thrust_to_torque)
     losing = abs(diagonal_2) if yaw < 0.0 else abs(diagonal_1)
     gaining = abs(diagonal_1) if yaw < 0.0 else abs(diagonal_2)
@@ -120,14 +120,14 @@ def mix_rotors(
 def track(
     blocks: Records, count: int, settings: Records, adaptive: bool | None, hall: bool | None = None
 ) -> None:
-    """Make one step of position and attitude loop for every drone of the first `count` blocks.
+    """Make one step of the position and attitude loops for the drones of the first `count` blocks.
 
-    What they ask of the rate loop is written, and the set-points are extrapolated by one step with
-    their jerk. `adaptive`: True if what `adapt` estimates is compensated as well; `hall`: True in
-    the world "hall"; else None.
+    The commands for the rate loop are written, and set-points are extrapolated by one step with
+    their jerk. `adaptive` is True if the force of `adapt` is also compensated, and `hall` in the
+    world "hall"; else they are None.
     """
     s = settings[0]
-    step, per_step, lead = s.step, 1.0 / s.step, s.lead  # a division takes as long as ten sums
+    step, per_step, lead = s.step, 1.0 / s.step, s.lead  # divisions are slow
     kp, kv, ki = s.position_gain, s.velocity_gain, s.integral_gain
     limit, tilt_gain, yaw_gain = s.velocity_integral_limit, s.attitude_tilt, s.attitude_yaw
     thrust_blend, rate_blend = s.thrust_rate_blend, s.desired_rate_blend
@@ -135,7 +135,7 @@ def track(
     for n in range(count):
         b = blocks[n]
         position, velocity, attitude, angular_velocity = seen_state(b, hall)
-        # Trigonometric functions are no vector instructions: they are left out where none yaws.
+        # Trigonometric functions are not vectorized: skip them if all yaw angles are 0
         largest_yaw = 0.0
         for lane in range(LANES):
             largest_yaw = max(largest_yaw, abs(b.setpoint_yaw[lane]))
@@ -146,7 +146,7 @@ def track(
                 b.yaw_sin[lane], b.yaw_cos[lane] = math.sin(half), math.cos(half)
 
         for lane in range(LANES):
-            # The desired force along each world axis without gravity and f_hat: eqs. (18) and (19).
+            # The desired force along each world axis without gravity and f_hat: eqs. (18) and (19)
             for k in range(3):
                 v, v_d = velocity[k, lane], b.setpoint_velocity[k, lane]
                 a_d, p_d = b.setpoint_acceleration[k, lane], b.setpoint_position[k, lane]
@@ -161,14 +161,14 @@ def track(
             omega = rotate_back(q, three(angular_velocity, lane))
             started, weight = b.started[lane], b.nominal_mass[lane] * GRAVITY
 
-            # The vertical part of the force is kept positive: it always points up.
+            # The vertical component of the desired force is kept positive
             (fx, fy, fz), known = three(b.desired_force, lane), three(b.feedforward_force, lane)
             if adaptive is not None:
                 more = three(b.adaptive_force, lane)
                 known = known[0] + more[0], known[1] + more[1], known[2] + more[2]
             fx, fy, fz = fx - known[0], fy - known[1], max(fz + weight - known[2], least * weight)
 
-            # The thrust along the body's axis, with the lead of eq. (22).
+            # The thrust along the body's z axis, with the lead of eq. (22)
             thrust = (
                 2.0 * (q[0] * q[2] + q[3] * q[1]) * fx
                 + 2.0 * (q[1] * q[2] - q[3] * q[0]) * fy
@@ -180,8 +180,8 @@ def track(
             b.desired_thrust[lane], b.thrust_rate[lane] = thrust, thrust_rate
             b.asked[0, lane] = thrust + lead / b.nominal_motor_rate[lane] * thrust_rate
 
-            # The desired attitude: the shortest rotation of the world's z axis to the force; and
-            # its rate: the tilt's is differentiated and low-passed.
+            # The desired attitude, by the shortest rotation of the world's z axis to the force, and
+            # the low-passed derivative of this tilt
             length = math.sqrt(fx * fx + fy * fy + fz * fz)
             half_cos = math.sqrt(0.5 * (1.0 + fz / length))
             tilt_scale = 0.5 / (half_cos * length)
@@ -203,10 +203,10 @@ def track(
                 tilt[3] * yaw_cos,
             )
 
-            # The body rates, eq. (20), and of their derivative the part that the attitude error
-            # brings, -Lambda_q d(q_v)/dt = -Lambda_q (q_0 a + q_v x a) / 2 with the rate a against
-            # the desired frame, from the measured rates. That of omega_d is left out: it would be
-            # the third difference of a measured velocity.
+            # The body rates, eq. (20), and the part of their derivative due to the attitude error,
+            # -Lambda_q d(q_v)/dt = -Lambda_q (q_0 a + q_v x a) / 2, with the measured rate a
+            # relative to the desired frame. The derivative of omega_d is left out: it would be the
+            # third difference of a measured velocity.
             e = relative_rotation(desired, q)
             feed = rotate_back(e, (rate[0], rate[1], rate[2] + b.setpoint_yaw_rate[lane]))
             ax, ay, az = omega[0] - feed[0], omega[1] - feed[1], omega[2] - feed[2]
@@ -228,11 +228,11 @@ def track(
 
 @part
 def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
-    """Make one step of the rate loop for the first `count` blocks, towards `asked`: eq. (21).
+    """Make one step of the rate loop, eq. (21), and of the mixer for the first `count` blocks.
 
-    The derivative of the body rates asked for is `asked_change`, which is 0 unless `track` writes
-    it. The rotors' lag is compensated by eq. (22): that adds to the torque the derivative of the
-    rate error, which is low-passed. Rotor commands and the loop's memory are written.
+    The commanded body rates are in `asked`, and their derivative in `asked_change`, which is 0
+    unless `track` writes it. For the motor lag, eq. (22), the low-passed derivative of the rate
+    error is added. Rotor commands and the state of the loop are written.
     """
     s = settings[0]
     step, per_step, lead, limit = s.step, 1.0 / s.step, s.lead, s.rate_integral_limit
@@ -248,7 +248,7 @@ def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None
                 gain, integral_gain = (tilt, tilt_integral) if k < 2 else (yaw, yaw_integral)
                 error, last = b.body_rate[k, lane] - b.asked[1 + k, lane], b.rate_error[k, lane]
                 rate, integral = b.rate_error_rate[k, lane], b.rate_integral[k, lane]
-                # The first step has no last error.
+                # The first step has no last error
                 rate += blend * b.started[lane] * ((error - last) * per_step - rate)
                 integral = min(max(integral + error * step, -limit), limit)
                 b.rate_error[k, lane], b.rate_error_rate[k, lane] = error, rate

@@ -24,13 +24,13 @@ __all__ = ["TrackingController"]
 class TrackingController:
     """The tracking controller of a team, for use outside environments.
 
-    It owns its memory: call `commands` once per step of 1/240 s, and `reset` when a flight begins.
+    It has a state: call `commands` once per step of dt, and `reset` when a flight begins.
 
     Args:
-        team: the vehicles, N of them.
-        num_envs: E, number of teams that fly at once.
-        config: gains, filters and the interaction model to compensate.
-        dt: length of a controller step, s.
+        team: the N vehicles.
+        num_envs: E, the number of teams.
+        config: the configuration; None for the default.
+        dt: duration of a controller step, s.
 
     Raises:
         ValueError: `num_envs` is below one, or dt is not positive.
@@ -56,24 +56,24 @@ class TrackingController:
         self.reset()
 
     def reset(self, mask: BoolArray | None = None) -> None:
-        """Forget all that was, in the environments of the (E,) mask or in every one."""
+        """Reset the controller's state in the environments of the mask (E,), by default in all."""
         where = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         self._loop.begin(np.flatnonzero(where), at_rest=False)
 
     def commands(
         self, state: SwarmState, setpoint: Setpoint, feedforward: FloatArray | None = None
     ) -> FloatArray:
-        """Rotor thrust commands (E, N, 4), N, for one step.
+        """Return the rotor thrust commands (E, N, 4), N, of one step.
 
         Args:
             state: the measured state.
-            setpoint: what to follow, at this instant.
-            feedforward: (E, N, 3) interaction forces to compensate, world frame, N. None asks the
-                configuration's model, or takes zero if it has none.
+            setpoint: the present set-points.
+            feedforward: (E, N, 3) interaction forces to compensate, N, world frame; None for those
+                of the configuration's model, or zero without one.
 
         Raises:
-            ValueError: an array has the wrong shape or an entry that is not finite; the memory is
-                then unchanged.
+            ValueError: an array has a wrong shape or an entry that is not finite. The controller's
+                state was not changed.
         """
         shape = (self.num_envs, len(self.team))
         drones = self._loop.world.drones

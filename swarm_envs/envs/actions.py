@@ -1,11 +1,11 @@
-"""Actions: what an agent's numbers mean, and how they reach set-points or rotors.
+"""Action modes: the meaning of an action, and its conversion to set-points or rotor commands.
 
 | mode | numbers | meaning |
 |---|---|---|
 | `acceleration` | 3 in [-1, 1] | acceleration of the set-point over 5 m/s^2; see `accelerate` |
 | `velocity` | 3 in [-1, 1] | velocity of the set-point over 2 m/s; see `approach_velocity` |
-| `ctbr` | 4 in [-1, 1] | collective thrust, from none to the largest; body rates about x, y, z |
-| `rotors` | 4 in [-1, 1] | thrust of each rotor, from none to the largest |
+| `ctbr` | 4 in [-1, 1] | collective thrust, zero to maximum; body rates about x, y, z |
+| `rotors` | 4 in [-1, 1] | thrust of each rotor, zero to maximum |
 | `setpoint` | 14, SI | position, velocity, acceleration, jerk (3 each), yaw, yaw rate |
 """
 
@@ -25,31 +25,31 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 __all__ = ["ACCELERATION_LAG", "ACTIONS"]
 
 ACCELERATION_LAG = 0.1
-"""Time constant with which a set-point's acceleration approaches what is asked for, s."""
+"""Time constant with which a set-point's acceleration approaches the commanded one, s."""
 
 TILT_RATE_LIMIT, YAW_RATE_LIMIT = 8.0, 4.0
-"""Largest body rates that `ctbr` asks for, about x and y, and about z, rad/s."""
+"""Largest body rates of `ctbr` about x and y, and about z, rad/s."""
 
 _ROUNDING = 1e-6
 _LARGEST = 1e30
-"""Of numbers in an unbounded Box: further, float32 observations could not hold what follows."""
+"""Largest number in an unbounded Box; with larger ones, float32 observations would overflow."""
 _ACCELERATION, _VELOCITY, _CTBR, _ROTORS, _SETPOINT = range(5)
 
 
 @dataclass(frozen=True)
 class ActionMode:
-    """One meaning of actions."""
+    """An action mode."""
 
-    name: str  # As the option `action` names it
-    code: int  # As kernels tell modes apart
+    name: str  # A value of the option `action`
+    code: int  # The mode's number in kernels
     width: int  # Numbers per drone
     level: int
-    """Where in the loop it enters: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`."""
-    limit: float = 1.0 + _ROUNDING  # Largest size of a number
+    """The input of the control loop: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`."""
+    limit: float = 1.0 + _ROUNDING  # Largest absolute value of a number
 
     @property
     def bounded(self) -> bool:
-        """Whether numbers must lie in [-1, 1]."""
+        """True if numbers must lie in [-1, 1]."""
         return self.limit < _LARGEST
 
 
@@ -63,22 +63,23 @@ ACTIONS: dict[str, ActionMode] = {
         ActionMode("setpoint", _SETPOINT, 14, SETPOINTS, _LARGEST),
     )
 }
-"""Every action mode by name."""
+"""All action modes by name."""
 
 
 @part
 def accelerate(drone: Record, x: float, y: float, z: float, decision_s: float) -> None:
-    """Let a set-point's acceleration approach what is asked for, within the speed limit.
+    """Set the jerk with which a set-point's acceleration approaches the commanded one.
 
-    With time constant tau the velocity that a set-point coasts to, u = v + tau a, moves at the
-    acceleration asked for; u is kept within the speed limit, and so v is. Over the decision the
-    acceleration is a straight ramp (the trapezoidal rule), so the attitude can follow.
+    If a set-point's acceleration decays with time constant tau, its velocity tends to
+    u = v + tau a, which changes at the commanded acceleration. u is kept within the speed limit,
+    and thereby v. During the decision the acceleration is a linear ramp (trapezoidal rule), which
+    the attitude can follow.
 
     Args:
-        drone: its record; the set-point's jerk is set, constant until the next decision.
-        x: action, in [-1, 1], times 5 m/s^2.
-        y: the same.
-        z: the same.
+        drone: the drone's record; `setpoint_jerk` is written, constant until the next decision.
+        x: x component of the action, in [-1, 1], times 5 m/s^2.
+        y: y component.
+        z: z component.
         decision_s: time until the next decision, s.
     """
     v, a, coast = drone.setpoint_velocity, drone.setpoint_acceleration, drone.setpoint_jerk
@@ -97,10 +98,10 @@ def accelerate(drone: Record, x: float, y: float, z: float, decision_s: float) -
 def approach_velocity(
     drone: Record, x: float, y: float, z: float, decision_s: float
 ) -> tuple[float, float, float]:
-    """Acceleration, over 5 m/s^2, that brings a set-point to the velocity asked for.
+    """Return the acceleration, over 5 m/s^2, that brings a set-point to the commanded velocity.
 
-    By the next decision if 5 m/s^2 suffice, else as fast as these do. The velocity asked for is
-    kept within the speed limit. Arguments as of `accelerate`, but times 2 m/s.
+    The velocity is reached by the next decision, or as soon as 5 m/s^2 allow. The commanded
+    velocity is kept within the speed limit. The arguments are those of `accelerate`, times 2 m/s.
     """
     v, a = drone.setpoint_velocity, drone.setpoint_acceleration
     tau = max(ACCELERATION_LAG, 0.5 * decision_s)
@@ -115,7 +116,7 @@ def approach_velocity(
 
 @part
 def write_command(drone: Record, code: int, u: FloatArray) -> None:
-    """Write an action (width,), neither acceleration nor velocity, into a drone's record."""
+    """Write an action (width,) of mode `ctbr`, `rotors` or `setpoint` into a drone's record."""
     most = drone.nominal_max_rotor_thrust
     if code == _CTBR:
         drone.asked[0] = 0.5 * (u[0] + 1.0) * (4.0 * most)
@@ -141,19 +142,19 @@ def apply_actions(
     settings: Records,
     flown: BoolArray,
 ) -> bool:
-    """Write actions into the set-points or commands of the environments that run, and tell time.
+    """Write actions into the set-points or commands of running environments; advance their time.
 
     Args:
-        code: of the action mode.
+        code: code of the action mode.
         actions: (E, N, width).
-        limit: largest size of a number.
+        limit: largest absolute value of a number.
         drones: (E, N) records.
-        environments: (E,) records, whose time is that after the decision.
+        environments: (E,) records; their time becomes that at the end of the decision.
         settings: (1,) record.
-        flown: (E,) which environments run, written.
+        flown: (E,) mask of the environments that run, written.
 
     Returns:
-        Whether every number is finite and within the limit; if not, nothing was changed.
+        True if every number is finite and within the limit. Otherwise nothing was changed.
     """
     for e in range(actions.shape[0]):
         for i in range(actions.shape[1]):
@@ -182,7 +183,11 @@ def apply_actions(
 def as_actions(
     mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int], clip: bool = False
 ) -> FloatArray:
-    """Actions (E, N, width) as contiguous float64, clipped to a bounded mode's Box if wanted."""
+    """Return actions (E, N, width) as contiguous float64, with `clip` clipped to a bounded Box.
+
+    Raises:
+        ValueError: the actions are no numbers, or have another shape.
+    """
     try:
         array: FloatArray = np.ascontiguousarray(actions, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -193,16 +198,16 @@ def as_actions(
             f"numbers of action {mode.name!r}"
         )
     if clip and mode.bounded:
-        finite = np.isfinite(array)  # infinity is refused, not clipped
+        finite = np.isfinite(array)  # infinity is rejected, not clipped
         array = np.clip(array, -1.0, 1.0, out=array.copy(), where=finite)
     return array
 
 
 def check_actions(mode: ActionMode, actions: FloatArray) -> None:
-    """Refuse actions (E, N, width) that the mode's Box excludes."""
+    """Raise ValueError for actions (E, N, width) outside the mode's Box."""
     limit = mode.limit
     wrong = ~np.isfinite(actions)
-    rule, fix = "every number must be finite", "look for what made it so"
+    rule, fix = "every number must be finite", "check the policy's output"
     if not wrong.any():
         wrong = np.abs(actions) > limit
         edge = 1 if mode.bounded else f"{_LARGEST:g}"

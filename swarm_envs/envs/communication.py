@@ -1,4 +1,4 @@
-"""Communication between drones: neighbors are observed within a range, late, and not always."""
+"""Communication between drones, with a limited range, delay and packet loss."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from swarm_envs.vehicles import GRAVITY, SMALL
 
 __all__ = ["Communication"]
 
-_ACTIVE = 15  # Column of a message that is 1 while its sender flies
+_ACTIVE = 15  # Column of a message that is 1 until the episode of its sender ends
 _WIDTH = 16
 
 
 class Communication:
-    """The messages that drones exchange, and the neighbors that they observe by them.
+    """The messages of drones, and the observations of neighbors by received messages.
 
-    At each decision a drone broadcasts its position and velocity as it measures them, its goal,
-    type and loads. A drone receives the messages of the drones within the range when they were
-    sent, after the delay; each is lost with a probability of its own. A neighbor without a message
-    in a decision is not observed in it (`mask` 0). The observing drone's own state is not late.
+    At each decision a drone broadcasts its measured position and velocity, its goal, type and
+    loads. Drones that are within the range at this time receive the message after the delay, unless
+    it is lost. A neighbor without a received message in a decision is not observed (`mask` 0). The
+    observing drone's own state is not delayed.
 
     Args:
         num_envs: E.
         num_drones: N.
         range_m: the largest distance to a sender, m.
-        delay: decisions between sending and receiving.
-        loss: probability that a message is lost.
+        delay: number of decisions between sending and receiving.
+        loss: probability that a message to a drone is lost.
     """
 
     def __init__(
@@ -46,12 +46,12 @@ class Communication:
     ) -> None:
         self._square, self._delay, self._loss = range_m**2, delay, loss
         self.messages: FloatArray = np.zeros((num_envs, delay + 1, num_drones, _WIDTH))
-        """The messages of the last decisions; a slot is a decision, modulo their number."""
+        """The messages of the last decisions, at the index of the decision modulo `delay` + 1."""
         self.keys: npt.NDArray[np.uint64] = np.zeros(num_envs, np.uint64)
-        """The random stream of each episode."""
+        """The key of the random numbers of each environment's episode."""
 
     def begin(self, environment: int, generator: np.random.Generator) -> None:
-        """Begin an episode: nothing has been sent, and losses follow the generator."""
+        """Clear the messages of an environment, and sample the key of its losses."""
         self.messages[environment] = 0.0
         if self._loss > 0.0:
             self.keys[environment] = generator.integers(2**63)
@@ -69,11 +69,11 @@ class Communication:
 
         Args:
             where: indices of the environments.
-            seen: (E, N) records of the drones as they are measured.
+            seen: (E, N) measured records of the drones.
             drones: (E, N) true records.
             decisions: (E,) number of the decision in each episode.
             neighbors: (E, N, K, width) observed fields of the neighbors, nearest first, written.
-            mask: (E, N, K), written: 1 where there is a neighbor.
+            mask: (E, N, K), written: 1 if there is a neighbor.
         """
         slots, now = self._delay + 1, decisions[where].astype(np.int64)
         self.messages[where, now % slots] = _messages(seen[where], drones[where])
@@ -111,7 +111,7 @@ class Communication:
 
 
 def _messages(seen: Records, drones: Records) -> FloatArray:
-    """Return what drones send (E, N, 16): position, velocity, goal, type, loads and activity."""
+    """Return the drones' messages (E, N, 16): position, velocity, goal, type, loads, activity."""
     weight = drones["nominal_mass"] * GRAVITY
     parts = [
         seen["position"],

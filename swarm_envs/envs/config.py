@@ -1,4 +1,4 @@
-"""Options that every task's environments share."""
+"""Options of the environments of every task."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ __all__ = ["WORLDS", "EnvConfig", "check_num_envs"]
 ENGINES = ("bullet", "batch")  # Names of the physics engines
 WORLDS = ("ideal", "hall")
 """Names of the worlds."""
-MANY_DRONES = 1024  # From so many drones in all environments together on, more threads than one pay
-MOST_THREADS = 1024  # Of `threads`: each is the system's
+MANY_DRONES = 1024  # Number of drones in all environments together from which threads pay
+MOST_THREADS = 1024  # Upper bound of `threads`: each is a thread of the operating system
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +63,8 @@ class EnvConfig:
     action: str = "acceleration"
     """The action mode: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
     clip_actions: bool = False
-    """Whether actions outside [-1, 1] are clipped, as Gaussian policies need, instead of refused.
-    Actions that are not finite are always refused."""
+    """True to clip actions to [-1, 1], as Gaussian policies need; by default actions outside raise
+    ValueError. Actions that are not finite always do."""
     decision_rate: int = 48
     """Actions per second: 240 over an integer."""
     force_rate: int = 240
@@ -73,29 +73,29 @@ class EnvConfig:
     """Precision of the force model's networks: `float64`, or `float32` for training (the error is
     about 1e-4 g). Everything else is float64."""
     interaction_torque: bool = False
-    """Whether the interaction force also exerts a torque: each rotor receives a quarter of the
+    """True to let the interaction force also exert a torque: each rotor receives a quarter of the
     vertical force at its position (docs/forces.md)."""
     controller: ControllerConfig | None = None
     """The tracking controller between actions and rotors; None for the default."""
     num_neighbors: int = 3
-    """K, the number of observed neighbours."""
+    """K, the number of observed neighbors."""
     threads: int | None = None
     """Threads of the compiled engine, which do not change the result; None for one, or for all
     cores from 1,024 drones on."""
     observation: str = "flat"
-    """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
+    """Form of observations: `flat` rows, or a `dict` of `self`, `neighbors`, `mask`, `task`."""
     num_obstacles: int | None = None
     """M, the number of observed obstacles, nearest first; None: 3 if the task has obstacles, else
     0."""
     observe_load: bool = False
-    """Whether observations include thrust margin, mass and charge of the drone and of its
-    neighbors."""
+    """True to include the thrust margin, mass and charge of the drone and of its neighbors in
+    observations."""
     observe_force: str | Path | InteractionModel | None = None
-    """A force model whose prediction for itself each drone observes, such as
+    """A force model whose prediction of the force on itself each drone observes, such as
     `swarm_envs.baselines.neural_swarm.load_belief()`; None for none."""
     observe_setpoint: bool = False
-    """Include the velocity and acceleration of the controller's set-point in observations: they
-    are exact where the drone's own velocity is noisy."""
+    """True to include the velocity and acceleration of the controller's set-point in observations:
+    they are exact where the drone's own velocity is noisy."""
     observe_range_m: float | None = None
     """Communication range: a drone observes the neighbors within this distance, m; None: any."""
     observe_delay_s: float = 0.0
@@ -107,31 +107,31 @@ class EnvConfig:
     horizon_s: float | None = None
     """Time limit: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
-    """Whether success ends the episode."""
+    """True to end the episode on success."""
     on_contact: str = "end_team"
     """Effect of a contact with a drone, the floor, a wall or an obstacle. `end_team`: ends the
     episode of the whole team. `end_pair`: ends the episodes of the drones in contact; the others
     continue. `bounce`: drones bounce off and continue; only tumbling ends a drone's episode."""
     world: str | Hall = "ideal"
     """`ideal`: controllers receive the true state, and forces and rotors follow their models.
-    `hall`: a motion-capture hall with random forces and a state estimate. Or a
-    `swarm_envs.hall.Hall` with other parameters."""
+    `hall`: a motion-capture hall with random forces and a state estimate. A
+    `swarm_envs.hall.Hall` sets the parameters of the hall."""
     battery: BatteryModel | None = None
     """Model of batteries that discharge and weaken the rotors; None for ideal batteries."""
     randomization: Randomization | str | None = None
     """Domain randomization, sampled at every reset, also as a string such as
     `mass=0.9:1.1,thrust=0.95:1.05`; None for none."""
     deterministic: bool = False
-    """Whether every interface must give bitwise identical flights. On one engine they always do,
-    for any number of environments and threads. By default Bullet, if installed, flies single
-    environments and the compiled engine batches; True makes the compiled engine the default
-    everywhere."""
+    """True to get bitwise identical flights from every interface: the compiled engine is the
+    default everywhere. By default, Bullet simulates single environments if it is installed, and
+    the compiled engine batches. Flights on one engine are identical for any number of
+    environments and threads."""
     force_bounds_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
     """Bounds on the vertical interaction force by vehicle token, gram-force: metrics count
     violations. Other types have no bound."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have, and options that contradict each other."""
+        """Raise ValueError for invalid values and contradicting options."""
         if self.physics is not None:
             check_name("physics", self.physics, ENGINES)
         if not callable(self.interactions):
@@ -149,9 +149,8 @@ class EnvConfig:
         for name in ("decision_rate", "force_rate"):
             check_divisor(name, getattr(self, name), PHYSICS_RATE)
         check_name("precision", self.precision, PRECISIONS)
-        check_type(
-            "controller", self.controller, ControllerConfig | str | None
-        )  # TaskOptions' name
+        # str: the name of an agent in TaskOptions
+        check_type("controller", self.controller, ControllerConfig | str | None)
         check_integer("num_neighbors", self.num_neighbors, at_least=0, at_most=MOST_OBSERVED)
         if self.threads is not None:
             check_integer("threads", self.threads, at_least=1, at_most=MOST_THREADS)
@@ -184,7 +183,7 @@ class EnvConfig:
         ranges = self.ranges
         if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(
-                f"Randomization.battery is {ranges.battery}, but these batteries never "
+                f"Randomization.battery is {ranges.battery}, but ideal batteries never "
                 "empty; give battery=BatteryModel() too, in Python"
             )
         if ranges is not None and ranges.hall != SAME and self.hall is None:
@@ -194,13 +193,12 @@ class EnvConfig:
             )
         if ranges is not None and ranges.noisy and self.hall is not None:
             raise ValueError(
-                f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
-                "with noise of its own; leave it 0 or, in Python, give "
-                "world=Hall(position_noise_m=...)"
+                f"Randomization.noise is {ranges.noise}, but the hall has its own noise; leave it "
+                "0 or, in Python, give world=Hall(position_noise_m=...)"
             )
 
     def _check_communication(self) -> None:
-        """Refuse ranges, delays and losses that no communication has."""
+        """Raise ValueError for invalid ranges, delays and losses."""
         if self.observe_range_m is not None:
             check_number("observe_range_m", self.observe_range_m, above=0.0, unit="m")
         check_number("observe_loss", self.observe_loss, at_least=0.0, at_most=1.0)
@@ -221,33 +219,33 @@ class EnvConfig:
 
     @property
     def ranges(self) -> Randomization | None:
-        """What is randomised; None for nothing."""
+        """The domain randomization; None for none."""
         return Randomization.of(self.randomization)
 
     @property
     def hall(self) -> Hall | None:
-        """The numbers of the hall; None in the ideal world."""
+        """The parameters of the hall; None in the ideal world."""
         return Hall.of(self.world)
 
     @property
     def engine(self) -> str:
-        """The engine that `physics` stands for here."""
+        """The name of the engine that is used: `bullet` or `batch`."""
         if self.physics is not None:
             return self.physics
         return "bullet" if bullet_available() and not self.deterministic else "batch"
 
     def threads_for(self, drones: int) -> int:
-        """Number of threads for so many drones of all environments together."""
+        """Return the number of threads for a number of drones in all environments together."""
         if self.threads is not None:
             return self.threads
         if drones < MANY_DRONES:
             return 1
-        if hasattr(os, "sched_getaffinity"):  # the cores that this process may use; Linux alone
+        if hasattr(os, "sched_getaffinity"):  # the cores that this process may use; only on Linux
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
 
     def obstacles_observed(self, present: int) -> int:
-        """M, for a task that has so many obstacles."""
+        """Return M, the number of observed obstacles, for a task with `present` obstacles."""
         if self.num_obstacles is None:
             return 3 if present else 0
         return self.num_obstacles
@@ -263,43 +261,45 @@ _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to ever
 
 
 def check_num_envs(num_envs: object) -> int:
-    """How many environments fly at once.
+    """Return the number of environments of a batch.
 
     Raises:
-        ValueError: it is no integer of at least 1, or more than any memory holds.
+        ValueError: it is no integer of at least 1, or larger than any memory could hold.
     """
     return check_integer("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
 
 
 def check_mask(mask: npt.ArrayLike, num_envs: int) -> BoolArray:
-    """The (E,) mask of environments."""
+    """Return the mask (E,) of environments.
+
+    Raises:
+        ValueError: it is not (E,) booleans.
+    """
     array = np.array(mask)
     if array.dtype != np.bool_ or array.shape != (num_envs,):
         raise ValueError(
             f"mask has type {array.dtype} and shape {array.shape}, but must be {num_envs} "
-            "booleans, one an environment"
+            "booleans, one for each environment"
         )
     return array
 
 
 def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
-    """Refuse seeds that are not one an environment."""
+    """Raise ValueError unless there is one seed for each environment."""
     if seeds is not None and len(seeds) != num_envs:
-        raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
+        raise ValueError(
+            f"seeds has {len(seeds)} entries, but must have {num_envs}, one for each environment"
+        )
 
 
 def check_reset_options(
     options: Mapping[str, Any] | None, num_drones: int
 ) -> tuple[Team | None, dict[str, FloatArray]]:
-    """Reset options in the form that environments take.
-
-    Returns:
-        The team of the episode, None for the constructor's; and what of `start` and `goal`,
-        (N, 3) m, was given.
+    """Return the team of the episode, None for the constructor's, and the given `start` and `goal`.
 
     Raises:
-        ValueError: the options are no mapping, an option is unknown, an array of wrong shape or
-            not finite, or a team unknown.
+        ValueError: the options are no mapping, an option is unknown, an array has a wrong shape or
+            is not finite, or a team is unknown.
     """
     if options is None:
         return None, {}

@@ -1,7 +1,7 @@
-"""The one implementation of the environments: E of them at once, of one task and team.
+"""The core of all environments: a batch of E environments of one task.
 
-Every interface (PettingZoo, Gymnasium, Stable-Baselines3) is a thin view of this class.
-docs/architecture.md follows a step through it.
+Every interface (PettingZoo, Gymnasium, Stable-Baselines3) wraps `SwarmCore`. docs/architecture.md
+describes a step.
 """
 
 from __future__ import annotations
@@ -53,38 +53,38 @@ class StepResult(NamedTuple):
     """(E, N, width) rows; see `observation_layout`."""
     rewards: FloatArray  # (E, N)
     reward_terms: FloatArray
-    """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`.
-    Those of an environment that no longer flies stay as they were last."""
+    """(T, E, N) bounded terms without their weights, in the order of the task's `reward_names`.
+    Terms of an environment whose episode has ended keep their last values."""
     terminated: BoolArray  # (E,) ended by a crash or by success
     truncated: BoolArray  # (E,) ended by the time limit
     active: BoolArray
-    """(E, N) which drones have flown this decision; the others' own episodes ended before it: their
-    rewards, terms and observations are 0, and their actions are not used."""
+    """(E, N) drones that took part in this decision. The episodes of the others ended before it:
+    their rewards, terms and observations are 0, and their actions are not used."""
     ended: BoolArray
-    """(E, N) whose own episode was terminated in this decision, alone or with the team's."""
+    """(E, N) drones whose episode was terminated in this decision, alone or with the team's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The whole state of E environments at one instant; picklable, independent of where it is from.
+    """The whole state of E environments at one instant, as `get_state()` returns it; picklable.
 
-    Get one from `get_state()`. An environment with the same options that it is given to continues
-    byte for byte as the first one did.
+    `set_state` restores it in any environment with the same options, which then continues
+    bitwise identically.
     """
 
     kind: dict[str, object]
-    """The options that it fits: task, team, engine, numbers of environments and stages, ..."""
+    """The options that it requires: task, team, engine, numbers of environments and stages, ..."""
     world: World  # The tables of drones and environments, and the goals
     observations: Float32Array  # (E, N, width) the last rows
-    generators: tuple[Any, ...]  # State of each environment's random generator
+    generators: tuple[Any, ...]  # States of the environments' random generators
     teams: tuple[Team, ...]
     """The team of each environment: the constructor's, or that of its last reset."""
     messages: tuple[npt.NDArray[Any], ...] = ()
-    """The messages under way and the random streams of losses, if communication is limited."""
+    """Messages in transit and keys of losses, if communication is limited."""
 
 
 class _Part(NamedTuple):
-    """The arguments of the kernels that follow a flight, for a part of the environments."""
+    """The arguments of the kernels that follow the physics, for a part of the environments."""
 
     actions: FloatArray
     state: tuple[Any, ...]  # Records of drones and environments, goals, settings
@@ -109,8 +109,8 @@ class SwarmCore:
     """E environments of one task.
 
     Args:
-        task: what is flown, by whom.
-        config: how.
+        task: the task, with its team.
+        config: the options.
         num_envs: E.
     """
 
@@ -158,7 +158,7 @@ class SwarmCore:
         self._parts = {part: self._part(*part) for part in (*self.physics.workers.parts, whole)}
 
     def _part(self, first: int, last: int) -> _Part:
-        """Return views of what the environments first to last - 1 have: all of it stays."""
+        """Return views of the arrays of the environments first to last - 1; made once."""
         here = slice(first, last)
         drones, environments, goals = (table[here] for table in self.world)
         flown, (_, rewards, all_terms, *flags) = self._flown[here], self._result
@@ -172,7 +172,7 @@ class SwarmCore:
         )
 
     def _what_is_observed(self) -> list[tuple[Any, ...]]:
-        """What `write_observations` takes on each thread: all of it stays."""
+        """Return the arguments of `write_observations` for each thread; made once."""
         k, (drones, environments, _) = self.config.num_neighbors, self.world
         width = observation_width(*self.form[1:])
         self.rows: Float32Array = np.zeros((*drones.shape, width), np.float32)
@@ -184,7 +184,7 @@ class SwarmCore:
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
 
     def _make_communication(self) -> Communication:
-        """Return what limits the observation of neighbors, and look at their fields."""
+        """Return the model of limited communication, and keep views of the neighbors' fields."""
         config = self.config
         parts = shaper("dict", *self.form[1:])(self.rows)
         self._neighbors = parts["neighbors"], parts["mask"]  # views of the rows
@@ -193,9 +193,9 @@ class SwarmCore:
         return Communication(self.num_envs, self.num_drones, range_m, delay, config.observe_loss)
 
     def _set_rules(self) -> None:
-        """Complete the settings by what the task and the options say of episodes."""
+        """Write the rules of episodes, from task and options, into the settings."""
         task, config = self.task, self.config
-        clock = task.episode_s if config.horizon_s is None else config.horizon_s
+        horizon_s = task.episode_s if config.horizon_s is None else config.horizon_s
         ranges = config.ranges
         rules = {
             **success_rules(task.success),
@@ -203,7 +203,7 @@ class SwarmCore:
             "end_on_success": bool(config.end_on_success),
             "decision_rate": config.decision_rate,
             "decision_s": config.decision_s,
-            "horizon_s": float(clock),
+            "horizon_s": float(horizon_s),
             **task.motion.settings(),
             **task.rules,
             "noise": (0.0,) * 4 if ranges is None else ranges.noise,
@@ -213,20 +213,20 @@ class SwarmCore:
 
     @cached_property
     def _kernels(self) -> _Kernels:
-        """What a decision calls.
+        """The compiled kernels of a decision.
 
-        Kernels look up the types of their arguments at each call; these do not, which saves a
-        fifth of a single environment's step.
+        Kernels look up the types of their arguments at each call. These entry points do not, which
+        saves a fifth of a single environment's step.
         """
         task, part = self.task, self._parts[0, self.num_envs]
         drones, environments, _, settings = part.state
-        terms = np.zeros((2, 2, self.num_drones))[:, :1]  # of any strides, as parts of a batch
+        terms = np.zeros((2, 2, self.num_drones))[:, :1]  # not contiguous, as in parts of a batch
         advance = None if inspect.ismethod(task.advance) else task.advance
-        asked = self._actions, 1.0, drones, environments, settings, self._flown
+        given = self._actions, 1.0, drones, environments, settings, self._flown
         with compilation(len(_Kernels._fields) + 1 - (advance is None)):
             self.physics.compile()
             return _Kernels(
-                entry_point(apply_actions, 0, *asked),
+                entry_point(apply_actions, 0, *given),
                 entry_point(task.write_reference, *part.state),
                 entry_point(evaluate, self._actions, *part.state),
                 None if advance is None else entry_point(advance, self._flown, *part.state),
@@ -237,23 +237,23 @@ class SwarmCore:
 
     @property
     def form(self) -> tuple[str, int, int, bool, bool, bool]:
-        """The form of observations, K, M, and whether loads, forces and set-points are observed."""
+        """The form of observations, K, M, and flags of observed loads, forces and set-points."""
         config, force = self.config, self._force_model is not None
         extra = (bool(config.observe_load), force, bool(config.observe_setpoint))
         return config.observation, config.num_neighbors, self.num_obstacles, *extra
 
     @property
     def time(self) -> FloatArray:
-        """(E,) seconds since each episode began."""
+        """The time (E,) since the beginning of each episode, s."""
         return self.world.environments["time"]
 
     @property
     def running(self) -> BoolArray:
-        """(E,) which episodes go on."""
+        """True (E,) where an episode has not ended."""
         return self.world.environments["running"]
 
     def close(self) -> None:
-        """Free what physics holds. May be called more than once."""
+        """Release the physics engine. May be called more than once."""
         self.physics.close()
 
     def reset(
@@ -266,16 +266,15 @@ class SwarmCore:
 
         Args:
             seeds: one per environment; None continues with that environment's generator.
-            mask: (E,) which to reset; None for all.
-            options: for these episodes alone: `start`, `goal` and `team`, as of
-                `SwarmParallelEnv.reset`.
+            mask: (E,) environments to reset; None for all.
+            options: `start`, `goal` and `team` of these episodes; see `SwarmParallelEnv.reset`.
 
         Returns:
             (E, N, width) observations.
 
         Raises:
-            ValueError: an option is unknown, or a start, goal or team impossible; nothing has
-                changed then.
+            ValueError: an option is unknown, or a start, goal or team is impossible. Nothing was
+                changed.
         """
         where = self._everywhere if mask is None else check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
@@ -299,23 +298,23 @@ class SwarmCore:
         return self.rows
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
-        """Fly every running environment from this decision to the next.
+        """Simulate every running environment until its next decision.
 
         Args:
             actions: (E, N, width of the action).
 
         Raises:
-            ValueError: actions of a wrong shape, not finite, or outside their bounds; nothing
-                has changed then.
+            ValueError: actions have a wrong shape, are not finite or exceed their bounds. Nothing
+                was changed.
         """
         mode, flown = self.mode, self._flown
         drones, environments, _, settings = self._state
-        asked = as_actions(mode, actions, self._actions.shape, self.config.clip_actions)
-        self._actions[...] = asked
-        to_fly = self._actions, mode.limit, drones, environments, settings, flown
-        if not self._kernels.apply(mode.code, *to_fly):
-            check_actions(mode, asked)
-        if self._own_rules:  # their methods take all environments at once
+        given = as_actions(mode, actions, self._actions.shape, self.config.clip_actions)
+        self._actions[...] = given
+        applied = self._actions, mode.limit, drones, environments, settings, flown
+        if not self._kernels.apply(mode.code, *applied):
+            check_actions(mode, given)
+        if self._own_rules:  # methods of the task take all environments at once
             self.physics.fly(self._substeps, flown)
             self._finish(0, self.num_envs, 0)
         else:
@@ -323,7 +322,7 @@ class SwarmCore:
         return self._result
 
     def _finish(self, first: int, last: int, thread: int) -> None:
-        """Evaluate, reward and observe the decision that a part of the environments has flown."""
+        """Evaluate, reward and observe a decision in the environments first to last - 1."""
         kernels, (actions, state, flown, terms, scored) = self._kernels, self._parts[first, last]
         drones, environments, _, settings = state
         kernels.refer(*state)
@@ -339,10 +338,10 @@ class SwarmCore:
         self._observe(first, last, self._flown, thread)
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
-        """Weigh reward terms otherwise from the next step on: for curricula of trainers.
+        """Change weights of reward terms from the next step on, for curricula of trainers.
 
         Args:
-            weights: by term; terms left out keep theirs.
+            weights: weights by term; terms left out keep theirs.
 
         Raises:
             ValueError: there is no such term, or a weight is not finite.
@@ -352,15 +351,15 @@ class SwarmCore:
             self._weights[self.task.reward_names.index(name)] = weight
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
-        """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.evaluation`."""
+        """Return the metrics of environment `e`'s episode so far; see `envs.evaluation.metrics`."""
         return self.metrics_of([e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
-        """The same of several environments, in their order."""
+        """Return the metrics of several environments, in their order."""
         return metrics(self.world, self.task, environments, self.config.on_contact)
 
     def team_state(self) -> Float32Array:
-        """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
+        """Return the `self` and `task` fields (E, N, width) of the true state, without noise."""
         return self.true_rows(0)
 
     def true_rows(
@@ -371,7 +370,7 @@ class SwarmCore:
         force: bool = False,
         setpoint: bool = False,
     ) -> Float32Array:
-        """Rows (E, N, width) of any form that the true state would give, without noise."""
+        """Return observation rows (E, N, width) of any form, of the true state without noise."""
         width = observation_width(num_neighbors, num_obstacles, load, force, setpoint)
         rows = np.zeros((*self.world.drones.shape, width), np.float32)
         drones, environments, _ = self.world
@@ -384,7 +383,7 @@ class SwarmCore:
         return rows
 
     def _observe(self, first: int, last: int, where: BoolArray, thread: int) -> None:
-        """Write the rows of those of the environments first to last - 1 that are in the mask."""
+        """Write the rows of the environments first to last - 1 that are in the mask `where`."""
         if self.physics.hall is not None:
             sense_in_hall(first, last, self.world.drones, where, self._seen)
         if self._noisy:
@@ -404,13 +403,17 @@ class SwarmCore:
             self._communication.write(written, *state, *self._neighbors)
 
     def _task_for(self, team: Team | None) -> Task:
-        """The task of episodes that begin now, flown by a team; None for the constructor's."""
+        """Return the task of new episodes with a team; None for the constructor's team.
+
+        Raises:
+            ValueError: the team does not fit this environment.
+        """
         if team is None or team == self.task.team:
             return self.task
         if len(team) != self.num_drones:
             raise ValueError(
                 f"reset option 'team' has {len(team)} vehicles, but this environment has "
-                f"{self.num_drones} drones; make another environment for another number"
+                f"{self.num_drones} drones; make a new environment for another number of drones"
             )
         self.physics.interactions.type_indices(team)
         self.physics.feedforward.type_indices(team)
@@ -419,7 +422,7 @@ class SwarmCore:
         return self.task.with_team(team)
 
     def _fly_task(self, e: int, task: Task) -> None:
-        """Let environment `e` fly a task of `_task_for`, with its team, from the next reset on."""
+        """Set the task of environment `e`, one of `_task_for`, and its team."""
         if self.tasks[e].team != task.team:
             self.physics.set_team(e, task.team)
             if self._force_model is not None:
@@ -433,7 +436,7 @@ class SwarmCore:
         seeds: Sequence[int | None] | None,
         given: Mapping[str, FloatArray],
     ) -> dict[int, Placement]:
-        """Draw placements; if one is refused, every generator goes back to where it was."""
+        """Sample placements; if one is refused, restore the states of all generators."""
         generators, placements = list(self.generators), {}
         before = {e: generators[e].bit_generator.state for e in environments}
         try:
@@ -450,12 +453,12 @@ class SwarmCore:
         return placements
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
+        """Copy or pickle as options and a snapshot: the copy has its own simulator."""
         made = type(self), self.task, self.config, self.num_envs
         return _rebuilt, (*made, self.get_state(), self.reward_weights)
 
     def get_state(self) -> Snapshot:
-        """Everything that changes, copied: see `Snapshot`."""
+        """Return a copy of the whole state; see `Snapshot`."""
         return Snapshot(
             kind=self._kind(),
             world=self.world.copy(),
@@ -470,11 +473,11 @@ class SwarmCore:
         return () if sent is None else (sent.messages, sent.keys)
 
     def set_state(self, snapshot: Snapshot) -> None:
-        """Go to where a snapshot was taken, in this core or in another with the same options.
+        """Restore a snapshot of this core, or of another with the same options.
 
         Raises:
             TypeError: it is no snapshot.
-            ValueError: it does not fit these options.
+            ValueError: it was taken with other options.
         """
         if not isinstance(snapshot, Snapshot):
             raise TypeError(
@@ -484,7 +487,7 @@ class SwarmCore:
             theirs = snapshot.kind.get(name)
             if theirs != value:
                 raise ValueError(
-                    f"the state was taken of an environment whose {name} is {theirs!r:.99}, but "
+                    f"the state is of an environment whose {name} is {theirs!r:.99}, but "
                     f"here it is {value!r:.99}; make an environment with the same options"
                 )
         tasks = {team: self._task_for(team) for team in set(snapshot.teams)}
@@ -519,7 +522,7 @@ class SwarmCore:
 
     @property
     def reward_weights(self) -> dict[str, float]:
-        """The weight of each reward term."""
+        """Weights of the reward terms by name."""
         return dict(zip(self.task.reward_names, self._weights.tolist(), strict=True))
 
 
@@ -531,18 +534,18 @@ def _rebuilt(
     snapshot: Snapshot,
     weights: Mapping[str, float],
 ) -> SwarmCore:
-    """Make a core again where another stood; what `pickle` and `copy` call."""
+    """Return a core in the state of another, for `pickle` and `copy`."""
     core = kind(task, config, num_envs)
     core.set_state(snapshot)
     core.set_reward_weights(weights)
     return core
 
 
-_FREE = ("threads", "clip_actions", "observation")  # Options that change no state
+_FREE = ("threads", "clip_actions", "observation")  # Options that do not affect the state
 
 
 def _comparable(value: Any) -> object:
-    """An option so that it equals that of a copy: models have no single truth to compare by."""
+    """Return an option in a form that equals a copy's: models compare by name and fingerprint."""
     if isinstance(value, InteractionModel):
         return value.name, value.fingerprint
     if is_dataclass(value):
@@ -551,11 +554,11 @@ def _comparable(value: Any) -> object:
 
 
 def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
-    """Build the engine that a task and its options ask for.
+    """Return the physics engine for a task and its options.
 
     Raises:
-        ValueError: randomised vehicles could not fly.
-        ImportError: Bullet is asked for, and not there.
+        ValueError: vehicles could not hover with the domain randomization.
+        ImportError: Bullet is requested, but pybullet is not installed.
     """
     gusts, ranges = None, config.ranges
     if ranges is not None:

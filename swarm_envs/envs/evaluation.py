@@ -1,7 +1,7 @@
-"""Judging a decision that has been flown, and the metrics of episodes.
+"""Evaluation of decisions: crashes, success and the end of episodes; and metrics of episodes.
 
-One compiled pass, since a dozen numpy calls on arrays of four numbers would take as long as the
-flight itself.
+A decision is evaluated in one kernel, since a dozen NumPy calls on arrays of four numbers would
+take as long as the physics.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 _ROUNDING = 1e-9
 HIT_DRONE, HIT_FLOOR, HIT_WALL, HIT_OBSTACLE, TUMBLED = 1, 2, 4, 8, 16
-"""Codes of what may happen to a drone, whose sums `touching` and `hurt` are."""
+"""Codes of contacts and tumbling; the fields `touching` and `hurt` are sums of them."""
 
 
 def success_rules(
     success: Success | TrackingSuccess | ByScore | OwnSuccess,
 ) -> dict[str, float | bool]:
-    """The fields of `swarm_envs.tables.SETTINGS` that a task's success gives."""
-    if callable(success):  # which no goal fulfils: the task itself says who is done
+    """Return the fields of `swarm_envs.tables.SETTINGS` for a task's criterion of success."""
+    if callable(success):  # the task's method decides: the kernel must never report success
         radius, hold_s, settle_s = Success.radius, math.inf, 0.0
     elif isinstance(success, ByScore):
         radius, hold_s, settle_s = success.radius, math.inf, 0.0
@@ -49,16 +49,16 @@ def success_rules(
 
 @part
 def goal_distance(drone: Record, goal: FloatArray) -> float:
-    """Distance of a drone to a goal (3,), m."""
+    """Return the distance of a drone to a goal (3,), m."""
     x, y, z = drone.position[0] - goal[0], drone.position[1] - goal[1], drone.position[2] - goal[2]
     return math.sqrt(x * x + y * y + z * z)
 
 
 @kernel
 def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
-    """Give drones (N,) that have come to another's goal (N, 3) that goal, and the other theirs.
+    """Exchange goals (N, 3) between a drone that has reached another drone's goal and that drone.
 
-    Who stands at its own goal, nearer than the radius, m, keeps it. To exchange is no progress.
+    A drone within the radius, m, of its own goal keeps it. An exchange does not count as progress.
     """
     for i in range(drones.shape[0]):
         for j in range(drones.shape[0]):
@@ -75,9 +75,9 @@ def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
 
 @part
 def survives(d: Record, ends_team: bool, bounces: bool) -> bool:
-    """Note what has happened to a drone in this decision; return whether it may fly on.
+    """Write contacts and crash of a drone in this decision; return True if it may continue.
 
-    Where it may not and the others may, its own episode ends.
+    If it may not, but the others may, its own episode ends.
     """
     touching = HIT_FLOOR * (d.touched_floor > 0.0) + HIT_WALL * (d.touched_wall > 0.0)
     touching += HIT_DRONE * (d.touched_drone != NO_DRONE) + TUMBLED * (d.tumbling > 0.0)
@@ -98,17 +98,17 @@ def evaluate(  # noqa: C901  # one decision, on one screen
     goals: FloatArray,
     settings: Records,
 ) -> None:
-    """Judge the decision that every running environment has just flown.
+    """Evaluate the last decision of every running environment.
 
-    A drone that touches something or tumbles has crashed. By the rule `on_contact` that ends the
-    episode of its team, or its own alone; or it flies on, unless it tumbles, and crashes again
-    when it touches what it did not touch in the decision before. A stage is done when all drones
-    that still fly have done it; the team succeeds if, besides, no drone was ever hurt.
+    A drone that touches something or tumbles has crashed. By the rule `on_contact`, a crash ends
+    the episode of the team or of the drone; or the drone continues, unless it tumbles, and crashes
+    again when it touches something that it did not touch in the previous decision. A stage is done
+    when all active drones have done it; the team succeeds if, in addition, no drone ever crashed.
 
     Args:
-        actions: (E, N, width), what was decided.
-        drones: (E, N) records, whose reference is that of the present time.
-        environments: (E,) records; those whose episode has ended no longer run afterwards.
+        actions: (E, N, width), those of the decision.
+        drones: (E, N) records, with references at the present time.
+        environments: (E,) records; `running` becomes False where an episode has ended.
         goals: (E, S, N, 3) goals of every stage, m.
         settings: (1,) the rules.
     """
@@ -138,9 +138,9 @@ def evaluate(  # noqa: C901  # one decision, on one screen
             for k in range(3):
                 if rules.tracks:
                     d.goal[k] = d.reference_position[k]
-                error, way = d.position[k] - d.reference_position[k], d.position[k] - d.goal[k]
+                error, offset = d.position[k] - d.reference_position[k], d.position[k] - d.goal[k]
                 to_reference += error * error
-                to_goal += way * way
+                to_goal += offset * offset
             d.distance, d.tracking_error = math.sqrt(to_goal), math.sqrt(to_reference)
             d.least_separation = min(d.least_separation, d.separation)
             d.least_clearance = min(d.least_clearance, d.clearance)
@@ -152,9 +152,9 @@ def evaluate(  # noqa: C901  # one decision, on one screen
                 d.squared_error += to_reference
             away = d.distance >= rules.success_radius
             d.arrival = np.inf if away else min(d.arrival, time)
-            flies = survives(d, rules.ends_team, rules.bounces)
+            continues = survives(d, rules.ends_team, rules.bounces)
             unhurt &= d.hurt == 0.0
-            if flies:
+            if continues:
                 left += 1
                 worst, since = max(worst, d.worst_error), max(since, d.arrival)
         lost = left == 0 or (rules.ends_team and left < size)
@@ -177,7 +177,7 @@ def evaluate(  # noqa: C901  # one decision, on one screen
             stage = stage_at(time, rules.stage_s, stages)
             if stage != environment.stage:
                 environment.stage, environment.held = stage, False
-                for i in range(size):  # they have the goals of the next stage from now on
+                for i in range(size):  # drones have the goals of the next stage from now on
                     d = drones[e, i]
                     to_goal = 0.0
                     for k in range(3):
@@ -191,28 +191,28 @@ def evaluate(  # noqa: C901  # one decision, on one screen
 def metrics(
     world: World, task: Task, environments: Sequence[int], on_contact: str = "end_team"
 ) -> list[dict[str, Any]]:
-    """What the episodes of these environments are judged by, so far, in their order.
+    """Return the metrics of these environments' episodes so far, in their order.
 
-    - `success`: whether the task was done without a crash; `stages_reached` of `stages`: sets of
-      goals that the whole team reached without a crash; `length_s`: time flown.
-    - `arrived_fraction`, where contact does not end the team's episode: share of drones that still
-      fly and are at their goals, or have kept to their reference.
+    - `success`: True if the task was done without a crash; `stages_reached` of `stages`: sets of
+      goals that the whole team reached without a crash; `length_s`: length of the episode.
+    - `arrived_fraction`, where contact does not end the team's episode: share of drones that are
+      active and at their goals, or have always been near their references.
     - `collided_drones`, `collided_floor`, `collided_wall`, `collided_obstacle`, `tumbled`:
-      number of drones to which that happened; `near_misses`: drones that came within 1.5 times
-      the sum of radii without touching.
-    - `minimum_separation_m`: smallest distance between two drones (None if alone);
-      `minimum_obstacle_distance_m`: from a drone's centre to an obstacle (None without one).
-    - `worst_tracking_error_m`, `rms_tracking_error_m`, `worst_height_error_m`: against the
-      reference, over all drones; the lists `..._by_drone_m` say which. None without a
-      reference of one's own, or before errors count: in `ring` after the start-up. Errors are
-      taken at decisions, so compare them at one decision rate.
-    - `worst_force_g`: largest force of the air on a drone, its drag included; `energy_j`: ideal
+      number of drones to which that happened; `near_misses`: number of drones that came within
+      1.5 times the sum of radii of another without contact.
+    - `minimum_separation_m`: smallest distance between two drones (None for one drone);
+      `minimum_obstacle_distance_m`: from a drone's center to an obstacle (None without one).
+    - `worst_tracking_error_m`, `rms_tracking_error_m`, `worst_height_error_m`: errors with respect
+      to the reference, over all drones; the lists `..._by_drone_m` have those of each drone. None
+      if the task has no reference, or before errors count (in `ring`, during the start-up). Errors
+      are measured at decisions, so compare them at one decision rate.
+    - `worst_force_g`: largest aerodynamic force on a drone, its drag included; `energy_j`: ideal
       induced energy of all rotors; `force_bound_violations`: drone-steps of 1/240 s with a
       vertical force above the drone's bound, and `fraction_over_force_bound`: their share of
-      all; `fraction_outside_measured_range`: of drone-steps whose force was extrapolated.
-    - The task's `score_names`, where it has any: its score, and goals that were reached.
-    - `time_to_goal_s`: when the last drone came to stay at its goal, in the present stage (None
-      if one did not, or where goals move).
+      all; `fraction_outside_measured_range`: share of drone-steps with an extrapolated force.
+    - The task's `score_names`, if it has any: its score, and the number of goals reached.
+    - `time_to_goal_s`: time from which the last drone has stayed at its goal, in the present stage
+      (None if one is not there, or if goals move).
     """
     where = np.array(environments, dtype=np.int64)
     drones, ended = world.drones[where], world.environments[where]
@@ -221,7 +221,7 @@ def metrics(
     hurt = drones["hurt"].astype(np.int64)
     clearance, obstacles = drones["least_clearance"], drones["least_obstacle_clearance"]
     arrival = drones["arrival"].max(axis=1)
-    if callable(task.success):  # a method: of the team, when it was done
+    if callable(task.success):  # a method: the time of the team's success
         arrival = np.where(ended["succeeded"], ended["time"], np.inf)
     elif not isinstance(task.success, Success):
         arrival = np.full_like(arrival, np.inf)
@@ -244,7 +244,7 @@ def metrics(
         "minimum_separation_m": drones["least_separation"].min(axis=1),
         "minimum_obstacle_distance_m": (obstacles * drones["radius"]).min(axis=1),
     }
-    flown = {
+    sums = {
         "worst_force_g": drones["worst_force"].max(axis=1) / GRAM_FORCE,
         "energy_j": drones["energy"].sum(axis=1),
         "force_bound_violations": over.astype(np.int64),
@@ -256,7 +256,7 @@ def metrics(
         {
             **{name: _plain(column[m]) for name, column in ends.items()},
             **_tracking(drones[m], int(ended["scored"][m]), task),
-            **{name: _plain(column[m]) for name, column in flown.items()},
+            **{name: _plain(column[m]) for name, column in sums.items()},
             **_scored(ended[m], task),
         }
         for m in range(len(where))
@@ -273,13 +273,13 @@ _ACCIDENTS = {
 
 
 def _plain(value: Any) -> Any:
-    """A number of numpy as Python's own; None if it is infinite."""
+    """Return a NumPy number as Python's; None if it is infinite."""
     number = value.item()
     return number if math.isfinite(number) else None
 
 
 def _scored(ended: Record, task: Task) -> dict[str, Any]:
-    """What a task that is judged by a score adds or replaces."""
+    """Return the metrics that a task with a score adds or replaces."""
     if not task.score_names:
         return {}
     scores = float(ended["score"]), int(ended["goals_reached"])
@@ -288,9 +288,9 @@ def _scored(ended: Record, task: Task) -> dict[str, Any]:
 
 
 def _tracking(drones: Records, scored: int, task: Task) -> dict[str, Any]:
-    """The tracking errors of the drones (N,) of one environment.
+    """Return the tracking errors of the drones (N,) of one environment.
 
-    Where any drone may take any goal, references lead to goals that others may have by then.
+    They are None where drones may exchange goals, which also exchanges their references.
     """
     shared = isinstance(task.success, Success) and not task.success.named
     if task.motion.rests or shared or not scored:

@@ -1,4 +1,4 @@
-"""Gymnasium's interface: a whole team as one agent, or one drone among pilots of its own."""
+"""Gymnasium environments: a whole team as one agent, or one drone of a team."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ __all__ = ["split_teams"]
 def limited(entry: EnvSpec | None, core: SwarmCore, most: int | None = None) -> EnvSpec | None:
     """Return an entry of Gymnasium's registry with the time limit of an environment, in decisions.
 
-    It depends on the options: the entry that is registered has none, so that Gymnasium wraps no
-    time limit of its own around the environment. Wrappers such as `TimeAwareObservation` ask it.
+    Wrappers such as `TimeAwareObservation` read the limit. It depends on the options: registered
+    entries have none, so that Gymnasium does not add its own `TimeLimit`.
 
     Args:
-        entry: of the registry.
-        core: of the environment.
-        most: a lower limit than that of the options, if there is one.
+        entry: the registered entry.
+        core: the core of the environment.
+        most: a further limit, in decisions, if there is one.
     """
     if entry is None:
         return None
@@ -44,13 +44,13 @@ def limited(entry: EnvSpec | None, core: SwarmCore, most: int | None = None) -> 
 
 
 class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
-    """What both interfaces do with the parallel environment beneath them."""
+    """Base class of both interfaces, which wrap a parallel environment."""
 
     _entry: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The entry of Gymnasium's registry, with the time limit in decisions."""
+        """The environment's entry in Gymnasium's registry, with the time limit in decisions."""
         return self._entry
 
     @spec.setter
@@ -63,21 +63,20 @@ class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": config.decision_rate}
 
     def render(self) -> Any:
-        """A picture of the swarm; see `SwarmParallelEnv.render`."""
+        """Return a picture of the swarm; see `SwarmParallelEnv.render`."""
         return self.parallel.render()
 
     def close(self) -> None:
-        """Free what physics and renderer hold."""
+        """Release the physics engine and the renderer."""
         self.parallel.close()
 
 
 class SwarmJointEnv(_SwarmEnv):
-    """All drones as one agent: observations and actions of the team one after another.
+    """All drones as one agent: the drones' observations and actions are concatenated.
 
-    The reward is the mean of the drones'. `info` has `rewards` (N,) and `active` (N,), which drones
-    have flown this decision, and at the end `episode_metrics`. Made by
-    `gymnasium.make("swarm_envs/Swap-v0", ...)`; with `num_drones=1` it is a single drone's
-    environment.
+    The reward is the mean of the drones' rewards. `info` has `rewards` (N,), `active` (N,), True
+    for drones that took part in the decision, and at the end `episode_metrics`. Make it with
+    `gymnasium.make("swarm_envs/Swap-v0", ...)`.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class SwarmJointEnv(_SwarmEnv):
 
     @property
     def core(self) -> SwarmCore:
-        """What flies."""
+        """The core of the parallel environment."""
         return self.parallel.core
 
     def reset(
@@ -105,14 +104,14 @@ class SwarmJointEnv(_SwarmEnv):
         return self._observation(), {}
 
     def step(self, action: npt.ArrayLike) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
-        """Fly until the next decision.
+        """Simulate until the next decision.
 
         Args:
             action: (N * width,) the drones' actions one after another.
 
         Raises:
-            RuntimeError: there is no episode.
-            ValueError: the action has a wrong shape, or a number that cannot be.
+            RuntimeError: no episode is running.
+            ValueError: the action has a wrong shape or an invalid number.
         """
         self.parallel.check_running()
         result = self.core.step(split_teams(action, self.action_space.shape, self.core))
@@ -130,28 +129,28 @@ class SwarmJointEnv(_SwarmEnv):
 
 
 def check_flat(config: EnvConfig) -> None:
-    """Refuse observations that do not fit into one Box."""
+    """Raise ValueError unless observations are flat rows, which fit into one Box."""
     if config.observation != "flat":
         raise ValueError(
-            f"observation is {config.observation!r}, but a team in one Box has 'flat' rows; "
+            f"observation is {config.observation!r}, but must be 'flat' for a team in one Box; "
             "use parallel_env() for dictionaries"
         )
 
 
 def joint_box(shape: tuple[int, ...], edge: float) -> spaces.Space[Any]:
-    """The Box of a team: numbers (N, width) one after another, within [-edge, edge]."""
+    """Return the Box of a team: numbers (N, width), flattened, within [-edge, edge]."""
     return spaces.Box(-edge, edge, (math.prod(shape),), np.float32)
 
 
 def split_teams(
     actions: npt.ArrayLike, shape: tuple[int, ...] | None, core: SwarmCore
 ) -> FloatArray:
-    """Joint actions of E teams as the core takes them: (E, N, width).
+    """Return joint actions of E teams as an array (E, N, width) for the core.
 
     Args:
-        actions: of the action space's shape.
-        shape: that shape: (N * width,) or (E, N * width).
-        core: gives N and the width.
+        actions: joint actions of shape `shape`.
+        shape: the shape of the action space, (N * width,) or (E, N * width).
+        core: the core, for E, N and the width.
 
     Raises:
         ValueError: the shape is another, or the entries are no numbers.
@@ -159,8 +158,9 @@ def split_teams(
     try:
         array = np.asarray(actions)
     except ValueError as error:
-        said = f"action is {actions!r:.80}, but must be numbers of shape {shape}"
-        raise ValueError(said) from error
+        raise ValueError(
+            f"action is {actions!r:.80}, but must be numbers of shape {shape}"
+        ) from error
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise ValueError(
             f"action is {array.dtype} of shape {array.shape}, but must be numbers of shape {shape}"
@@ -170,30 +170,30 @@ def split_teams(
 
 
 def make_joint(task: str, render_mode: str | None = None, **options: Any) -> SwarmJointEnv:
-    """A team as one agent; options as of the task's `parallel_env()`."""
+    """Return a team as one agent; options as for the task's `parallel_env()`."""
     return SwarmJointEnv(*blueprint_of(task, render_mode=render_mode, **options))
 
 
 Policy = Callable[[Observation], npt.ArrayLike]
-"""From one drone's observation to its action."""
+"""A function from a drone's observation to its action."""
 
 
 class SwarmSoloEnv(_SwarmEnv):
-    """One drone's own observations, actions and rewards; the rest of the team belongs to the air.
+    """One drone of a team as the agent; the other drones are part of the environment.
 
-    Made by `gymnasium.make("swarm_envs/SwapSolo-v0", ...)`. `info` is the drone's of
-    `SwarmParallelEnv`. Its episode ends when that of the drone does.
+    Make it with `gymnasium.make("swarm_envs/SwapSolo-v0", ...)`. `info` is the drone's `info` of
+    `SwarmParallelEnv`. The episode ends with that of the drone.
 
     Args:
-        task: what is flown, by whom.
-        config: how.
-        render_mode: as of `SwarmParallelEnv`.
-        drone: which of the team is flown.
-        others: flies the other drones, each from its own observation; None gives them zeros:
-            with `acceleration` and `velocity` they rest where they start.
+        task: the task, with its team.
+        config: the options.
+        render_mode: see `SwarmParallelEnv`.
+        drone: index of the drone that the agent controls.
+        others: policy of the other drones, from each one's observation to its action; None gives
+            them zeros, with which they hover at their starts in `acceleration` and `velocity`.
 
     Raises:
-        TypeError: `others` cannot be called.
+        TypeError: `others` is not callable.
         ValueError: there is no such drone.
     """
 
@@ -227,11 +227,11 @@ class SwarmSoloEnv(_SwarmEnv):
         return self._seen[self.agent], infos[self.agent]
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly until the next decision, with an action of the drone's action space.
+        """Simulate until the next decision, with an action of the drone's action space.
 
         Raises:
-            RuntimeError: there is no episode.
-            ValueError: the action has a wrong shape, or a number that cannot be.
+            RuntimeError: no episode is running.
+            ValueError: the action has a wrong shape or an invalid number.
         """
         self.parallel.check_running()
         still = np.zeros(self.parallel.core.mode.width, dtype=np.float32)
@@ -255,5 +255,5 @@ def make_solo(
     others: Policy | None = None,
     **options: Any,
 ) -> SwarmSoloEnv:
-    """One drone of a team; options as of the task's `parallel_env()`."""
+    """Return one drone of a team as the agent; options as for the task's `parallel_env()`."""
     return SwarmSoloEnv(*blueprint_of(task, render_mode=render_mode, **options), drone, others)

@@ -1,7 +1,8 @@
-"""Observations: what each drone senses, as one flat row of numbers with a documented layout.
+"""Observations: one flat row of numbers for each drone, with a documented layout.
 
-A row is `[self | K neighbours, nearest first | M obstacles, nearest first | task]`. Its length does
-not depend on the size of the team: one policy flies any number of drones. World frame throughout.
+A row is `[self | K neighbors, nearest first | M obstacles, nearest first | task]`. Its length does
+not depend on the size of the team, so that one policy controls any number of drones. Quantities
+are in the world frame, except body rates.
 """
 
 from __future__ import annotations
@@ -35,26 +36,27 @@ __all__ = [
 ]
 
 Float32Array = npt.NDArray[np.float32]
-"""An array of observed numbers."""
+"""An array of observations."""
 
 _SMALL_MASS = SMALL.mass
 RATE_SCALE = 10.0  # Body rates are observed in units of this, rad/s
 
 
 class ObservationField(NamedTuple):
-    """One named piece of an observation row."""
+    """A field of an observation row."""
 
     name: str
-    """What it is, such as `self.velocity` or `neighbor_0.position`."""
+    """The name, such as `self.velocity` or `neighbor_0.position`."""
     where: slice
-    """Its columns in the row."""
+    """The field's columns in the row."""
     unit: str
-    """Unit of the quantity; empty if it has none."""
+    """The unit of the quantity; empty if it has none."""
     scale: float
-    """The quantity is the observed number times this."""
+    """The factor from the observed number to the quantity."""
 
 
 _Entries = tuple[tuple[str, int, str, float], ...]
+# Trained policies store names and units of their layout, and refuse others: change no word here
 
 _SELF: _Entries = (
     ("position", 3, "m", 1.0),
@@ -100,23 +102,23 @@ def observation_layout(
     force: bool = False,
     setpoint: bool = False,
 ) -> tuple[ObservationField, ...]:
-    """The fields of an observation row in order.
+    """Return the fields of an observation row in order.
 
-    `self.position` is absolute; `self.attitude` the rotation matrix from body to world, row by
-    row; `self.body_rate` in the body frame; `self.setpoint_offset` from the drone to the
-    controller's set-point (zero for `ctbr` and `rotors`). Neighbours' and task positions are
-    relative to the drone, a neighbour's velocity too; its `goal` is relative to itself. Where there
-    are fewer than K neighbours, `mask` is 0 and the rest zero. `obstacle_k.offset` leads from the
-    drone to the nearest point of an obstacle, for the nearest M of them; with M = 0 there are no
-    such fields. Where a task gives no reference, it rests at the goal; that of a stacked swap never
-    moves vertically.
+    `self.position` is absolute. `self.attitude` is the rotation matrix from body to world, row by
+    row. `self.body_rate` is in the body frame. `self.setpoint_offset` is the vector from the drone
+    to the controller's set-point (zero for `ctbr` and `rotors`). Positions and velocities of
+    neighbors, and positions of the task, are relative to the drone; a neighbor's `goal` is relative
+    to that neighbor. With fewer than K neighbors, `mask` and all other fields of the missing ones
+    are 0. `obstacle_k.offset` is the vector from the drone to the nearest point of an obstacle, for
+    the M nearest obstacles. In a task without a reference, the reference rests at the goal; that of
+    a stacked swap never moves vertically.
 
-    With `load`, a drone and its neighbours have three fields more: `thrust_margin`, the largest
-    thrust at this charge over the weight, less 1; `mass_ratio` to 34 g; `battery`, the charge. The
-    mass is what the controller knows. With `force`, `self.force` is what a model predicts of the
-    force of the air on the drone, over its weight, world frame. With `setpoint`, the controller's
-    set-point has its velocity and acceleration, which are known exactly where the drone's own are
-    measured with noise; there is none with `ctbr` and `rotors`.
+    With `load`, a drone and its neighbors have three more fields: `thrust_margin`, the largest
+    thrust at this charge over the weight, less 1; `mass_ratio`, the mass over 34 g; `battery`, the
+    charge. The mass is the controller's nominal one. With `force`, `self.force` is the aerodynamic
+    force on the drone that a model predicts, over its weight, in the world frame. With `setpoint`,
+    there are the velocity and acceleration of the controller's set-point, which are exact where the
+    drone's own are measured with noise; `ctbr` and `rotors` have no set-point.
     """
     extra = (_LOAD if load else ()) + (_FORCE if force else ()) + (_SETPOINT if setpoint else ())
     neighbor = (*_NEIGHBOR[:-1], *(_LOAD if load else ()), _NEIGHBOR[-1])
@@ -135,7 +137,7 @@ def observation_layout(
 
 
 def observation_width(num_neighbors: int, *more: Any) -> int:
-    """Return the length of an observation row; the arguments are those of its layout."""
+    """Return the length of an observation row; arguments as for `observation_layout`."""
     return observation_layout(num_neighbors, *more)[-1].where.stop
 
 
@@ -144,7 +146,7 @@ FORMS = ("flat", "dict")  # Names of the forms
 Observation = Any  # The observation of one drone: a float32 row, or a dictionary of float32 arrays
 
 _SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacle_mask")}
-"""Groups of fields that repeat: the name of theirs, and of what masks them."""
+"""Repeated groups of fields: the prefix of their names, and the name of their mask."""
 
 
 def observation_space(
@@ -152,9 +154,9 @@ def observation_space(
 ) -> spaces.Space[Any]:
     """Return the space of one drone's observation: a Box, or a Dict of Boxes.
 
-    The dictionary has `self` (width), `neighbors` (K, width), nearest first, `mask` (K,), 1 where
-    there is a neighbour, and `task` (width); with obstacles observed also `obstacles` (M, 3) and
-    `obstacle_mask` (M,). See `observation_layout` for the fields.
+    The dictionary has `self` (width,), `neighbors` (K, width), nearest first, `mask` (K,), 1 where
+    there is a neighbor, and `task` (width,). If obstacles are observed, it also has `obstacles`
+    (M, 3) and `obstacle_mask` (M,). See `observation_layout` for the fields.
     """
     row = np.zeros(observation_width(num_neighbors, num_obstacles, *more), np.float32)
     if form == "flat":
@@ -166,14 +168,14 @@ def observation_space(
 def shaper(
     form: str, num_neighbors: int, num_obstacles: int = 0, *more: bool
 ) -> Callable[[Float32Array], Observation]:
-    """Return a function that gives rows (..., width) the form; its parts are views of the rows."""
+    """Return a function from rows (..., width) to observations of a form, which are views."""
     if form == "flat":
         return lambda rows: rows
     layout = observation_layout(num_neighbors, num_obstacles, *more)
     own, task = _span("self.", layout), _span("task.", layout)
     counts = {"neighbors": num_neighbors, "obstacles": num_obstacles}
     one = observation_layout(1, 1, *more)
-    places = {
+    spans = {
         name: (_span(_SETS[name][0], layout), _span(_SETS[name][0], one))
         for name, count in counts.items()
         if count or name == "neighbors"
@@ -181,8 +183,8 @@ def shaper(
 
     def shape(rows: Float32Array) -> Observation:
         parts = {"self": rows[..., own], "task": rows[..., task]}
-        for name, (where, member) in places.items():
-            width = member.stop - member.start - 1  # its mask aside, which stands last
+        for name, (where, member) in spans.items():
+            width = member.stop - member.start - 1  # without the mask, which is last
             group = rows[..., where].reshape(*rows.shape[:-1], counts[name], width + 1)
             parts[name], parts[_SETS[name][1]] = group[..., :width], group[..., width]
         return parts
@@ -191,9 +193,9 @@ def shaper(
 
 
 def _span(prefix: str, layout: tuple[ObservationField, ...]) -> slice:
-    """Columns of the fields of a prefix in a row; empty if there are none."""
-    places = [field.where for field in layout if field.name.startswith(prefix)]
-    return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
+    """Return the columns of all fields with a prefix; an empty slice if there are none."""
+    found = [field.where for field in layout if field.name.startswith(prefix)]
+    return slice(found[0].start, found[-1].stop) if found else slice(0, 0)
 
 
 def _box(part: Float32Array, mask: bool = False) -> spaces.Box:
@@ -201,7 +203,7 @@ def _box(part: Float32Array, mask: bool = False) -> spaces.Box:
     return spaces.Box(low, high, part.shape, np.float32)
 
 
-_PER_DRONE = 12  # Random numbers that a noisy drone takes at each decision
+_PER_DRONE = 12  # Random numbers for the noise of a drone in a decision
 
 
 @kernel
@@ -214,15 +216,15 @@ def sense(
     mask: BoolArray,
     out: Records,
 ) -> None:
-    """Write the state as noisy sensors measure it; rotors and batteries are known.
+    """Write the state with measurement noise; rotor thrusts and charges are exact.
 
     Args:
-        first: the first environment to look at.
-        last: one past the last.
+        first: index of the first environment.
+        last: one past that of the last.
         drones: (E, N) records: the true state.
-        environments: (E,) records; each decision is measured again.
-        settings: (1,) the standard deviations per component of position (m), velocity (m/s),
-            attitude (rad) and body rate (rad/s).
+        environments: (E,) records; each decision has its own noise.
+        settings: (1,) record with the standard deviations per component of position (m), velocity
+            (m/s), attitude (rad) and body rate (rad/s).
         mask: (E,) environments to measure.
         out: (E, N) records, written.
     """
@@ -260,12 +262,12 @@ def sense(
 
 @part
 def write_self(seen: Record, drone: Record, direct: bool, row: Float32Array) -> int:
-    """Write the `self` fields of a drone; return where they end.
+    """Write the `self` fields of a drone; return the index after them.
 
     Args:
-        seen: its record as it is measured.
+        seen: its measured record.
         drone: its true record.
-        direct: whether there is no controller, so that set-points mean nothing.
+        direct: True if the action mode has no set-point.
         row: written.
     """
     p, v, q, w = seen.position, seen.velocity, seen.quaternion, seen.angular_velocity
@@ -287,7 +289,7 @@ def write_self(seen: Record, drone: Record, direct: bool, row: Float32Array) -> 
 
 @part
 def write_load(seen: Record, drone: Record, row: Float32Array, at: int) -> int:
-    """Write what a drone, as measured, has to spare, from `at` on; return where that ends."""
+    """Write thrust margin, mass and charge of a drone from `at` on; return the index after them."""
     row[at] = 4.0 * seen.rotor_limit / (drone.nominal_mass * GRAVITY) - 1.0
     row[at + 1] = drone.nominal_mass / _SMALL_MASS
     row[at + 2] = seen.battery
@@ -296,7 +298,7 @@ def write_load(seen: Record, drone: Record, row: Float32Array, at: int) -> int:
 
 @part
 def write_setpoint(drone: Record, row: Float32Array, at: int) -> int:
-    """Write velocity and acceleration of the set-point from `at` on; return where that ends."""
+    """Write the set-point's velocity and acceleration from `at` on; return the index after them."""
     for k in range(3):
         row[at + k] = drone.setpoint_velocity[k] / SPEED_LIMIT
         row[at + 3 + k] = drone.setpoint_acceleration[k] / ACCELERATION_LIMIT
@@ -305,7 +307,7 @@ def write_setpoint(drone: Record, row: Float32Array, at: int) -> int:
 
 @part
 def write_task(seen: Record, drone: Record, row: Float32Array, at: int) -> None:
-    """Write a drone's goal and reference as seen from where it is measured, from `at` on."""
+    """Write a drone's goal and reference, relative to its measured position, from `at` on."""
     for k in range(3):
         row[at + k] = drone.goal[k] - seen.position[k]
         row[at + 3 + k] = drone.reference_position[k] - seen.position[k]
@@ -317,15 +319,15 @@ def write_task(seen: Record, drone: Record, row: Float32Array, at: int) -> None:
 def write_neighbor(
     own: Record, other: Record, drone: Record, load: bool, row: Float32Array, at: int
 ) -> None:
-    """Write the fields of a neighbour as seen from a drone.
+    """Write the fields of a drone's neighbor.
 
     Args:
-        own: the drone's record, as it is measured.
-        other: the neighbour's, as it is measured.
-        drone: the neighbour's true record.
-        load: whether what it has to spare is written as well.
+        own: the drone's measured record.
+        other: the neighbor's measured record.
+        drone: the neighbor's true record.
+        load: True to include thrust margin, mass and charge.
         row: written.
-        at: where these fields begin.
+        at: index of the first field.
     """
     for k in range(3):
         row[at + k] = other.position[k] - own.position[k]
@@ -342,15 +344,15 @@ def write_neighbor(
 def write_obstacles(
     x: float, y: float, z: float, obstacles: FloatArray, places: int, row: Float32Array
 ) -> int:
-    """Write the fields of the obstacles nearest to a point, m; return where they end.
+    """Write the fields of the obstacles nearest to a point, m; return the index after them.
 
-    Where there are fewer obstacles than places, the row stays as it is.
+    Fields of missing obstacles are left unchanged.
     """
     reached: float = -1.0
     last: Any = np.int64(-1)
     for place in range(min(places, obstacles.shape[0])):
         nearest_square = np.inf
-        chosen: Any = np.int64(-1)  # a literal would be compiled by itself
+        chosen: Any = np.int64(-1)  # numba would compile a literal as a type of its own
         for m in range(obstacles.shape[0]):
             dx, dy, dz = nearest_point(obstacles, m, x, y, z)
             square = dx * dx + dy * dy + dz * dz
@@ -387,22 +389,22 @@ def write_observations(
     """Write the observation rows of the environments first to last - 1 that are in the mask.
 
     Args:
-        first: the first environment to look at.
-        last: one past the last.
+        first: index of the first environment.
+        last: one past that of the last.
         mask: (E,) environments to write.
         out: (E, N, width) rows.
         num_obstacles: M.
-        load: whether thrust margins, masses and charges are observed.
+        load: True to include thrust margins, masses and charges.
         force: (E, N, 3) predicted forces, N; (0, N, 3) if they are not observed.
-        setpoint: whether the set-point's velocity and acceleration are observed.
-        seen: (E, N) records of the drones as they are measured.
-        columns: (E, N, columns) the same memory as plain numbers; the first three are positions.
+        setpoint: True to include the set-point's velocity and acceleration.
+        seen: (E, N) measured records of the drones.
+        columns: (E, N, columns) the memory of `seen` as floats; the first three are positions.
         drones: (E, N) true records.
         environments: (E,) records.
         settings: (1,) record.
-        order: (E, N) any permutation of the drones; sorted in place if they are many.
+        order: (E, N) any permutation of the drones; sorted in place in large teams.
         obstacles: (M', 7) rows of `swarm_envs.physics.contact`.
-        others: (K,) scratch: for so many neighbours.
+        others: (K,) scratch; gives the number of neighbors.
         square: (K,) scratch.
     """
     direct, width = settings[0].level != SETPOINTS, 16 if load else 13
@@ -419,7 +421,7 @@ def write_observations(
             if many:
                 i = order[e, place]
             row, own, d = out[e, i], seen[e, i], drones[e, i]
-            for c in range(out.shape[2]):  # fields of neighbours and obstacles may stay zero
+            for c in range(out.shape[2]):  # fields of missing neighbors and obstacles stay zero
                 row[c] = 0.0
             if d.active + d.crashed == 0.0:  # it ended in an earlier decision
                 continue

@@ -1,4 +1,4 @@
-"""Options of a task's `parallel_env`, and what is made from them."""
+"""Options of a task's `parallel_env`, and the environments made from them."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ __all__ = [
 
 
 class Blueprint(NamedTuple):
-    """What an environment is made from, whatever its interface."""
+    """The arguments of every interface's environment."""
 
     task: Task
-    """What is flown."""
+    """The task, with its team."""
     config: EnvConfig
-    """How it is flown and observed."""
+    """The options that all tasks share."""
     render_mode: str | None = None
     """`rgb_array`, `human`, or None for no pictures."""
 
@@ -54,28 +54,28 @@ class TaskOptions(EnvConfig):
     """Options of a task's environment: `EnvConfig`, these, and the fields of the task's class."""
 
     num_drones: int | None = 4
-    """N drones, if no team is given: small ones, unless the task has others. None, where it is the
-    default: as many as the layout has."""
+    """N, the number of drones, if no team is given: small ones, unless the task has others. None,
+    in tasks with this default: the number of the layout."""
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
     obstacles: Sequence[Obstacle] | str = ()
-    """Obstacles: `Box` and `Column` of `swarm_envs.tasks.obstacles`, or a string such as
+    """Objects `Box` and `Column` of `swarm_envs.tasks.obstacles`, or a string such as
     `buildings=2:2,column=1:1:0.15`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
     render_mode: str | None = None
     """`rgb_array` (pictures), `human` (a page in the browser) or None."""
-    controller: ControllerConfig | str | None = None  # type: ignore[assignment]  # or its name
-    """The tracking controller between actions and rotors, or the shipped agent that requires it,
-    such as `downwash-aware`; None for the default."""
+    controller: ControllerConfig | str | None = None  # type: ignore[assignment]  # wider type
+    """The tracking controller between actions and rotors, or the name of the shipped agent that
+    requires it, such as `downwash-aware`; None for the default."""
 
     task_type: ClassVar[type[Task]]
     """The class of the task."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         super().__post_init__()
-        if self.num_drones is not None:  # which the task refuses, unless it has a number of its own
+        if self.num_drones is not None:  # the task raises for None unless its layouts have numbers
             check_integer("num_drones", self.num_drones, at_least=1, at_most=MOST_DRONES)
         check_type("reward_weights", self.reward_weights, Mapping | None)
         check_type("obstacles", self.obstacles, Sequence)
@@ -83,32 +83,35 @@ class TaskOptions(EnvConfig):
             check_name("render_mode", self.render_mode, RENDER_MODES)
 
     def make_task(self) -> Task:
-        """Return the task that is flown.
+        """Return the task with its options.
 
         Raises:
-            ValueError: the options contradict each other, or the task refuses them.
+            ValueError: the options contradict each other, or are invalid for the task.
         """
         kind: Any = self.task_type
         names = [f.name for f in fields(kind) if f.init and hasattr(self, f.name)]
         given = {name: getattr(self, name) for name in names}
-        stand, team = self.obstacles, self.team
+        obstacles, team = self.obstacles, self.team
+        if isinstance(obstacles, str):
+            obstacles = parse_obstacles(obstacles)
         given |= {
             "team": kind.default_team(self) if team is None else parse_team(team),
-            "obstacles": parse_obstacles(stand) if isinstance(stand, str) else tuple(stand),
+            "obstacles": tuple(obstacles),
             "reward_weights": {**kind.default_weights, **(self.reward_weights or {})},
         }
         task: Task = kind(**given)
         return task
 
     def blueprint(self) -> Blueprint:
-        """What an environment with these options is made from.
+        """Return the arguments of an environment with these options.
 
         Raises:
-            ValueError: the task refuses its options.
+            ValueError: the options are invalid for the task.
         """
         given = {field.name: getattr(self, field.name) for field in fields(EnvConfig)}
         if isinstance(self.controller, str):
-            registry = importlib.import_module("swarm_envs.agents.registry")  # a higher layer
+            # Imported here, since agents import this module
+            registry = importlib.import_module("swarm_envs.agents.registry")
             given["controller"] = registry.controller_of(self.controller)
         config = EnvConfig(**given)
         return Blueprint(self.make_task(), config, self.render_mode)
@@ -120,7 +123,7 @@ def task_views(
     """Return the functions of a task's module: `blueprint`, `parallel_env` and `env`."""
 
     def blueprint(*args: object, **options: Any) -> Blueprint:
-        """Make what every interface to the task is made from."""
+        """Make the arguments of every interface's environment."""
         if args:
             raise TypeError(f"options have names, such as num_drones=4, but got {args[0]!r:.80}")
         return blueprint_of(task, **options)
@@ -148,8 +151,7 @@ _OTHERS_NAMES = {
     "continuous": "every action is continuous; action is its mode, such as action='velocity'",
     "num_agents": "num_drones is the number of agents",
 }
-"""Names of options in other packages, and what stands for them here."""
-
+"""Hints for names of options in other packages."""
 
 _RAISES = """\
 Raises:
@@ -159,10 +161,10 @@ Raises:
 
 
 def _document(view: Any, options: type[TaskOptions]) -> None:
-    """Give a view the options as its signature, and a docstring that explains each of them.
+    """Set the signature of a function of a task's module, and its docstring with all options.
 
-    The reward terms come first, then the task's own options. Types are in the docstring, in words,
-    and would make the signature unreadable.
+    The docstring lists the reward terms, the task's own options and then those of all tasks. The
+    signature has no types, which would make it unreadable; they are in the docstring.
     """
     table, meanings = {f.name: f for f in fields(options)}, field_docstrings(options)
     shared = [field.name for field in fields(EnvConfig)]
@@ -196,17 +198,17 @@ def _entry(option: Field[Any], meaning: str) -> str:
 
 
 def default_of(option: Field[Any]) -> Any:
-    """The value that an option has if it is not given; `dataclasses.MISSING` if it must be."""
+    """Return the default of an option; `dataclasses.MISSING` if it has none."""
     return option.default if option.default_factory is MISSING else option.default_factory()
 
 
 def field_docstrings(settings: type) -> dict[str, str]:
-    """The docstring below each field of a dataclass on one line, its base classes' included.
+    """Return the docstrings of a dataclass's fields, also inherited ones, each on one line.
 
-    They are empty where the source is not there.
+    They are empty if the source is not available.
     """
     found = {field.name: "" for field in fields(settings)}
-    task = getattr(settings, "task_type", object)  # whose fields are options, and explain them
+    task = getattr(settings, "task_type", object)  # its fields are options too
     for base in (*reversed(task.__mro__), *reversed(settings.__mro__)):
         if is_dataclass(base):
             own = _own_docstrings(cast(type, base))
@@ -218,7 +220,7 @@ def field_docstrings(settings: type) -> dict[str, str]:
 def _own_docstrings(settings: type) -> dict[str, str]:
     try:
         source = textwrap.dedent(inspect.getsource(settings))
-    except (OSError, TypeError):  # made at a prompt, or of a file that is gone
+    except (OSError, TypeError):  # defined at a prompt, or its file no longer exists
         return {}
     body = cast(ast.ClassDef, ast.parse(source).body[0]).body
     return {
@@ -232,11 +234,11 @@ def task_class(task: str | type[Task]) -> type[Task]:
     """Return the class of a task.
 
     Args:
-        task: its name, such as `swap_v1`; or a class of one's own, also as `my_task.py:MyTask`.
+        task: a name such as `swap_v1`; or a custom class, also as `my_task.py:MyTask`.
 
     Raises:
-        ValueError: there is no such task; or it is no task, no dataclass, or has no `draw`.
-        ImportError: the file of one's own cannot be imported.
+        ValueError: there is no such task; or the class is no task, no dataclass, or lacks `draw`.
+        ImportError: the file of a custom class cannot be imported.
     """
     found: object = load_from_file(task) if isinstance(task, str) and ".py:" in task else task
     if isinstance(found, str):
@@ -257,12 +259,12 @@ def _is_task(kind: object) -> TypeGuard[type[Task]]:
 
 
 def options_type(task: str | type[Task]) -> type[TaskOptions]:
-    """Return the options of a task, which `task_class` explains: a dataclass made from its class.
+    """Return the options of a task, a dataclass made from its class; for `task` see `task_class`.
 
     Raises:
-        ValueError: there is no such task, one of its `defaults` is no option of every task, or one
-            of its fields has a name that `EnvConfig` has for something else.
-        ImportError: the file of one's own cannot be imported.
+        ValueError: there is no such task, one of its `defaults` is not an option of all tasks, or
+            one of its fields has the name of another attribute of `TaskOptions`.
+        ImportError: the file of a custom class cannot be imported.
     """
     return _options_of(task_class(task))
 
@@ -281,8 +283,8 @@ def _options_of(task: type[Task]) -> type[TaskOptions]:
     for name, *_ in own:
         if hasattr(TaskOptions, name):
             raise ValueError(
-                f"{task.__name__} has a field {name!r}, which means something else for every "
-                "environment; give it another name"
+                f"{task.__name__} has a field {name!r}, but environments already have an attribute "
+                "of this name; rename the field"
             )
     made = make_dataclass(
         f"{task.__name__.removesuffix('Task')}Options",
@@ -296,7 +298,7 @@ def _options_of(task: type[Task]) -> type[TaskOptions]:
 
 
 def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
-    """Make what the task's environments with these options are made from; see `task_class`.
+    """Return the arguments of the task's environments with these options; see `task_class`.
 
     Raises:
         TypeError: an option does not exist; the message names the nearest.
@@ -306,18 +308,20 @@ def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
     names = inspect.signature(kind).parameters
     for name in options:
         if name not in names:
-            said = f"{kind.__name__}() got an unexpected keyword argument {name!r}"
-            raise TypeError(f"{said}; {_OTHERS_NAMES.get(name) or nearest(name, names)}")
+            hint = _OTHERS_NAMES.get(name) or nearest(name, names)
+            raise TypeError(
+                f"{kind.__name__}() got an unexpected keyword argument {name!r}; {hint}"
+            )
     return kind(**options).blueprint()
 
 
 def batch_of(task: str | type[Task], **options: Any) -> Blueprint:
-    """The same for many environments at once: the batch engine is the default.
+    """Return the arguments of a batch of environments; the batch engine is the default.
 
     Raises:
         TypeError: an option does not exist; the message names the nearest.
-        ValueError: there is no such task, an option has an impossible value, or pictures are
-            asked for.
+        ValueError: there is no such task, an option has an impossible value, or `render_mode` is
+            given.
     """
     found = blueprint_of(task, **{"physics": "batch", **options})
     if found.render_mode is not None:

@@ -1,11 +1,11 @@
-"""Rules that a task writes in plain NumPy: its own success, goals and reward terms.
+"""Rules that a custom task defines by methods in plain NumPy.
 
-Tasks of the package have kernels for these. A task of one's own has methods, which are called once
-a decision for all environments, after the shared rules:
+The tasks of the package have kernels instead. The methods are called once per decision for all
+environments, after the shared rules:
 
-- `success(world)` says in which environments the team is done;
-- `advance(world)` changes goals, and scores;
-- `reward_terms(world)` gives reward terms by name.
+- `success(world)` returns in which environments the team is done;
+- `advance(world)` changes goals and scores;
+- `reward_terms(world)` returns reward terms by name.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ __all__ = ["apply_own_rules", "has_own_rules", "write_own_terms"]
 
 
 def has_own_rules(task: Task) -> bool:
-    """Return whether a task has any of the methods of this module.
+    """Return True if a task defines any of these methods.
 
     Raises:
-        ValueError: one of them is a function that is no method.
+        ValueError: one of them is a function, but no method.
     """
     for name in ("success", "reward_terms"):
         rule = getattr(task, name)
@@ -41,17 +41,17 @@ def has_own_rules(task: Task) -> bool:
 
 
 def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: bool) -> None:
-    """Let a task end episodes that are done, and send drones to other goals.
+    """Apply the methods `success` and `advance` of a task, where it has them.
 
     Args:
-        task: has the methods `success` and `advance`, or one of them.
+        task: the task.
         world: the tables, after the shared rules.
         flown: (E,) environments that have made this decision.
-        end_on_success: whether success ends an episode.
+        end_on_success: True if success ends an episode.
 
     Raises:
-        ValueError: `success` returned something else than (E,) booleans, or `advance` set a goal or
-            a score that is not finite.
+        ValueError: `success` did not return (E,) booleans, or `advance` set a goal or a score that
+            is not finite.
     """
     if inspect.ismethod(task.success):
         done = np.asarray(task.success(world))
@@ -71,7 +71,7 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
 
 
 def _end(world: World, done: BoolArray, end_on_success: bool) -> None:
-    """Mark environments (E,) as done, unless they have crashed or were done before."""
+    """Mark environments (E,) as done, unless their episodes were terminated or done before."""
     e, stages = world.environments, world.goals.shape[1]
     new = done & ~e["terminated"] & ~e["held"]
     unhurt = (world.drones["hurt"] == 0.0).all(axis=1)
@@ -88,7 +88,7 @@ def _end(world: World, done: BoolArray, end_on_success: bool) -> None:
 
 
 def _send(world: World, sent: BoolArray) -> None:
-    """Send drones (E, N) to the goals that they have now; that is no progress of this decision."""
+    """Update distances and references of drones (E, N) with new goals, at unchanged progress."""
     drones = world.drones
     covered = drones["last_distance"] - drones["distance"]
     away = np.linalg.norm(drones["position"] - drones["goal"], axis=-1)
@@ -99,10 +99,10 @@ def _send(world: World, sent: BoolArray) -> None:
 
 
 def write_own_terms(task: Task, world: World, terms: FloatArray) -> None:
-    """Write the reward terms of a task's own into terms (T, E, N), in the order of their names.
+    """Write the reward terms of a task's method into terms (T, E, N), in the order of their names.
 
     Raises:
-        ValueError: a term has no weight or no value, or a wrong shape.
+        ValueError: a term has no weight, is missing or has a wrong shape.
     """
     if not inspect.ismethod(task.reward_terms):
         return

@@ -1,4 +1,4 @@
-"""PettingZoo's interfaces: parallel, a dictionary entry per drone, and AEC, drone after drone."""
+"""PettingZoo environments: parallel, with dictionaries by drone, and AEC, one drone at a time."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from swarm_envs.tasks.base import Task
 
 __all__ = ["SwarmParallelEnv"]
 
-RENDER_MODES = ("rgb_array", "human")  # Ways in which an environment shows itself
+RENDER_MODES = ("rgb_array", "human")
 
 
 class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     """A swarm as a PettingZoo parallel environment. Make it with a task's `parallel_env()`.
 
-    Agents are `drone_0` ... in the order of the team. All end together; with
-    `on_contact="end_pair"` those that touch something leave `agents` before the others.
-    `infos[agent]` holds `reward_terms` (each before its weight) and `contact` (what the drone
-    touched); the last step's also `episode_metrics`.
+    Agents are `drone_0` ... in the order of the team. Their episodes end together; with
+    `on_contact="end_pair"`, drones that touch something leave `agents` before the others.
+    `infos[agent]` has `reward_terms` (without their weights), `contact` (what the drone touched in
+    this decision) and, on the last step, `episode_metrics`.
     """
 
     def __init__(
@@ -75,31 +75,31 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
     @property
     def physics_name(self) -> str:
-        """`bullet` or `batch`: the engine that flies."""
+        """The name of the physics engine: `bullet` or `batch`."""
         return self.core.physics.name
 
     @property
     def observation_layout(self) -> tuple[ObservationField, ...]:
-        """Name, place, unit and scale of each field of an observation."""
+        """The name, slice, unit and scale of each field of an observation."""
         return observation_layout(*self.core.form[1:])
 
     @property
     def np_random(self) -> np.random.Generator:
-        """The generator of the episodes, seeded by `reset`; some wrappers draw from it too."""
+        """The random generator of the episodes, seeded by `reset`; some wrappers use it too."""
         return self.core.generators[0]
 
     @property
     def view(self) -> View:
-        """The truth, for privileged agents and for plots."""
+        """The true state, for privileged agents and for plots."""
         return View(self.core)
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's observation: the same for every agent."""
+        """Return the observation space, the same for every agent."""
         self._index(agent)
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
-        """The Box of an agent's action; each agent's samples from a generator of its own."""
+        """Return an agent's action space; each agent's space has its own random generator."""
         self._index(agent)
         return self.action_spaces[agent]
 
@@ -109,14 +109,14 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """Begin an episode.
 
         Args:
-            seed: seeds the environment's one generator; None continues with it.
-            options: for this episode alone. `start`, `goal`: (N, 3) positions, m; which of them,
-                the task says. `team`: N vehicles or their string, in place of those that the
-                environment was made with; spaces and agents stay.
+            seed: seed of the environment's random generator; None continues with the generator.
+            options: options of this episode. `start`, `goal`: (N, 3) positions, m, in tasks in
+                which they can be set. `team`: N vehicles, or a string, instead of the constructor's
+                team; spaces and agents do not change.
 
         Raises:
-            ValueError: an option is unknown, or a start, goal or team impossible. Nothing has
-                changed then.
+            ValueError: an option is unknown, or a start, goal or team is impossible. Nothing was
+                changed.
         """
         self._check_open("reset")
         rows = self.core.reset([seed], options=options)
@@ -134,19 +134,19 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Fly until the next decision.
+        """Simulate until the next decision.
 
         Args:
             actions: one for each of `agents`; those of agents that have left are not used.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos by agent: all empty if the
-            episode has ended and `actions` is empty, as black-death wrappers step once more.
+            Observations, rewards, terminations, truncations and infos by agent. All are empty if
+            the episode has ended and `actions` is empty, since black-death wrappers step once more.
 
         Raises:
-            RuntimeError: there is no episode: `reset()` was not called, or the last one ended.
+            RuntimeError: no episode is running: `reset()` was not called, or the episode has ended.
             ValueError: an action is missing, superfluous, of wrong shape, not finite or outside
-                its bounds. Nothing has changed then.
+                its bounds. Nothing was changed.
         """
         if not self.agents:
             if isinstance(actions, Mapping) and not actions and self._has_ended():
@@ -158,7 +158,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         observations = self.split(result.observations)
         rewards = dict(zip(self.possible_agents, result.rewards[0].tolist(), strict=True))
         ends = dict(zip(self.possible_agents, result.ended[0].tolist(), strict=True))
-        if len(agents) < len(ends):  # some have left before
+        if len(agents) < len(ends):  # some have left in earlier decisions
             observations, rewards, ends, infos = (
                 {agent: by_agent[agent] for agent in agents}
                 for by_agent in (observations, rewards, ends, infos)
@@ -172,40 +172,38 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return observations, rewards, ends, cuts, infos
 
     def state(self) -> Float32Array:
-        """The true state of the whole team, for centralised critics: no noise, fixed order.
+        """Return the true state of the whole team, without noise, for centralized critics.
 
-        The `self` and `task` fields of every drone, one after another; see `observation_layout`
-        with no neighbour.
+        It consists of the `self` and `task` fields of each drone, in the order of the team; see
+        `observation_layout` with no neighbors.
         """
         self._check_open("state")
         return self.core.team_state().reshape(-1).copy()
 
     def get_state(self) -> Snapshot:
-        """Everything that changes, to come back to with `set_state`."""
+        """Return a snapshot of the whole state, for `set_state`."""
         self._check_open("get_state")
         return self.core.get_state()
 
     def set_state(self, snapshot: Snapshot) -> None:
-        """Go to where `get_state` was called, here or in another environment of the same options.
+        """Restore a snapshot of this environment, or of another with the same options.
 
-        From there everything continues byte for byte as it did the first time.
+        The environment then continues bitwise as the first one did.
 
         Raises:
             TypeError: it is no snapshot.
-            ValueError: it was taken of an environment with other options.
+            ValueError: it is of an environment with other options.
         """
         self._check_open("set_state")
         self.core.set_state(snapshot)
-        flies = self.core.world.drones["active"][0] * self.core.running[0]
-        self.agents = list(compress(self.possible_agents, flies.tolist()))
+        active = self.core.world.drones["active"][0] * self.core.running[0]
+        self.agents = list(compress(self.possible_agents, active.tolist()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU.
+        """Return an RGB picture (height, width, 3) of the swarm, drawn on the CPU.
 
-        Without a mode it returns None, with a warning.
-
-        `human` shows the flight in a browser after every reset and step instead, in real time; the
-        address is printed.
+        With `render_mode="human"`, every reset and step shows the flight in a browser, in real
+        time; the address is printed. Without a render mode, it returns None with a warning.
         """
         self._check_open("render")
         if self.render_mode == "rgb_array":
@@ -225,7 +223,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return None
 
     def close(self) -> None:
-        """Free what physics and viewer hold. May be called more than once."""
+        """Release the physics engine and the viewer. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
@@ -233,16 +231,16 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
             self._live.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
+        """Copy or pickle as options and a snapshot: the copy has its own simulator."""
         self._check_open("pickling")
         options = (type(self), self.core.task, self.core.config, self.render_mode)
         return _rebuilt, (*options, self.core.get_state(), self.core.reward_weights)
 
     def check_running(self) -> None:
-        """Refuse a step that needs an episode.
+        """Check that an episode is running.
 
         Raises:
-            RuntimeError: the environment is closed, or no episode is on.
+            RuntimeError: the environment is closed, or no episode is running.
         """
         self._check_open("step")
         if not self.agents:
@@ -261,22 +259,22 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return self.possible_agents.index(agent)
 
     def join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
-        """The agents' actions as the core takes them, (1, N, width), or an error as of `step`.
+        """Return the agents' actions as an array (1, N, width); raises as `step` does.
 
-        Those of drones that have ended are zeros.
+        Actions of drones whose episodes have ended are zeros.
         """
         if len(self.agents) == self.core.num_drones:
             return join_actions(self.core.mode, self.agents, actions)
         left = set(self.possible_agents) - set(self.agents)
-        if isinstance(actions, Mapping):  # TorchRL acts for who has left, too
+        if isinstance(actions, Mapping):  # TorchRL also gives actions of agents that have left
             actions = {agent: action for agent, action in actions.items() if agent not in left}
         joined = join_actions(self.core.mode, self.agents, actions)
-        everyone = np.zeros((1, self.core.num_drones, self.core.mode.width))
-        everyone[0, [self._index(agent) for agent in self.agents]] = joined[0]
-        return everyone
+        padded = np.zeros((1, self.core.num_drones, self.core.mode.width))
+        padded[0, [self._index(agent) for agent in self.agents]] = joined[0]
+        return padded
 
     def split(self, rows: Float32Array) -> dict[str, Observation]:
-        """What every drone of the team observes, by rows (1, N, width); zeros of one that ended."""
+        """Return the observations of all drones, by agent, from rows (1, N, width)."""
         own: Any = rows[0].copy()
         if self.core.config.observation != "flat":
             own = map(self._shape, own)
@@ -299,7 +297,7 @@ def _rebuilt(
     snapshot: Snapshot,
     weights: Mapping[str, float],
 ) -> SwarmParallelEnv:
-    """Make an environment again where another stood; what `pickle` and `copy` call."""
+    """Return an environment in the state of another, for `pickle` and `copy`."""
     env = kind(task, config, render_mode)
     env.core.set_reward_weights(weights)
     env.set_state(snapshot)
@@ -312,7 +310,7 @@ _NO_CONTACT: dict[str, Any] = {"drone": None, "floor": False, "wall": False, "ob
 def join_actions(
     mode: ActionMode, agents: Sequence[str], actions: Mapping[str, npt.ArrayLike]
 ) -> npt.NDArray[np.float64]:
-    """Agents' actions as the core takes them: (1, N, width).
+    """Return the agents' actions as an array (1, N, width).
 
     Raises:
         TypeError: they are no mapping.
@@ -355,20 +353,20 @@ def _refuse_agents(agents: Sequence[str], actions: Mapping[str, npt.ArrayLike]) 
 def infos_by_agent(
     core: SwarmCore, agents: Sequence[str], result: StepResult, ended: bool
 ) -> dict[str, dict[str, Any]]:
-    """What a step of the only environment of a core tells each of all its agents.
+    """Return the infos of a step of a core's only environment, by agent.
 
     Args:
-        core: has just stepped.
-        agents: names, in the order of the team.
-        result: of the step.
-        ended: whether the episode has ended; the infos then hold the metrics.
+        core: the core.
+        agents: names of all agents, in the order of the team.
+        result: the result of the core's last step.
+        ended: True if the episode has ended; the infos then have the metrics.
     """
     named = map(zip, repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist())
     infos: dict[str, dict[str, Any]] = {
         agent: {"reward_terms": terms, "contact": _NO_CONTACT.copy()}
         for agent, terms in zip(agents, map(dict, named), strict=True)
     }
-    if ended or core.config.on_contact != "end_team":  # else nothing is touched before the end
+    if ended or core.config.on_contact != "end_team":  # else a contact ends the episode
         for info, contact in zip(infos.values(), _contacts(core, agents), strict=True):
             info["contact"] = contact
             if ended:
@@ -377,7 +375,7 @@ def infos_by_agent(
 
 
 def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any]]:
-    """What each drone touched in its last decision."""
+    """Return the contacts of each drone in its last decision."""
     contacts = core.physics.contacts
     touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
     floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
@@ -395,23 +393,20 @@ def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any]]:
 class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
     """A swarm as a PettingZoo AEC environment. Make it with a task's `env()`.
 
-    The team flies on when the last of its drones has decided; until then every drone sees what
-    was seen when the first one did. A bad action is refused in the turn of whose it is.
-    `unwrapped` is the `SwarmParallelEnv`.
+    The simulation advances when the last drone has acted; until then all drones observe the same
+    instant. An invalid action raises in the turn of its agent. `unwrapped` is the
+    `SwarmParallelEnv`.
     """
 
-    env: SwarmParallelEnv  # The parallel environment beneath
-
-    def __init__(self, env: SwarmParallelEnv) -> None:
-        super().__init__(env)
+    env: SwarmParallelEnv  # The wrapped parallel environment
 
     def step(self, action: npt.ArrayLike | None) -> None:
-        """Decide for the agent whose turn it is; None for one whose episode has ended.
+        """Take an action for the agent whose turn it is; None if its episode has ended.
 
         Raises:
             RuntimeError: the environment is closed.
             ValueError: the action has a wrong shape, is not finite or outside its bounds, or is
-                not None after the end. Nothing has changed then.
+                not None after the end. Nothing was changed.
         """
         agent = self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
@@ -426,7 +421,7 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
     def _check(self, agent: str, action: npt.ArrayLike | None) -> None:
         self.env.check_running()
         core = self.env.core
-        others = np.zeros(core.mode.width, dtype=np.bool_)  # the joined type is the action's own
+        others = np.zeros(core.mode.width, dtype=np.bool_)  # so that the action decides the dtype
         actions: dict[str, Any] = dict.fromkeys(self.env.agents, others)
         joined = self.env.join(actions | {agent: action})
         shape = (1, core.num_drones, core.mode.width)

@@ -1,4 +1,4 @@
-"""Domain randomisation: what differs from episode to episode, each part off by default."""
+"""Domain randomization."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from swarm_envs.vehicles import GRAVITY, Team
 __all__ = ["Randomization"]
 
 Factor = tuple[float, float]
-"""Lowest and highest of a factor that is drawn evenly."""
-SAME: Factor = (1.0, 1.0)  # The range of a factor that changes nothing
+"""Bounds of a factor with a uniform distribution."""
+SAME: Factor = (1.0, 1.0)  # The factor 1, which changes nothing
 
 FACTORS = {
     "mass": "mass",
@@ -24,7 +24,7 @@ FACTORS = {
     "motor_rate": "motor_rate",
     "thrust": "max_rotor_thrust",
 }
-"""Options that scale a field of `Parameters`, and its name there."""
+"""Options that scale a field of the drones' records, and the name of that field."""
 
 _LEAST_THRUST_TO_WEIGHT = 1.1
 
@@ -34,47 +34,47 @@ class Randomization:
     """Domain randomization, sampled at every reset from the environment's generator.
 
     Factors are uniform between two numbers and multiply the nominal value of each drone; the
-    controller uses the nominal value. Noise is white and Gaussian, given by its standard deviation
-    per component, and affects observations only: the tracking controller receives the true state.
-    `world="hall"` has a state estimate for both.
+    controller uses the nominal value. Noise is white and Gaussian, specified by its standard
+    deviation per component, and affects observations only: the tracking controller receives the
+    true state. With `world="hall"`, both use a state estimate instead.
 
     Raises:
-        ValueError: a range is empty or not positive, or a standard deviation negative.
+        ValueError: a range is empty or not positive, or a standard deviation is negative.
     """
 
     mass: Factor = SAME
-    """factor of the mass"""
+    """Factor of the mass."""
     inertia: Factor = SAME
-    """factor of the moments of inertia, the same for all three axes"""
+    """Factor of the moments of inertia, the same for all three axes."""
     motor_rate: Factor = SAME
-    """factor of the motor rate lambda: the lag's inverse"""
+    """Factor of the motor rate lambda, the inverse of the time constant."""
     thrust: Factor = SAME
-    """factor of the largest rotor thrust"""
+    """Factor of the largest rotor thrust."""
     force_scale: Factor = SAME
-    """factor of the interaction force, its drag included, one for a whole environment"""
+    """Factor of the interaction force, its drag included; one per environment."""
     hall: Factor = SAME
-    """factor of the random force, force offsets and thrust errors of `world="hall"`, one for a
-    whole environment"""
+    """Factor of the random force, force offsets and thrust errors of `world="hall"`; one per
+    environment."""
     battery: tuple[float, float] = SAME
-    """charge at the start, each drone's own; needs batteries that empty"""
+    """Range of each drone's charge at the start; needs `battery=BatteryModel()`."""
     gust_acceleration: float = 0.0
-    """gusts: standard deviation of each component of the acceleration they give, m/s^2; all drones
-    of an environment feel the same"""
+    """Standard deviation of each component of the acceleration by gusts, m/s^2, the same for all
+    drones of an environment."""
     gust_time_s: float = 1.0
-    """gusts: time over which they change, s"""
+    """Correlation time of gusts, s."""
     position_noise_m: float = 0.0
-    """noise of observed positions, m"""
+    """Noise of observed positions, m."""
     velocity_noise: float = 0.0
-    """noise of observed velocities, m/s"""
+    """Noise of observed velocities, m/s."""
     attitude_noise_rad: float = 0.0
-    """noise of observed attitudes, rad"""
+    """Noise of observed attitudes, rad."""
     body_rate_noise: float = 0.0
-    """noise of observed body rates, rad/s"""
+    """Noise of observed body rates, rad/s."""
     noise_scale: tuple[float, float] = SAME
-    """factor of all noise, one for a whole environment"""
+    """Factor of all noise; one per environment."""
 
     def __post_init__(self) -> None:
-        """Refuse a factor of noise where there is none."""
+        """Raise ValueError for invalid values, and for a factor of noise without noise."""
         for name in ("mass", "inertia", "motor_rate", "thrust", "force_scale", "hall"):
             check_interval(name, getattr(self, name), above=0.0)
         check_interval("battery", self.battery, above=0.0, at_most=1.0)
@@ -96,10 +96,10 @@ class Randomization:
 
     @classmethod
     def of(cls, given: Randomization | str | None) -> Randomization | None:
-        """What an option `randomization` stands for; text is such as `mass=0.9:1.1,thrust=1:1.2`.
+        """Return the randomization for an option such as `mass=0.9:1.1,thrust=1:1.2`.
 
         Raises:
-            ValueError: the text names no field, or a value that it cannot have.
+            ValueError: the text has an unknown field or an invalid value.
         """
         if not isinstance(given, str):
             return given
@@ -115,11 +115,7 @@ class Randomization:
         return cls(**values)
 
     def check_team(self, team: Team) -> None:
-        """Refuse what could leave a vehicle unable to hover.
-
-        Raises:
-            ValueError: naming the vehicle.
-        """
+        """Raise ValueError if a vehicle might be unable to hover."""
         for vehicle in team:
             most = self.thrust[0] * vehicle.max_thrust
             weight = self.mass[1] * vehicle.mass * GRAVITY
@@ -132,7 +128,7 @@ class Randomization:
 
     @property
     def noisy(self) -> bool:
-        """Whether observations are noisy."""
+        """True if observations are noisy."""
         return any(self.noise)
 
     @property
@@ -147,13 +143,13 @@ class Randomization:
 
 
 def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world: World) -> None:
-    """Draw drones, charges and streams of noise of a new episode of environment `e`.
+    """Sample the parameters, charges and noise keys of a new episode of environment `e`.
 
     Args:
         rng: the environment's generator.
-        ranges: what is drawn.
-        e: the environment.
-        world: its tables are written: nominal values times factors.
+        ranges: the distributions.
+        e: index of the environment.
+        world: the tables, of which those of `e` are written.
     """
     drones, environments = world.drones, world.environments
     for option, field in FACTORS.items():
@@ -172,7 +168,7 @@ def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world
 def scale_hall(
     rng: np.random.Generator, ranges: Randomization | None, e: int, world: World
 ) -> None:
-    """Multiply what the hall has drawn for an episode of environment `e` by a factor, `hall`."""
+    """Multiply the hall's random forces and errors in environment `e` by the factor `hall`."""
     if ranges is None or ranges.hall == SAME:
         return
     factor, drones = rng.uniform(*ranges.hall), world.drones[e]

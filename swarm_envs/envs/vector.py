@@ -1,4 +1,4 @@
-"""Gymnasium's vector interface: E environments of the batched core, each team as one agent."""
+"""Gymnasium vector environments: E teams in one batch, each as one agent or drone by drone."""
 
 from __future__ import annotations
 
@@ -26,37 +26,38 @@ if TYPE_CHECKING:
     from swarm_envs.viewing.camera import Screen
     from swarm_envs.viewing.live import LiveViewer
 
-Infos = dict[str, Any]  # What a step of a batch adds: arrays by name, an entry for each environment
+Infos = dict[str, Any]  # Arrays by name, with an entry for each environment
 
 
 class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArray[Any]]):
-    """E teams that fly at once. Made by `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=E)`.
+    """A batch of E teams. Make it with `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=E)`.
 
-    Observations (E, N * width), actions (E, N * width of the action), rewards the mean of the
-    team's. `infos["rewards"]` has each drone's (E, N), `infos["active"]` (E, N) which drones have
-    flown this decision, and where an episode ends `infos["episode_metrics"]`, with Gymnasium's
-    masks.
+    Observations have shape (E, N * width), actions (E, N * width of the action); rewards (E,) are
+    means over the team. `infos["rewards"]` (E, N) has each drone's reward, `infos["active"]`
+    (E, N) is True for drones that took part in the decision, and `infos["episode_metrics"]` has
+    the metrics of ended episodes, with Gymnasium's masks.
 
-    With `per_agent=True` every drone is a row, e * N + i for drone i of environment e: observations
-    (E * N, width), actions, rewards and ends likewise. All rows of a team are reset together; one
-    that ended before (`on_contact="end_pair"`) waits until then, with zero observations, reward 0
-    and `infos["active"]` False, and is terminated with the team again.
+    With `per_agent=True`, every drone is a row, e * N + i for drone i of environment e:
+    observations have shape (E * N, width), and actions, rewards and ends have a row for each drone
+    too. All rows of a team are reset together. A row that ended earlier (`on_contact="end_pair"`)
+    waits until then, with zero observations, reward 0 and `infos["active"]` False, and is
+    terminated with the team again.
 
     Args:
-        task: what is flown, by whom.
-        config: how; `observation` must be `flat`.
+        task: the task, with its team.
+        config: the options; `observation` must be `flat`.
         num_envs: E.
-        autoreset_mode: what happens after an episode's end: `NEXT_STEP` (the next step begins a
-            new one, its action unused), `SAME_STEP` (the step itself does; `final_obs` and
-            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`). Or
-            their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
-        per_agent: whether a row is a drone, and not a team. Reset masks are those of teams, (E,),
-            or of rows, equal within a team.
+        autoreset_mode: the reset after an episode's end: `NEXT_STEP` (the next step begins a new
+            episode and ignores its action), `SAME_STEP` (the same step does; `final_obs` and
+            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`); or
+            Gymnasium's names `"NextStep"`, `"SameStep"`, `"Disabled"`.
+        per_agent: True for a row per drone instead of a row per team. Reset masks then have an
+            entry for each team or for each row, equal within a team.
         render_mode: `rgb_array` (pictures), `human` (the first 16 environments in a browser, in
             real time) or None.
-        max_episode_steps: decisions after which an episode is truncated, if `horizon_s` does not do
-            it before; as of `gymnasium.wrappers.TimeLimit`, the time left that is observed does not
-            change.
+        max_episode_steps: number of decisions after which an episode is truncated, if `horizon_s`
+            does not end it earlier. As with `gymnasium.wrappers.TimeLimit`, the observed remaining
+            time does not change.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The entry of Gymnasium's registry, with the time limit in decisions."""
+        """The environment's entry in Gymnasium's registry, with the time limit in decisions."""
         return self._entry
 
     @spec.setter
@@ -122,15 +123,15 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         """Begin new episodes.
 
         Args:
-            seed: a number for environment 0, counted up for the others; or one each.
+            seed: the seed of environment 0, plus e for environment e; or a sequence of seeds.
             options: `start`, `goal` (N, 3), m, for every environment; `reset_mask` (E,) booleans,
-                which environments to reset. With `per_agent`, seeds and mask may have an entry for
+                the environments to reset. With `per_agent`, seeds and mask may have an entry for
                 each row instead, (E * N,), equal within a team.
 
         Raises:
             RuntimeError: the environment is closed.
             TypeError: seeds or options are of a wrong type.
-            ValueError: an option is unknown, or a start or goal impossible.
+            ValueError: an option is unknown, or a start or goal is impossible.
         """
         if self.closed:
             raise RuntimeError("reset() was called on a closed environment; make a new one")
@@ -150,16 +151,16 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
     def step(
         self, actions: npt.ArrayLike
     ) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, Infos]:
-        """Fly every environment until its next decision; see the class for what ends do.
+        """Simulate every environment until its next decision; resets follow `autoreset_mode`.
 
         Raises:
-            RuntimeError: an environment has no episode, or is closed.
-            ValueError: actions of a wrong shape, or with a number that cannot be.
+            RuntimeError: an environment has no running episode, or is closed.
+            ValueError: actions have a wrong shape or an invalid number.
         """
         self._check_running()
         again = self._ended.copy()
         result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
-        if again.any():  # only where the next step resets
+        if again.any():  # only with NEXT_STEP
             self.core.reset(mask=again)
         cut = result.truncated
         if self._most_steps is not None:
@@ -168,7 +169,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self._ended[:] = over
         infos: Infos = {"active": result.active.copy()}
         if self.per_agent:
-            ends = result.ended | (over[:, None] & ~result.active)  # who waited ends again
+            ends = result.ended | (over[:, None] & ~result.active)  # waiting rows end again
             given = result.rewards, ends, cut[:, None] & ~ends
             again, infos = again[:, None], {"active": infos["active"].reshape(-1)}
         else:
@@ -186,11 +187,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> Any:
-        """The pictures of all rows' environments, as of `SwarmParallelEnv.render`.
+        """Return pictures of the rows' environments, each drawn when it is accessed.
 
-        They are a sequence, as Gymnasium's wrappers want them, and each is drawn when it is read:
-        `envs.render()[0]` draws the first environment alone. Without a mode it returns None, with a
-        warning. `human` shows the environments as they are now.
+        They are a sequence, as Gymnasium's wrappers expect: `envs.render()[0]` draws only the first
+        environment. With `render_mode="human"`, the environments are shown in the browser. Without
+        a render mode, it returns None with a warning.
         """
         if self.render_mode == "rgb_array":
             return self._pictures
@@ -205,13 +206,13 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         return None
 
     def _rows_of(self, e: int) -> range:
-        """The rows of a team."""
+        """Return the rows of a team."""
         each = self.num_envs // self.num_teams
         return range(e * each, (e + 1) * each)
 
     def close_extras(self, **_: object) -> None:
-        """Free what physics holds."""
-        if "core" in vars(self):  # Gymnasium 1.1 closes even what was refused
+        """Release the physics engine and the viewer."""
+        if "core" in vars(self):  # Gymnasium 1.1 closes environments whose constructor raised
             self.core.close()
             if self._live is not None:
                 self._live.close()
@@ -240,7 +241,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             )
 
     def _by_team(self, name: str, values: Any) -> npt.NDArray[Any]:
-        """Return values (E,) of teams from those of teams or of rows.
+        """Return values (E,) of teams, given those of teams or of rows.
 
         Raises:
             ValueError: the rows of a team differ.
@@ -270,11 +271,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
 
 class Pictures(Sequence[npt.NDArray[np.uint8]]):
-    """The pictures of a batch, as `render()` returns them: one a row, drawn when it is read.
+    """The pictures of a batch, one for each row, drawn when it is accessed.
 
     Args:
         core: the environments.
-        rows: how many rows they are; those of a team have the same picture.
+        rows: number of rows; those of a team have the same picture.
     """
 
     def __init__(self, core: SwarmCore, rows: int) -> None:
@@ -304,7 +305,7 @@ def make_vector(
     max_episode_steps: int | None = None,
     **options: Any,
 ) -> SwarmVectorEnv:
-    """E teams on the batched engine; options as of the task's `parallel_env()`."""
+    """Return a batch of teams; options as for the task's `parallel_env()`."""
     made = batch_of(task, **options)
     views = autoreset_mode, per_agent, render_mode, max_episode_steps
     return SwarmVectorEnv(made.task, made.config, num_envs, *views)

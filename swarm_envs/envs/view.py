@@ -1,4 +1,4 @@
-"""What a privileged agent sees: the true state, read-only, of a single environment."""
+"""Read-only access to the true state of an environment, for privileged agents and plots."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 @dataclass(frozen=True)
 class View:
-    """The truth about one environment, float64, valid until the next step.
+    """The true state of one environment, float64, valid until the next step.
 
-    Arrays are read-only views: copy what should last, or what goes to a library that refuses
-    read-only arrays, as scipy's `Rotation.from_quat` does.
+    Arrays are read-only views: copy those that should last, and those for libraries that reject
+    read-only arrays, such as SciPy's `Rotation.from_quat`.
     """
 
     _core: SwarmCore
@@ -35,65 +35,65 @@ class View:
 
     @property
     def team(self) -> Team:
-        """The N vehicles that fly this episode."""
+        """The N vehicles of this episode."""
         return self._core.tasks[self._e].team
 
     @property
     def time(self) -> float:
-        """Seconds since the episode began."""
+        """The time since the beginning of the episode, s."""
         return float(self._core.time[self._e])
 
     @property
     def horizon_s(self) -> float:
-        """Time limit, s, after which the episode is truncated."""
+        """The time limit, after which the episode is truncated, s."""
         return float(self._core.settings["horizon_s"][0])
 
     @property
     def stage_s(self) -> float:
-        """Time between goal changes, s; the time limit where there is one set of goals."""
+        """The time between changes of goals, s; the time limit if there is one set of goals."""
         return self._core.task.motion.stage_s or self.horizon_s
 
     @property
     def state(self) -> SwarmState:
-        """State whose arrays lead with N alone."""
+        """The state of the drones; arrays have shape (N, ...)."""
         return SwarmState(*(array[self._e] for array in self._core.physics.state))
 
     @property
     def goals(self) -> FloatArray:
-        """(N, 3) goal positions, m."""
+        """The goal positions (N, 3), m."""
         return _frozen(self._core.world.drones["goal"][self._e])
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Static obstacles, the same in every episode."""
+        """The static obstacles."""
         return self._core.task.obstacles
 
     @property
     def setpoint(self) -> Setpoint:
-        """What the tracking loop follows now; arrays lead with N alone."""
+        """The present set-points of the tracking controller; arrays have shape (N, ...)."""
         drones = self._core.world.drones[self._e]
         return Setpoint(*(_frozen(drones[f"setpoint_{name}"]) for name in Setpoint._fields))
 
     @property
     def contacts(self) -> Contacts:
-        """What the drones touched in the last decision; arrays lead with N alone."""
+        """The contacts of the drones in the last decision; arrays have shape (N,)."""
         return Contacts(*(_frozen(array[self._e]) for array in self._core.physics.contacts))
 
     @property
     def oracle_force(self) -> FloatArray:
-        """(N, 3) the environment's own force of the last physics step, N, world frame.
+        """The environment's interaction force (N, 3) of the last physics step, N, world frame.
 
-        For plots and oracles: a controller that reads it knows what no real one could.
+        It is for plots and oracles: a real controller cannot measure it.
         """
         return _frozen(self._core.physics.force[self._e])
 
     @property
     def reference_moves(self) -> bool:
-        """Whether the task says how to get there; else its reference rests at the goals."""
+        """True if the task has a reference trajectory; else the reference rests at the goals."""
         return not self._core.task.motion.rests
 
     def reference(self, time: float) -> Reference:
-        """Where the drones should be at `time`, s: arrays (N, 3)."""
+        """Return the reference at `time`, s; arrays have shape (N, 3)."""
         times = np.full(self._core.num_envs, time)
         full = self._core.task.reference(self._core.world, times)
         return Reference(*(_frozen(array[self._e]) for array in full))

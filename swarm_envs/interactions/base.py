@@ -1,6 +1,6 @@
-"""Models of the interaction forces: those that act, or that a controller compensates.
+"""Models of interaction forces, for the simulation or for a controller's feed-forward.
 
-A model is one that ships, a weights file, or a function of one's own:
+A model is a shipped one, a weights file, or a function:
 
     def push_down(position, velocity, types):
         force = np.zeros_like(position)
@@ -34,38 +34,38 @@ from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.user_files import load_from_file
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
-TypeArray = npt.NDArray[np.str_]  # Interaction types of vehicles
+TypeArray = npt.NDArray[np.str_]  # An array of interaction types
 ForceFunction = Callable[[FloatArray, FloatArray, TypeArray], npt.ArrayLike]
 """A force model as a function of positions (E, N, 3), velocities (E, N, 3) and types (E, N)."""
-MODELS = ("none", "wake", "learned", "deep-set")  # The models that ship, by name
-PRECISIONS = ("float64", "float32")  # Arithmetic in which networks can be evaluated
+MODELS = ("none", "wake", "learned", "deep-set")  # The names of the shipped models
+PRECISIONS = ("float64", "float32")  # Precisions of networks
 
 
 @dataclass(frozen=True, eq=False)
 class InteractionModel:
-    """Forces f_a that air puts on drones beyond rotor thrust and gravity. Get one with `load`.
+    """A model of the aerodynamic forces f_a on drones besides rotor thrust. Get one with `load`.
 
-    Two models are equal if they are one object: arrays have no single truth to compare by.
+    Models are equal only if they are the same object.
     """
 
     name: str
-    """The name or path it was loaded from."""
+    """The name or path from which it was loaded."""
     types: tuple[str, ...]
-    """The interaction types it knows; a `Vehicle` names its own."""
+    """The interaction types of the model; see `Vehicle.interaction_type`."""
     field: ForceField
-    """Its numbers."""
+    """The parameters."""
     notes: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Where it comes from: provenance and errors that the weights file carries."""
+    """Provenance and errors, from the weights file."""
     function: ForceFunction | None = None
-    """The function that gives the forces; None for the compiled models."""
+    """The function that computes the forces; None for compiled models."""
 
     def type_indices(self, team: Sequence[Vehicle]) -> IntArray:
-        """Index (N,) of each vehicle's interaction type among the model's types.
+        """Return the index (N,) of each vehicle's interaction type among the model's types.
 
-        The model `none` accepts every type, because it exerts no force on any vehicle.
+        The model `none` accepts every type.
 
         Raises:
-            ValueError: a vehicle's type is unknown to the model.
+            ValueError: the model lacks a vehicle's type.
         """
         names = tuple(vehicle.interaction_type for vehicle in team)
         if self.field.kind == NONE:
@@ -73,32 +73,31 @@ class InteractionModel:
         return types_array(names, self.types, f"in interaction model {self.name!r}")
 
     def with_precision(self, precision: str) -> InteractionModel:
-        """The same model, its networks evaluated in another precision.
+        """Return this model with networks in another precision.
 
-        `"float32"` is for speed where 1e-4 g are nothing; a model is `"float64"` when it is loaded.
-        Whatever takes a model takes this one: `BatchPhysics(..., interactions=model)`.
+        Loaded models have `"float64"`. `"float32"` is faster, with errors of about 1e-4 g.
 
         Raises:
             ValueError: the precision is neither `"float64"` nor `"float32"`.
         """
         check_name("precision", precision, PRECISIONS)
         if self.field.kind in (NONE, WAKE):
-            return self  # no network to evaluate
+            return self  # they have no networks
         field = self.field._replace(weights=self.field.weights.astype(precision))
         return dataclasses.replace(self, field=field)
 
     @cached_property
     def packed(self) -> PackedField:
-        """The numbers as compiled kernels read them.
+        """The parameters in the form of kernels.
 
         Raises:
-            ValueError: the model has more types than kernels have room for.
+            ValueError: the model has more types than kernels support.
         """
         return packed(self.field)
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of the model's numbers: says exactly which model it was."""
+        """The SHA-256 of the model's parameters."""
         digest = hashlib.sha256(self.name.encode() if self.name in ("none", "wake") else b"")
         for value in self.field:
             digest.update(np.ascontiguousarray(value).tobytes())
@@ -107,7 +106,7 @@ class InteractionModel:
     def forces(
         self, position: npt.ArrayLike, velocity: npt.ArrayLike, team: str | Sequence[Vehicle]
     ) -> FloatArray:
-        """Forces on every drone of every environment.
+        """Return the forces on every drone of every environment.
 
         Args:
             position: (E, N, 3) m, world frame.
@@ -118,7 +117,7 @@ class InteractionModel:
             (E, N, 3) forces f_a, N, world frame.
 
         Raises:
-            ValueError: shapes do not fit the team, or an entry is not finite.
+            ValueError: a shape does not fit the team, or an entry is not finite.
         """
         vehicles = parse_team(team)
         p, v = check_states(position, velocity, len(vehicles))
@@ -130,7 +129,7 @@ class InteractionModel:
         return out
 
     def call(self, position: FloatArray, velocity: FloatArray, types: TypeArray) -> FloatArray:
-        """Call the function of a model that has one.
+        """Return the forces of the model's function, which must not be None.
 
         Args:
             position: (E, N, 3) m, world frame.
@@ -156,22 +155,22 @@ def interaction_types(team: Sequence[Vehicle]) -> TypeArray:
 def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionModel:
     """Load an interaction model.
 
-    A function is called as `f(position, velocity, types)`, with the positions (E, N, 3), m, and
+    A function is called as `f(position, velocity, types)` with the positions (E, N, 3), m, and
     velocities (E, N, 3), m/s, of the drones of E environments in the world frame, and their
-    interaction types (E, N), such as `"S"` and `"L"`. These are the environments whose force is
-    due, whose number changes from call to call: each row is to be computed by itself. It returns
-    their forces (E, N, 3), N, which are held until the next call; `force_rate` says how often a
-    second that is. Drones whose episode has ended are given as 1e6 m away and more.
+    interaction types (E, N), such as `"S"` and `"L"`. It returns their forces (E, N, 3), N, which
+    are held until the next call, `force_rate` times per second. E changes from call to call, since
+    it counts the environments whose force is due; environments are independent. Drones whose
+    episode has ended are 1e6 m or more away.
 
     Args:
-        name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (wakes and networks
-            of pairs, joined), `"deep-set"` (the architecture of Neural-Swarm2), or the path of what
-            `swarm-envs fit` made: a safetensors file, or the JSON of a wake; or a function, also as
-            `path/to/file.py:function`. A model is returned as it is.
+        name: `"none"` (no force), `"wake"` (closed form), `"learned"` (wakes with networks of
+            pairs), `"deep-set"` (the architecture of Neural-Swarm2), or the path of a file of
+            `swarm-envs fit`: safetensors, or JSON for a wake; or a function, also as
+            `path/to/file.py:function`. A model is returned unchanged.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.
-        FileNotFoundError: the path names no file.
+        FileNotFoundError: the file does not exist.
     """
     if isinstance(name, InteractionModel):
         return name

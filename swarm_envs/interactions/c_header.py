@@ -1,7 +1,7 @@
-"""A fitted force model as a C99 header: float32, no heap, for a 32-bit microcontroller.
+"""Export of a force model as a C99 header: float32, no heap, for 32-bit microcontrollers.
 
-The paper evaluates its networks on the vehicles' own processors (Neural-Swarm2, Sec. VI). Window,
-clamps, anchor and drag are those of the model, so the header's force is the simulator's, rounded.
+The paper evaluates its networks on the vehicles' processors (Neural-Swarm2, Sec. VI). Window,
+clamps, anchor and drag are those of the model, so that the force is that of the simulator, rounded.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["c_header"]
 
-SAMPLES, NEIGHBOURS = 16, 3
-"""States in the header's self-test, and neighbours in each."""
+SAMPLES, NEIGHBORS = 16, 3
+"""States in the header's self-test, and neighbors in each."""
 _TAKEN = ("TYPES", "SELF_TEST", "FORCE_H")
 
 
 def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> str:
-    """Source of a header that evaluates a composed model or a deep set.
+    """Return the source of a header that evaluates a composed model or a deep set.
 
-    Everything that it defines begins with `name`. States of its self-test are drawn from the seed.
+    Names of its definitions begin with `name`. States of its self-test are sampled with the seed.
 
     Raises:
-        ValueError: the model is neither, or the name cannot begin an identifier of C.
+        ValueError: the model is of another kind, or the name cannot begin an identifier of C.
     """
     check_prefix(name)
     field = model.field
@@ -80,7 +80,7 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
 
 
 def _networks(name: str, field: ForceField) -> list[str]:
-    """Initialisers of all networks, in the order of the field."""
+    """Return the initializers of all networks, in the order of the field."""
     return [
         f"{{{name}_weights_{n}, {name}_widths_{n}, {len(widths_of(field, n)) - 1}}}"
         for n in range(len(field.layout))
@@ -126,7 +126,7 @@ def _provenance(model: InteractionModel) -> list[str]:
 
 
 def _costs(field: ForceField) -> list[str]:
-    """What an evaluation takes."""
+    """Return lines on the memory and time of an evaluation."""
     kinds = len(field.drag)
     products = [
         sum(a * b for a, b in pairwise(widths_of(field, n))) for n in range(len(field.layout))
@@ -140,12 +140,12 @@ def _costs(field: ForceField) -> list[str]:
     once = f"{own} for the drone itself"
     if field.anchor_height > 0.0:
         where = f"none at {field.anchor_height:g} m and above"
-        alone = "" if field.kind == COMPOSED else " with no neighbour"
+        alone = "" if field.kind == COMPOSED else " without neighbors"
         once = f"{2 * own} for the drone itself ({where}{alone})"
     return [
         f"read-only memory: {4 * field.weights.size} bytes of weights",
         f"stack: about {4 * (4 * _widest(field) + codes) + 200} bytes",
-        f"multiply-adds: {pair} a neighbour, {once}",
+        f"multiply-adds: {pair} per neighbor, {once}",
     ]
 
 
@@ -154,7 +154,7 @@ def _widest(field: ForceField) -> int:
 
 
 def _tables(name: str, field: ForceField) -> list[str]:
-    """Declarations of all numbers."""
+    """Return the definitions of all arrays."""
     fades = field.window.reshape(2, 2)
     steep = [1.0 / (end - full) if end > full else 0.0 for full, end in fades]
     tables = [
@@ -178,14 +178,14 @@ def _tables(name: str, field: ForceField) -> list[str]:
 
 
 def _by_output(field: ForceField, n: int) -> FloatArray:
-    """Weights of network `n`: for each output its bias, then its row of the matrix."""
+    """Return the weights of network `n`: for each output its bias, then its row of the matrix."""
     layers = layers_of(field, n)
     return np.concatenate([np.column_stack([bias, matrix.T]).ravel() for matrix, bias in layers])
 
 
 def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
-    """States near the ground and aloft, some of their neighbours at the edge of the volume."""
-    shape = (SAMPLES, 1 + NEIGHBOURS)
+    """Return states near the ground and aloft, with some neighbors at the edge of the volume."""
+    shape = (SAMPLES, 1 + NEIGHBORS)
     types = rng.integers(0, len(field.drag), shape)
     position = rng.uniform([-0.3, -0.3, -0.8], [0.3, 0.3, 0.8], (*shape, 3))
     position[:, 0] = np.stack([np.zeros(SAMPLES)] * 2 + [rng.uniform(0.1, 1.2, SAMPLES)], axis=1)
@@ -199,7 +199,7 @@ def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
     states = [position[:, 0, 2:], velocity[:, 0], pairs.reshape(SAMPLES, -1), force[:, 0]]
     return {
         "samples": str(SAMPLES),
-        "neighbours": str(NEIGHBOURS),
+        "neighbors": str(NEIGHBORS),
         "test_types": array_rows(types),
         "test_states": array_rows(np.concatenate(states, axis=1)),
     }

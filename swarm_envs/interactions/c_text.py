@@ -1,4 +1,4 @@
-"""C99 source as text: numbers, arrays and comments, filled into the templates of `c_templates/`."""
+"""C99 source as text: numbers, arrays and comments for the templates in `c_templates/`."""
 
 from __future__ import annotations
 
@@ -24,11 +24,7 @@ _NUMBERS_A_LINE = 7
 
 
 def check_prefix(name: str) -> None:
-    """Refuse what cannot begin an identifier.
-
-    Raises:
-        ValueError: naming it.
-    """
+    """Raise ValueError for a name that cannot begin an identifier."""
     if not _PREFIX.fullmatch(name):
         raise ValueError(
             f"name is {name!r}, but must be a letter and up to 30 letters, digits or underscores"
@@ -36,11 +32,11 @@ def check_prefix(name: str) -> None:
 
 
 def fill_templates(names: Iterable[str], words: Mapping[str, str]) -> str:
-    """The text of templates, one after another, with their @words@ replaced.
+    """Return the concatenated templates, with their @words@ replaced once.
 
     Args:
-        names: of files in `c_templates/`.
-        words: by name; what replaces a word is not searched for further words.
+        names: names of files in `c_templates/`.
+        words: replacements by word.
     """
     folder = resources.files("swarm_envs.interactions").joinpath("c_templates")
     text = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
@@ -48,14 +44,15 @@ def fill_templates(names: Iterable[str], words: Mapping[str, str]) -> str:
 
 
 def comment_lines(lines: Iterable[str]) -> str:
-    """Lines of a block comment, which they cannot end."""
+    """Return lines of a block comment, in which comment marks are broken up."""
     return "\n".join(" *   " + line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
 
 
 def type_enumeration(prefix: str, types: tuple[str, ...], taken: tuple[str, ...]) -> str:
-    """Constants of types of vehicles, under their names as far as C takes them, and their number.
+    """Return the constants of an enumeration of vehicle types, and their number.
 
-    Each begins with the prefix; `taken` are names after it that mean something else.
+    Names begin with the prefix and are those of the types, unless two would be equal or one is in
+    `taken`, the names of other definitions.
     """
     names = [re.sub(r"\W", "_", kind, flags=re.ASCII) for kind in types]
     if len({*names, *taken}) < len(names) + len(taken):
@@ -65,7 +62,7 @@ def type_enumeration(prefix: str, types: tuple[str, ...], taken: tuple[str, ...]
 
 
 def array_definition(name: str, values: npt.ArrayLike) -> str:
-    """Definition of a constant array of float32, of one dimension or two."""
+    """Return the definition of a constant float32 array of one or two dimensions."""
     numbers = np.asarray(values)
     if numbers.ndim == 1:
         return f"static const float {name}[] = {{\n{_literals(numbers)}}};"
@@ -73,7 +70,7 @@ def array_definition(name: str, values: npt.ArrayLike) -> str:
 
 
 def array_rows(numbers: npt.NDArray[np.generic]) -> str:
-    """Initialisers of the rows of an array of two dimensions."""
+    """Return the initializers of the rows of a two-dimensional array."""
     return ",\n".join(f"    {{{_literals(row).lstrip()}}}" for row in numbers)
 
 
@@ -84,7 +81,7 @@ def _literals(numbers: npt.NDArray[np.generic]) -> str:
 
 
 def literal(value: float | np.generic) -> str:
-    """An integer, or the shortest text that gives the same float32."""
+    """Return the literal of an integer, or the shortest one of a float32."""
     if isinstance(value, np.integer):
         return str(value)
     return f"{np.float32(value)!s}f"

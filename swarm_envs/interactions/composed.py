@@ -1,4 +1,4 @@
-"""`learned`: pushes of pairs, joined so that any number of neighbours stays physical.
+"""The composed model `learned`: wakes with corrections by networks.
 
 The vertical force on drone i, in grams, is
 
@@ -6,19 +6,19 @@ The vertical force on drone i, in grams, is
 
     p_ij = w_ij max(0, wake_I(j)->I(i)(r, dz) + n_I(j)->I(i)(r, dz, v_r, v_t, v_dz)).
 
-wake is the closed form of `swarm_envs.interactions.wake`, with parameters of its own, and n a ReLU
-network that corrects it. No p_ij is negative, so a neighbour never lifts anybody, and since q >= 1
-several push no more than their sum. Several far apart therefore push as each does alone.
+wake is the closed form of `swarm_envs.interactions.wake`, with other parameters, and n a ReLU
+network that corrects it. No p_ij is negative, so that a neighbor never lifts a drone, and since
+q >= 1 the downwash of several neighbors is at most the sum of theirs.
 
 dz is the height of drone j over drone i, and r the lateral distance of i from the axis of j's wake,
-which trails behind j. v_r is the part of the relative horizontal velocity along the way to that
-axis, v_t the rest; near the axis, where there is no such way, all of it is in v_t. The window w is
-one over the horizontal distance and the depth. None of these numbers changes when the swarm is
-turned about the vertical, or mirrored. g is a ReLU network, anchored: 0 at the anchor height and
-above.
+which trails behind j. v_r is the component of the relative horizontal velocity toward that axis,
+and v_t the rest; near the axis, where the direction to it is undefined, all of it is in v_t. The
+window w is a function of the horizontal distance and the depth. All these numbers are invariant
+under rotation about the vertical and reflection. g is an anchored ReLU network: it is 0 at the
+anchor height and above.
 
-A second output of n, kept within -1 and 1, says how the pair's push leans towards the axis. The
-horizontal force is the sum of these parts, shortened by the same factor as the sum of the pushes.
+A second output of n, clipped to [-1, 1], is the ratio of the pair's horizontal force toward the
+axis to p_ij. The horizontal force is the sum of these, reduced by the same factor as the downwash.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from swarm_envs.vehicles import GRAM_FORCE
 __all__ = ["AXIS_RADIUS"]
 
 AXIS_RADIUS = 0.04
-"""Distance from a wake's axis below which there is less and less of a way towards it, m."""
+"""Distance from a wake's axis below which the direction to it fades to 0, m."""
 
 
 @equation
 def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
-    """Write the inputs of the networks in place of the motions that `describe_motion` wrote.
+    """Replace the motions that `describe_motion` wrote by the inputs of the networks.
 
-    Which forces are extrapolations is marked already. Also written are the pairs' weights, now over
-    the horizontal distance in place of that in x and y, and the way towards the wakes' axes.
+    Also write the pairs' weights, by the horizontal distance instead of those along x and y, the
+    directions to the wakes' axes, and the wakes. `outside` is that of `describe_motion`.
     """
     model = field.constants[0]
     own, measured, window = model["environment_range"], model["pair_range"], model["window"]
@@ -73,13 +73,13 @@ def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
         x, y = x - wind[0] * late, y - wind[1] * late
         u, v = wind[0] - lower["velocity"][0], wind[1] - lower["velocity"][1]
         square = x * x + y * y
-        way = 1.0 / math.sqrt(square + AXIS_RADIUS * AXIS_RADIUS)
-        towards = (x * u + y * v) * way
-        across = math.sqrt(max(u * u + v * v - towards * towards, 0.0))
+        per_r = 1.0 / math.sqrt(square + AXIS_RADIUS * AXIS_RADIUS)
+        toward = (x * u + y * v) * per_r
+        across = math.sqrt(max(u * u + v * v - toward * toward, 0.0))
         motion[0], motion[1] = min(math.sqrt(square), farthest), motion[2]
-        motion[2] = min(max(towards, measured[0, 3]), measured[1, 3])
+        motion[2] = min(max(toward, measured[0, 3]), measured[1, 3])
         motion[3], motion[4] = min(across, measured[1, 3]), motion[5]
-        pair["towards"][0], pair["towards"][1] = x * way, y * way
+        pair["towards"][0], pair["towards"][1] = x * per_r, y * per_r
         fit, depth = model["wake_pair"][upper["type"], lower["type"]], motion[1]
         width = fit[1] + fit[2] * max(depth, 0.0)
         aside = motion[0] / width
@@ -91,13 +91,13 @@ def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
 
 @equation
 def add_pushes(q: float, rows: Records, scratch: Scratch) -> None:
-    """Add the outputs of a network of pairs to their drones, and clear the counters."""
+    """Add the outputs of a network of pairs to the sums of their drones; clear the counters."""
     counters = scratch.counters[0]
     for s in range(counters["used"]):
         pair, output = scratch.pairs[counters["pair"][s]], rows[s // 2]["v"]
         drone, towards = scratch.drones[pair["i"]], pair["towards"]
         push = pair["wake"] + output[s % 2, 0] * GRAM_FORCE
-        push = 0.0 if push < 0.0 else counters["share"][s] * push  # NaN stays
+        push = 0.0 if push < 0.0 else counters["share"][s] * push  # keeps NaN
         lean = push * min(max(output[s % 2, 1], -1.0), 1.0)
         drone["pushed"] += push**q
         drone["pairs"][0] += lean * towards[0]
@@ -108,16 +108,16 @@ def add_pushes(q: float, rows: Records, scratch: Scratch) -> None:
 
 @equation
 def join_pushes(field: PackedField, scratch: Scratch) -> None:
-    """Add what the pairs' pushes amount to to the forces on the drones that feel any."""
+    """Add the joint downwash and horizontal force of the pairs to the forces on their drones."""
     model = field.constants[0]
     q, mitigation = model["wake_combine"], model["wake_mitigation"]
     for at in range(scratch.counters[0]["feeling"]):
         drone = scratch.drones[scratch.felt[at]]
-        pairs, force, all_of_them = drone["pairs"], drone["force"], drone["pairs"][2]
+        pairs, force, total = drone["pairs"], drone["force"], drone["pairs"][2]
         height = max(drone["position"][2], LOWEST_HEIGHT)
         lost = mitigation[0] * math.exp(-height / mitigation[1])
         joined = (1.0 - lost) * drone["pushed"] ** (1.0 / q)
-        share = joined / all_of_them if all_of_them > 0.0 else 0.0
+        share = joined / total if total > 0.0 else 0.0
         force[0] += share * pairs[0]
         force[1] += share * pairs[1]
         force[2] -= joined

@@ -1,7 +1,7 @@
-"""A force model as numbers.
+"""The parameters of force models.
 
-One class serves every kind of model. A model leaves what it does not use at its default. What
-compiled kernels read of it is its `swarm_envs.interactions.packed.PackedField`.
+One class serves every kind of model; unused fields have defaults. Kernels read them in the form of
+`swarm_envs.interactions.packed.PackedField`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Numbers = npt.NDArray[np.floating[Any]]
 """Weights: float64, or float32 for speed."""
 
 NONE, WAKE, DEEP_SET, PAIRWISE, COMPOSED = 0, 1, 2, 3, 4
-"""Kinds of force model, as kernels tell them apart."""
+"""Kinds of force models in kernels."""
 
 LATERAL_REACH = 0.35
 """Half width of the interaction volume in x and y, m (Neural-Swarm2's filter)."""
@@ -39,32 +39,32 @@ VERTICAL_REACH = 1.1
 """Half height of the interaction volume, m."""
 INTERACTION_VOLUME = np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH])
 """Half edges of the interaction volume, m."""
-LATERAL_FADE = 0.1  # The outer part of the lateral reach over which a pair's contribution fades, m
-VERTICAL_FADE = 0.3
-"""The outer part of the vertical reach over which a pair's contribution fades, m."""
+LATERAL_FADE = 0.1  # Width of the outer part of the volume in which a pair's force fades, m
+VERTICAL_FADE = 0.3  # Height of this part, m
 
 ONSET = 0.03
-"""Depth over which a drone at another's height comes to be below it, m: the scale of a logistic."""
+"""Scale of the logistic function of depth by which wakes begin, m."""
 LOWEST_HEIGHT = 0.07
-"""Nothing was measured below this height, m: air near the ground is taken as it is there."""
+"""Lowest measured height, m; below it, ground effects are constant."""
 
 UNITS_OF_PAIR = (0.2, 0.5, 0.5, 0.5, 0.5)
-"""What a composed model counts a pair's r, dz (m), v_r, v_t and v_dz (m/s) in, in its networks."""
+"""Scales of a composed model's network inputs r, dz (m), v_r, v_t and v_dz (m/s) of a pair."""
 UNITS_OF_OWN = (0.2, 0.5, 0.5)
-"""The same of a lone drone's -z (m), |v_xy| and -v_z (m/s)."""
+"""Scales of a composed model's network inputs -z (m), |v_xy| and -v_z (m/s) of a lone drone."""
 
-NO_LIMIT = 1e30  # Stands for infinity in input ranges, so that arithmetic on it stays finite
+NO_LIMIT = 1e30  # Used instead of infinity, so that arithmetic on it stays finite
 
 
 class ForceField(NamedTuple):
-    """Numbers of a force model over K interaction types. SI units unless said."""
+    """The parameters of a force model with K interaction types. SI units unless stated."""
 
     kind: int
     """NONE, WAKE, DEEP_SET (a deep set), PAIRWISE or COMPOSED."""
     drag: FloatArray
-    """(K, 3) linear drag coefficients c of a lone drone, N s/m: force -c v."""
+    """(K, 3) linear drag coefficients c, N s/m: the force is -c v."""
     window: FloatArray
-    """(4,) lateral full and end, vertical full and end of the fading pair window, m."""
+    """(4,) distances of the pair window at which a pair's force begins to fade, and is 0: two
+    lateral and two vertical ones, m."""
     environment_range: FloatArray
     """(2, 4) measured range of (-z, -v): m and m/s."""
     pair_range: FloatArray
@@ -72,29 +72,30 @@ class ForceField(NamedTuple):
     wake_pair: FloatArray
     """(K, K, 4) A (N), w0 (m), spread S, exponent p by [type of the upper, type of the lower]."""
     wake_delay: FloatArray
-    """(K,) seconds per metre by which a drone's wake trails behind it, by the upper type; of a
-    composed model too, as the next and the mitigation."""
+    """(K,) delay of the wake per depth, s/m, by type of the upper drone; also in composed models,
+    as `wake_combine` and `wake_mitigation`."""
     wake_combine: float
-    """Exponent q of the norm that sums several wakes; above 1 they give less than their sum."""
+    """Exponent q of the norm that combines several wakes; above 1 it is less than their sum."""
     wake_ground: FloatArray
     """(K, 2) ground effect at 0.07 m (N) and its decay height (m), by type."""
     wake_mitigation: FloatArray
-    """(2,) share of downwash lost at the ground, and the height over which that fades (m)."""
+    """(2,) share of downwash lost at the ground, and its decay height (m)."""
     weights: Numbers
-    """Flat weights: per layer the transposed matrix (in, out), then the bias (out). Networks are
-    evaluated in their precision."""
+    """Flat weights: for each layer the transposed matrix (in, out), then the bias (out). Their
+    precision is that of the networks' evaluation."""
     layout: IntArray
-    """(networks, 2 L + 2): depth, the L + 1 widths, the L places in `weights` where the layers
-    begin. Of a deep set 2 K + 1: phi of each type, phi of the environment, rho of each type. Of a
-    pairwise sum or a composed model K (K + 1): of the pairs, [neighbour, drone] in rows, of the
-    types' environment."""
+    """(networks, 2 L + 2): depth, the L + 1 widths, the L indices in `weights` at which the layers
+    begin. A deep set has 2 K + 1 networks: phi of each type, phi of the environment, rho of each
+    type. A pairwise sum or a composed model has K (K + 1): those of pairs, [neighbor, drone] in
+    rows, and those of the types' environment."""
     anchor_height: float
-    """Height from which a lone drone feels exactly nothing, m; 0 if the model is not anchored."""
+    """Height from which the force on a lone drone is only drag, m; 0 if the model is not
+    anchored."""
 
 
 @equation
 def fade_weight(distance: float, full: float, end: float) -> float:
-    """Weight by a quintic smoothstep, twice differentiable: 1 up to `full`, 0 from `end` on, m."""
+    """Return a weight by distance, m: 1 up to `full`, 0 from `end` on, a quintic smoothstep."""
     if distance >= end:
         return 0.0
     if not distance <= full:
@@ -104,7 +105,7 @@ def fade_weight(distance: float, full: float, end: float) -> float:
 
 
 def default_window() -> FloatArray:
-    """The design's window: full inside, faded to nothing at the edge of the volume, m."""
+    """Return the default pair window, m."""
     return np.array(
         [
             LATERAL_REACH - LATERAL_FADE,
@@ -116,12 +117,12 @@ def default_window() -> FloatArray:
 
 
 def unlimited(width: int) -> FloatArray:
-    """A (2, width) input range that clamps nothing."""
+    """Return an input range (2, width) without limits."""
     return np.array([[-NO_LIMIT] * width, [NO_LIMIT] * width])
 
 
 def empty_field(num_types: int) -> ForceField:
-    """A field of `num_types` types in which nothing acts: the base that models fill in."""
+    """Return the parameters of a model without forces, as defaults of other models."""
     return ForceField(
         kind=NONE,
         drag=np.zeros((num_types, 3)),

@@ -1,4 +1,4 @@
-"""The interaction force on every drone of a chunk; and which drones feel each other."""
+"""Evaluation of force models: pairs of drones, and the forces on the drones of a chunk."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ __all__ = ["all_forces", "swarm_forces", "types_array"]
 
 @equation
 def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
-    """Weight of a pair at offset (dx, dy, dz), m: 1 well inside the volume, 0 from its edge on.
+    """Return the weight of a pair at an offset, m: 1 well inside the volume, 0 from its edge on.
 
-    Along each axis it falls by a quintic smoothstep, which is twice differentiable. The window (4,)
-    is lateral full and end, vertical full and end, m.
+    It is a product of quintic smoothsteps along the axes; the window (4,) is that of `ForceField`.
     """
     lateral, weight = (window[0], window[1]), 1.0
     for distance, (full, end) in (
@@ -51,12 +50,12 @@ def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
 def find_pairs(
     field: PackedField, count: int, drones: int, order: IntArray | None, scratch: Scratch
 ) -> None:
-    """List all ordered pairs inside the interaction volume, the neighbours of a drone ascending.
+    """List all ordered pairs inside the interaction volume, a drone's neighbors in ascending order.
 
-    Few drones are compared in all environments at once: drone i of place c is number i * count + c
-    there, so that all pairs (i, i + apart) are numbers at the same distance, and their comparison
-    is a loop that becomes vector instructions. Many are sorted along x, and swept; `order`, the
-    scratch's, is an argument since one that is None keeps the sweep from being compiled.
+    Small teams are compared in all environments at once: drone i of environment c has the index
+    i * count + c, so that all pairs (i, i + apart) have the same difference of indices, and the
+    loop over them is vectorized. In large teams, drones are sorted along x and swept. `order` is
+    that of the scratch; as an argument, its value None keeps the sweep from being compiled.
     """
     window, counters, pairs = field.constants[0]["window"], scratch.counters[0], scratch.pairs
     lateral, vertical, found = window[1], window[3], 0
@@ -91,7 +90,7 @@ def find_pairs(
         for k in range(np.uint64((drones - apart) * count)):
             beside = (abs(x[k + gap] - x[k]) < lateral) & (abs(y[k + gap] - y[k]) < lateral)
             near[k] = beside & (abs(z[k + gap] - z[k]) < vertical)
-        for k in range((drones - apart) * count):  # no branch, for it could not be foreseen
+        for k in range((drones - apart) * count):  # no branch, which could not be predicted
             pairs[candidates]["i"], pairs[candidates]["j"] = k + apart * count, k
             candidates += near[k]
     for at in range(candidates):
@@ -102,7 +101,7 @@ def find_pairs(
             pair["i"], pair["j"] = a % count * drones + a // count, b % count * drones + b // count
             pair["weight"] = left
             found += 1
-    for at in range(found):  # backwards: the other drone's neighbours ascend too
+    for at in range(found):  # backward, so that the other drone's neighbors ascend too
         pair, other = pairs[found - 1 - at], pairs[found + at]
         other["i"], other["j"], other["weight"] = pair["j"], pair["i"], pair["weight"]
     counters["pairs"] = 2 * found
@@ -110,11 +109,10 @@ def find_pairs(
 
 @equation
 def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
-    """Write the motion of the first `total` drones and of their pairs, as it was measured.
+    """Write the motion of drones and pairs, clamped to the measured range.
 
-    What lies outside the measured range is brought to its edge, and the drone that feels it is
-    marked (`outside`): its force is an extrapolation. A drone's own motion is one if it flies too
-    low or too fast. Written are also the drag, and the list of the drones that feel more than that.
+    A drone whose own motion, or that of one of its pairs, is outside the range is marked `outside`:
+    its force is extrapolated. Also write the drag, and the list of drones with further forces.
     """
     model, counters, feeling = field.constants[0], scratch.counters[0], 0
     anchor, own, measured = model["anchor_height"], model["environment_range"], model["pair_range"]
@@ -154,10 +152,10 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
 
 @part
 def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
-    """Write the interaction and drag forces (N, world frame) on the drones of a chunk, and marks.
+    """Write the interaction and drag forces (N, world frame) on the drones of a chunk.
 
-    The scratch knows types, positions and velocities of `count` environments of `drones` each, at
-    most as many as it has places for; their pairs are written too.
+    The scratch contains types, positions and velocities of `count` environments of `drones` each;
+    their pairs are written to it too.
     """
     counters = scratch.counters[0]
     counters["pairs"] = counters["used"] = 0
@@ -172,7 +170,7 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
 
 @equation
 def felt_forces(field: PackedField, total: int, scratch: Scratch) -> None:
-    """Write the forces that drones feel at `position`, others being where they are `seen`."""
+    """Write the forces at the drones' `position`; their neighbors are at their `seen` positions."""
     kind, counters = field.constants[0]["kind"], scratch.counters[0]
     describe_motion(field, total, scratch)
     if kind == WAKE:
@@ -203,11 +201,11 @@ def write_forces(
     out: FloatArray,
     scratch: Scratch,
 ) -> None:
-    """Do what `all_forces` does, with the scratch's number of environments at a time."""
+    """Write the forces of `all_forces`, in chunks of the scratch's number of environments."""
     environments, drones = types.shape
-    places = len(scratch.drones) // drones
-    for first in range(0, environments, places):
-        count = min(places, environments - first)
+    size = len(scratch.drones) // drones
+    for first in range(0, environments, size):
+        count = min(size, environments - first)
         for slot in range(count * drones):
             e, i, drone = first + slot // drones, slot % drones, scratch.drones[slot]
             drone["type"] = types[e, i]
@@ -223,25 +221,25 @@ def write_forces(
 def all_forces(
     field: PackedField, types: IntArray, position: FloatArray, velocity: FloatArray, out: FloatArray
 ) -> None:
-    """Write the forces `out` (E, N, 3), N, world frame, on drones of any number of environments.
+    """Write the forces `out` (E, N, 3), N, world frame, on the drones of E environments.
 
-    Types (E, N) are indices into the model's, positions (E, N, 3) in m, velocities in m/s.
+    Types (E, N) are indices of the model's types; positions and velocities are (E, N, 3), m, m/s.
     """
     environments, drones = types.shape
     if types.size == 0:
         return
-    places = min(max(1, CHUNK // drones), environments)
+    size = min(max(1, CHUNK // drones), environments)
     announce_compilation(write_forces)
-    # Read-only arrays have another type, for which the kernel would be compiled once more.
+    # Read-only arrays have another type, for which the kernel would be compiled again
     p, v = (np.require(array, np.float64, ("C", "W")) for array in (position, velocity))
-    write_forces(field, types, p, v, out, scratch_for(field, places, drones))
+    write_forces(field, types, p, v, out, scratch_for(field, size, drones))
 
 
 def types_array(names: tuple[str, ...], types: tuple[str, ...], where: str = "") -> IntArray:
-    """Indices (N,) of interaction type names in a model's types.
+    """Return the indices (N,) of interaction type names in a model's types.
 
     Raises:
-        ValueError: a name is not among them; the message says `where` it was asked for.
+        ValueError: a name is not among them; `where` is part of the message.
     """
     for name in names:
         if name not in types:
@@ -252,7 +250,7 @@ def types_array(names: tuple[str, ...], types: tuple[str, ...], where: str = "")
 def check_states(
     position: npt.ArrayLike, velocity: npt.ArrayLike, drones: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return positions and velocities of environments with N drones as (E, N, 3) arrays.
+    """Return positions and velocities of environments with N drones as arrays (E, N, 3).
 
     Raises:
         ValueError: the shapes are others, or an entry is not finite.
@@ -260,7 +258,7 @@ def check_states(
     try:
         environments = np.shape(position)[:1]
     except ValueError:
-        environments = (1,)  # ragged: no array at all, which is said below
+        environments = (1,)  # ragged, which raises below
     shape = (*environments, drones, 3)
     return (
         check_array("position", position, shape, "(E, N, 3), N drones in the team"),

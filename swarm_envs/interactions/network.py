@@ -1,4 +1,4 @@
-"""`deep-set` and `pairwise`: ReLU networks of pairs, drones and codes, evaluated without torch.
+"""The models `deep-set` and `pairwise`: ReLU networks of pairs, drones and codes in kernels.
 
 `deep-set` is a heterogeneous deep set (Neural-Swarm2, version 1, eq. 10). The vertical force on
 drone i, in grams, is
@@ -6,17 +6,18 @@ drone i, in grams, is
     rho_I(i)( phi_env(-z, -v) + sum_j w_ij phi_I(j)(p_j - p_i, v_j - v_i) ),
 
 with ReLU networks phi and rho and the window w of the interaction volume. `pairwise` is a sum of
-pair forces by small networks, for comparison with it:
+pair forces by small networks, for comparison:
 
     f_env,I(i)(-z, -v) + sum_j w_ij f_I(j)->I(i)(p_j - p_i, v_j - v_i).
 
-It cannot say that two wakes push less than their sum (Neural-Swarm2, Sec. VII-C). An *anchored*
-model subtracts what a lone drone would feel at the anchor height with the same velocity: above
-that height a lone drone feels nothing, whatever it flies. Inputs are clamped to the measured range.
+It cannot represent that the downwash of two drones is less than the sum of theirs (Neural-Swarm2,
+Sec. VII-C). An *anchored* model subtracts the force on a lone drone at the anchor height with the
+same velocity, so that above this height the force on a lone drone is only drag. Inputs are clamped
+to the measured range.
 
-Both are lists of steps: a network, what it is applied to, and where its outputs are added. Each is
-applied to all drones or pairs that need it, several at once, of several environments. A sample
-gives the same bits whatever is computed with it, so this never shows.
+Both are lists of steps: a network, its inputs, and the sums to which its outputs are added. A
+network is applied to samples of several drones or pairs, also of different environments, at once.
+The result for a sample does not depend on the other samples.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from swarm_envs.interactions.packed import (
     ENVIRONMENT,
     FIRST_LAYER,
     INPUTS,
-    NEIGHBOUR,
+    NEIGHBOR,
     OWN,
     SAMPLES,
     SOURCE,
@@ -47,17 +48,17 @@ from swarm_envs.tables import Records
 from swarm_envs.vehicles import GRAM_FORCE
 
 FREE = 1
-"""Slot 2 i is drone i as it flies, slot 2 i + 1 what it would feel alone at the anchor height."""
+"""Slot 2 i is drone i in its state, slot 2 i + 1 the same drone alone at the anchor height."""
 
 
 @part(fastmath={"contract"})
 def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records) -> int:
     """Apply a ReLU network to samples: two at a time, five inputs at a time, all outputs at once.
 
-    Each sum begins with the bias and takes the inputs in their order, by fused multiply-adds.
-    Inputs that are 0 for both samples are left out, which changes no sum: of units sorted by how
-    often they are active, about half. The first of `rows` are the inputs of the `used` samples; an
-    odd number is filled up by whatever lies there. Returns where the rows of the outputs begin.
+    Each sum begins with the bias and adds the inputs in order, by fused multiply-adds. Groups of
+    inputs that are 0 for both samples are skipped, which does not change the sums: about half of
+    them, as units are sorted by their frequency of activity. The first of `rows` have the inputs of
+    the `used` samples. Return the index of the first row of outputs.
     """
     source, target = 0, SAMPLES // 2
     for layer in range(layout[n, DEPTH]):
@@ -74,14 +75,14 @@ def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records
                 a0, a1, a2, a3, a4 = x[0, k], x[0, k + 1], x[0, k + 2], x[0, k + 3], x[0, k + 4]
                 b0, b1, b2, b3, b4 = x[1, k], x[1, k + 1], x[1, k + 2], x[1, k + 3], x[1, k + 4]
                 if layer > 0 and a0 + a1 + a2 + a3 + a4 + b0 + b1 + b2 + b3 + b4 == 0.0:
-                    continue  # these units rest
+                    continue  # these units are inactive
                 for o in range(units):
                     w0, w1, w2, w3, w4 = w[0, o], w[1, o], w[2, o], w[3, o], w[4, o]
                     y[0, o] = ((((y[0, o] + w0 * a0) + w1 * a1) + w2 * a2) + w3 * a3) + w4 * a4
                     y[1, o] = ((((y[1, o] + w0 * b0) + w1 * b1) + w2 * b2) + w3 * b3) + w4 * b4
             if layer < layout[n, DEPTH] - 1:
                 for o in range(units):
-                    y[0, o] = 0.0 if y[0, o] < 0.0 else y[0, o]  # NaN stays
+                    y[0, o] = 0.0 if y[0, o] < 0.0 else y[0, o]  # keeps NaN
                     y[1, o] = 0.0 if y[1, o] < 0.0 else y[1, o]
         source, target = target, source
     return source
@@ -89,9 +90,9 @@ def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records
 
 @equation
 def put_pair(field: PackedField, n: int, at: int, scratch: Scratch) -> None:
-    """Put the motion of pair `at` into the next row, if network `n` is applied to it."""
+    """Copy the motion of pair `at` to the next sample, if network `n` is applied to it."""
     counters, pair, own = scratch.counters[0], scratch.pairs[at], field.layout[n, OWN]
-    if scratch.drones[pair["j"]]["type"] != field.layout[n, NEIGHBOUR]:
+    if scratch.drones[pair["j"]]["type"] != field.layout[n, NEIGHBOR]:
         return
     if own == ANY or scratch.drones[pair["i"]]["type"] == own:
         used = counters["used"]
@@ -106,18 +107,18 @@ def put_pair(field: PackedField, n: int, at: int, scratch: Scratch) -> None:
 
 @equation
 def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
-    """Put a drone's motion, or its code, into the next row, if network `n` is applied to it.
+    """Copy a drone's motion, or its code, to the next sample, if network `n` is applied to it.
 
-    The slot is 2 i for drone i as it flies, 2 i + 1 for it alone at the anchor height.
+    The slot is 2 i for drone i in its state, 2 i + 1 for it alone at the anchor height.
     """
     layout, counters, drone = field.layout, scratch.counters[0], scratch.drones[slot // 2]
     free, own, model = slot % 2, layout[n, OWN], field.constants[0]
-    # Read here and not where it is used: arrays in a branch are counted as referenced, which locks.
+    # Read outside of the branch, in which Numba would count references to arrays, with a lock
     anchor, anchor_motion = model["anchor_height"], model["anchor_motion"]
-    wanted = (own == ANY or drone["type"] == own) and not (free == FREE and anchor == 0.0)
+    needed = (own == ANY or drone["type"] == own) and not (free == FREE and anchor == 0.0)
     if layout[n, SOURCE] == ENVIRONMENT and not (free == FREE and layout[n, TARGET] == TO_CODES):
-        wanted = wanted and drone["low"] != 0  # high up, the ground does nothing
-    if wanted:
+        needed = needed and drone["low"] != 0  # no ground effect above the anchor height
+    if needed:
         used = counters["used"]
         row = scratch.rows[used // 2]["v"][used % 2]
         if layout[n, SOURCE] == ENVIRONMENT:
@@ -143,7 +144,7 @@ def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> 
         drone, free = scratch.drones[slot // 2], slot % 2
         if field.layout[n, TARGET] == TO_CODES:
             code = scratch.rows[SAMPLES + slot // 2]["v"]
-            # High up a drone feels the ground no more as it flies than alone at the anchor height.
+            # Above the anchor height, the code of the environment is the same for both slots
             for part in range(free if drone["low"] != 0 else 0, free + 1):
                 for k in range(hidden):
                     code[part, k] += share * output[s % 2, k]
@@ -154,6 +155,6 @@ def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> 
 
 
 def pairwise_names(types: tuple[str, ...]) -> list[str]:
-    """Names of a pairwise model's networks in a weights file, in the order of the field."""
+    """Return the names of a pairwise model's networks, in the order of the field."""
     pairs = [f"pair.{neighbor}.{ego}" for neighbor in types for ego in types]
     return [*pairs, *(f"environment.{name}" for name in types)]

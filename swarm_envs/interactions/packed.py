@@ -1,7 +1,7 @@
-"""A force model as compiled kernels read it: three arrays of the same types for every model.
+"""Force models in the form of kernels: three arrays of the same types for every model.
 
-All small numbers lie in one record; the networks are a list of steps (`layout`), whose weights lie
-in rows of equal size (`weights`). `Scratch` is what one evaluation of the forces writes into.
+Constants are in one record; networks are a list of steps (`layout`) with weights in rows of equal
+size (`weights`). `Scratch` is the memory for an evaluation of the forces.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from swarm_envs.tables import Records, aligned
 
 __all__ = ["PackedField", "Scratch", "scratch_for"]
 
-MOST_TYPES = 8  # Largest number of interaction types that a model may have
+MOST_TYPES = 8  # Largest number of interaction types of a model
 INPUTS = 5
-"""Inputs whose weights share a row: numbers of inputs are filled up to a multiple of it. Of two
-samples, their factors stay in vector registers; with six, those no longer suffice."""
+"""Inputs whose weights share a row; numbers of inputs are padded to a multiple of it. With more
+inputs, the factors of two samples do not fit into vector registers."""
 OUTPUTS = 8
-"""Numbers of outputs are filled up to a multiple of it, which fills vector registers, and at least
-to the number of inputs of the next layer."""
+"""Numbers of outputs are padded to a multiple of it, which fills vector registers, and at least to
+the number of inputs of the next layer."""
 WIDTH = 64
-"""Outputs that a row of weights has room for; wider networks have rows of a multiple of it."""
+"""Outputs in a row of weights; rows of wider networks are a multiple of it."""
 
 CONSTANTS = np.dtype(
     [
         ("kind", np.int64),
-        ("hidden", np.int64),  # numbers of a code, filled up
+        ("hidden", np.int64),  # padded length of a code
         ("anchor_height", np.float64),
-        ("anchor_motion", np.float64),  # -z of a drone there, kept within the measured range
+        ("anchor_motion", np.float64),  # -z at the anchor height, clamped to the measured range
         ("window", np.float64, (4,)),
         ("environment_range", np.float64, (2, 4)),
         ("pair_range", np.float64, (2, 6)),
@@ -53,46 +53,50 @@ CONSTANTS = np.dtype(
         ("wake_mitigation", np.float64, (2,)),
     ]
 )
-"""The small numbers of a model; what they mean says `ForceField`."""
+"""The constants of a model; see `ForceField`."""
 
 PAIRS, ENVIRONMENT, CODES = 0, 1, 2
-"""What a network is applied to: pairs of drones, each drone's own motion, each drone's codes."""
+"""Inputs of a network: motions of pairs, each drone's motion, each drone's codes."""
 TO_CODES, TO_FORCE, TO_PUSHES = 0, 1, 2
-"""Where its outputs are added."""
-SOURCE, TARGET, OWN, NEIGHBOUR, DEPTH, FIRST_LAYER = range(6)
-"""Columns of a layout. `OWN` and `NEIGHBOUR` are interaction types, or `ANY`."""
+"""Sums to which a network's outputs are added."""
+SOURCE, TARGET, OWN, NEIGHBOR, DEPTH, FIRST_LAYER = range(6)
+"""Columns of a layout. `OWN` and `NEIGHBOR` are interaction types, or `ANY`."""
 ANY = -1
-"""Stands for every interaction type."""
+"""Any interaction type."""
 START, BLOCKS, UNITS = range(3)
 """Columns of each layer, from `FIRST_LAYER` on: its first row of weights, its number of inputs over
-`INPUTS`, and its number of outputs, filled up."""
+`INPUTS`, and its padded number of outputs."""
 
 
 class PackedField(NamedTuple):
-    """What kernels read of a force model. Get one by `InteractionModel.packed`."""
+    """A force model in the form of kernels. Get one by `InteractionModel.packed`."""
 
     constants: Records
-    """(1,) records of `CONSTANTS`."""
+    """(1,) record of `CONSTANTS`."""
     layout: IntArray
-    """(networks, 5 + 3 L): in the order in which they are applied; columns as above."""
+    """(networks, 5 + 3 L), in the order of evaluation; columns as above."""
     weights: Records
-    """Rows `v` of (INPUTS, width) numbers: of each layer one with the bias, v[0], then one for each
-    `INPUTS` inputs, v[input, output]."""
+    """Rows `v` of (INPUTS, width) numbers: for each layer one with the bias, v[0], then one for
+    each `INPUTS` inputs, v[input, output]."""
 
 
 def packed(field: ForceField) -> PackedField:
-    """Pack a force model."""
+    """Return a force model in the form of kernels.
+
+    Raises:
+        ValueError: the model has too many types.
+    """
     types = len(field.drag)
     if types > MOST_TYPES:
         raise ValueError(
-            f"the force model has {types} interaction types, but at most {MOST_TYPES} are possible"
+            f"the force model has {types} interaction types, but must have at most {MOST_TYPES}"
         )
     constants = np.zeros(1, CONSTANTS)
     for name in CONSTANTS.names or ():
         if name not in ("hidden", "anchor_motion"):
             value = np.asarray(getattr(field, name))
-            place = tuple(slice(size) for size in value.shape)
-            constants[name][(slice(1), *place)] = value
+            corner = tuple(slice(size) for size in value.shape)
+            constants[name][(slice(1), *corner)] = value
     low, high = field.environment_range[:, 0]
     constants["anchor_motion"] = np.clip(-field.anchor_height, low, high)
     if field.kind == COMPOSED:
@@ -121,26 +125,26 @@ def packed(field: ForceField) -> PackedField:
 
 
 def _filled(count: int, multiple: int) -> int:
-    """The next multiple."""
+    """Return a count rounded up to a multiple."""
     return -(-count // multiple) * multiple
 
 
 def widths_of(field: ForceField, n: int) -> list[int]:
-    """Numbers of inputs of network `n`, then of outputs of each of its layers."""
+    """Return the number of inputs of network `n`, then of outputs of each of its layers."""
     widths: list[int] = field.layout[n, 1 : 2 + field.layout[n, 0]].tolist()
     return widths
 
 
 def _shape(field: ForceField, n: int) -> tuple[list[int], list[int]]:
-    """Numbers of inputs and outputs of each layer of network `n`, filled up."""
+    """Return the padded numbers of inputs and outputs of each layer of network `n`."""
     widths = widths_of(field, n)
-    inputs = [_filled(width, INPUTS) for width in widths]  # the last: as if a layer followed
+    inputs = [_filled(width, INPUTS) for width in widths]  # the last one as if a layer followed
     units = [_filled(max(w, i), OUTPUTS) for w, i in zip(widths[1:], inputs[1:], strict=True)]
     return inputs[:-1], units
 
 
 def _deep_set_steps(types: int) -> list[tuple[int, int, int, int, int]]:
-    """Network, source, target, own and neighbour's type of each step of a deep set."""
+    """Return network, source, target, own and neighbor's type of each step of a deep set."""
     return [
         *((k, PAIRS, TO_CODES, ANY, k) for k in range(types)),
         (types, ENVIRONMENT, TO_CODES, ANY, ANY),
@@ -149,7 +153,7 @@ def _deep_set_steps(types: int) -> list[tuple[int, int, int, int, int]]:
 
 
 def _steps_of_pairs(kind: int, types: int) -> list[tuple[int, int, int, int, int]]:
-    """The same of a pairwise sum or a composed model."""
+    """Return the steps of a pairwise sum or a composed model, as `_deep_set_steps` does."""
     steps, target = [], TO_PUSHES if kind == COMPOSED else TO_FORCE
     for own in range(types):
         steps.append((types * types + own, ENVIRONMENT, TO_FORCE, own, ANY))
@@ -158,7 +162,7 @@ def _steps_of_pairs(kind: int, types: int) -> list[tuple[int, int, int, int, int
 
 
 def _rows(matrix: Numbers, bias: Numbers, row: np.dtype[np.void]) -> Records:
-    """Rows of a layer with this matrix (inputs, outputs): the bias, then the weights."""
+    """Return the rows of a layer with this matrix (inputs, outputs): the bias, then the weights."""
     inputs, outputs = matrix.shape
     rows = np.zeros(1 + -(-inputs // INPUTS), row)
     rows["v"][0, 0, :outputs] = bias
@@ -169,17 +173,17 @@ def _rows(matrix: Numbers, bias: Numbers, row: np.dtype[np.void]) -> Records:
 def _sorted_layers(
     field: ForceField, steps: list[tuple[int, int, int, int, int]]
 ) -> dict[int, list[tuple[Numbers, Numbers]]]:
-    """Matrix and bias of each layer by network, hidden units sorted: first those often active.
+    """Return matrix and bias of each layer by network, with hidden units sorted by activity.
 
-    What a unit adds does not depend on its place. In the shipped model six of ten rest at a time,
-    so whole rows of weights are left out when those lie side by side. How often each is active is
-    estimated by samples of the measured range.
+    In the shipped model six of ten units are inactive at a time. When they are adjacent, whole rows
+    of weights are skipped. Their frequency of activity is estimated by samples of the measured
+    range.
     """
     rng, found = np.random.default_rng(0), {}
     codes: list[Numbers] = []
     motions = {
-        PAIRS: _drawn(rng, field.pair_range),
-        ENVIRONMENT: _drawn(rng, field.environment_range),
+        PAIRS: _samples(rng, field.pair_range),
+        ENVIRONMENT: _samples(rng, field.environment_range),
     }
     if field.kind == COMPOSED:
         motions = {
@@ -187,7 +191,7 @@ def _sorted_layers(
             ENVIRONMENT: motions[ENVIRONMENT][:, :3] / UNITS_OF_OWN,
         }
     for n, source, target, *_ in steps:
-        if source == CODES:  # of a drone alone, and of one with a neighbour of each type
+        if source == CODES:  # those of a lone drone, and of one with a neighbor of each type
             x = np.concatenate([codes[-1], *(codes[-1] + code for code in codes[:-1])])
         else:
             x = motions[source]
@@ -203,7 +207,7 @@ def _sorted_layers(
 
 
 def layers_of(field: ForceField, n: int) -> list[tuple[Numbers, Numbers]]:
-    """Matrix (inputs, outputs) and bias of each layer of network `n`, copied."""
+    """Return copies of matrix (inputs, outputs) and bias of each layer of network `n`."""
     starts, layers = field.layout[n, field.layout.shape[1] // 2 + 1 :], []
     for (inputs, outputs), start in zip(pairwise(widths_of(field, n)), starts.tolist()):
         bias = start + inputs * outputs
@@ -212,58 +216,58 @@ def layers_of(field: ForceField, n: int) -> list[tuple[Numbers, Numbers]]:
     return layers
 
 
-def _drawn(rng: np.random.Generator, measured: FloatArray) -> FloatArray:
-    """Samples (S, inputs) of a measured range, or of 2 m and 2 m/s where that is wider."""
+def _samples(rng: np.random.Generator, measured: FloatArray) -> FloatArray:
+    """Return samples (S, inputs) of a measured range, clipped to 2 m and 2 m/s."""
     low, high = np.clip(measured, -2.0, 2.0)
     samples: FloatArray = rng.uniform(low, high, (100, len(low)))
     return samples
 
 
 CHUNK = 128
-"""Drones whose forces are evaluated together: enough to fill blocks, few enough for the cache."""
+"""Drones whose forces are evaluated together: they fill blocks, and fit into the cache."""
 SAMPLES = 32  # Samples to which a network is applied at once
 
 DRONE = np.dtype(
     [
-        ("position", np.float64, (3,)),  # m, world frame; the first of all, see `Scratch.columns`
+        ("position", np.float64, (3,)),  # of the evaluation of the force, m; must be the first
         ("velocity", np.float64, (3,)),  # m/s, world frame
         ("force", np.float64, (3,)),  # N, world frame
-        ("motion", np.float64, (4,)),  # its -z and -v, kept within what was measured
+        ("motion", np.float64, (4,)),  # -z and -v, clamped to the measured range
         ("type", np.int64),  # interaction type
-        ("outside", np.int64),  # whether the force is an extrapolation past what was measured
-        ("low", np.int64),  # whether it feels the ground
-        ("felt", np.int64),  # whether it feels anything of networks; else they give exactly 0
-        ("pushed", np.float64),  # sum of all wakes on it, each to the power q
-        ("pairs", np.float64, (3,)),  # sum of all pushes on it: horizontally in x and y, and down
-        ("seen", np.float64, (3,)),  # where the others find it, m; `position` is where it feels
+        ("outside", np.int64),  # 1 if the force is extrapolated beyond the measured range
+        ("low", np.int64),  # 1 if there is a ground effect
+        ("felt", np.int64),  # 1 if networks contribute to the force
+        ("pushed", np.float64),  # sum of all p_ij^q
+        ("pairs", np.float64, (3,)),  # sums of horizontal forces of pairs, x and y, and of p_ij
+        ("seen", np.float64, (3,)),  # position of the center, m
     ],
     align=True,
 )
-"""A drone of the chunk. Its type, position and velocity are set by the caller."""
+"""A drone of the chunk. The caller sets type, position and velocity."""
 PAIR = np.dtype(
     [
         ("i", np.int64),
         ("j", np.int64),
-        ("weight", np.float64),  # what the window leaves of it
-        ("motion", np.float64, (6,)),  # p_j - p_i and v_j - v_i, kept within what was measured
-        ("wake", np.float64),  # N: what the closed form says that j's wake pushes
-        ("towards", np.float64, (2,)),  # horizontally towards the axis of j's wake, shorter near it
+        ("weight", np.float64),  # weight of the window
+        ("motion", np.float64, (6,)),  # p_j - p_i and v_j - v_i, clamped to the measured range
+        ("wake", np.float64),  # downwash of j's wake in closed form, N
+        ("towards", np.float64, (2,)),  # horizontal unit vector to j's axis, shorter near it
     ],
     align=True,
 )
-"""Drone `j` is felt by drone `i`."""
+"""A pair: drone `j` exerts a force on drone `i`."""
 COUNTERS = np.dtype(
     [
-        ("pairs", np.int64),  # how many there are
-        ("feeling", np.int64),  # how many drones are listed in `Scratch.felt`
-        ("used", np.int64),  # how many samples the rows hold
-        ("x", np.float64, (CHUNK,)),  # m: of all environments' first drones, then all second
+        ("pairs", np.int64),  # number of pairs
+        ("feeling", np.int64),  # number of drones in `Scratch.felt`
+        ("used", np.int64),  # number of samples in the rows
+        ("x", np.float64, (CHUNK,)),  # m: first drones of all environments, then second ones etc.
         ("y", np.float64, (CHUNK,)),
         ("z", np.float64, (CHUNK,)),
-        ("near", np.int64, (CHUNK,)),  # 1 where a pair is inside the interaction volume
-        ("slot", np.int64, (SAMPLES,)),  # 2 i + part: to which drone's sum a sample is added
-        ("share", np.float64, (SAMPLES,)),  # with which factor
-        ("pair", np.int64, (SAMPLES,)),  # of which pair, if of any
+        ("near", np.int64, (CHUNK,)),  # 1 if a pair is inside the interaction volume
+        ("slot", np.int64, (SAMPLES,)),  # index 2 i + part of the sum to which a sample is added
+        ("share", np.float64, (SAMPLES,)),  # factor of the sample
+        ("pair", np.int64, (SAMPLES,)),  # index of the sample's pair, if it has one
     ],
     align=True,
 )
@@ -271,36 +275,38 @@ COUNTERS = np.dtype(
 
 
 class Scratch(NamedTuple):
-    """Working memory for C environments of N drones, M = C N; drone i of place c is c N + i."""
+    """Scratch memory for C environments of N drones, M = C N, one environment after another."""
 
     drones: Records
     """(M,) records of `DRONE`."""
     columns: FloatArray
-    """(M, 24) the same memory as plain numbers; the first three are the position."""
+    """(M, 24) the memory of the drones as floats; the first three are the position."""
     order: IntArray | None
-    """(2, M) the drones of each environment, by their index there, as last sorted along x; and
-    indices for a moment. None if they are few."""
+    """(2, M) the drones of each environment as last sorted along x, and scratch; None in small
+    teams."""
     felt: IntArray
-    """(M,) the drones that feel more than drag."""
+    """(M,) the drones with forces besides drag."""
     pairs: Records
     """(P,) records of `PAIR`."""
     counters: Records
     """(1,) records of `COUNTERS`."""
     rows: Records
     """Rows `v` of (2, width) numbers in the model's precision, each with two samples: `SAMPLES` / 2
-    for the inputs of a layer, as many for its outputs, then one for the codes of each drone: as it
-    flies, and alone at the anchor height."""
+    for the inputs of a layer, as many for its outputs, then one for the codes of each drone, in its
+    state and alone at the anchor height."""
 
 
-def scratch_for(field: PackedField, places: int, drones: int) -> Scratch:
-    """Working memory to evaluate forces in up to `places` environments of `drones` at once.
+def scratch_for(field: PackedField, count: int, drones: int) -> Scratch:
+    """Return scratch memory to evaluate forces in up to `count` environments of `drones` at once.
 
     Raises:
-        ValueError: these are more drones than is possible.
+        ValueError: these are too many drones.
     """
-    total = places * drones
+    total = count * drones
     if drones <= FEW and total > CHUNK:
-        raise ValueError(f"{places} environments of {drones} drones are more than {CHUNK} drones")
+        raise ValueError(
+            f"{count} environments have {total} drones together, but must be at most {CHUNK}"
+        )
     memory = np.zeros(total, DRONE)
     number, shape = field.weights.dtype["v"].subdtype or (np.dtype(np.float64), (1, 1))
     row = np.dtype([("v", number, (2, shape[1]))])

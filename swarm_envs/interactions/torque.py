@@ -1,8 +1,8 @@
-"""Interaction torque of a deep set that was fitted with a torque head, in numpy.
+"""Interaction torque of a deep set that was fitted with a torque head, in NumPy.
 
-The last hidden layer of rho feeds the force and, through a layer of its own, the torque tau_a of
-Neural-Swarm2's eq. (8) and (10). The physics does not use it: the authors found it small (Sec.
-VII-B). It is given in the world frame; eq. (1b) wants the body's, R^T tau_a.
+The torque tau_a of Neural-Swarm2's eqs. (8) and (10) is a further linear layer after the last
+hidden layer of rho. The physics does not use it: the authors found it small (Sec. VII-B). It is in
+the world frame; eq. (1b) has R^T tau_a, in the body frame.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 __all__ = ["GRAM_CENTIMETRE"]
 
 GRAM_CENTIMETRE = GRAM_FORCE * 0.01
-"""N m of a gram-force centimetre, the unit of the head."""
+"""One gram-force centimeter, the unit of the head, in N m."""
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueModel:
-    """Torques tau_a that air puts on drones. Get one with `load_torque`."""
+    """A model of the aerodynamic torques tau_a on drones. Get one with `load_torque`."""
 
-    name: str  # The name or path it was loaded from
-    types: tuple[str, ...]  # The interaction types it knows
+    name: str  # The path from which it was loaded
+    types: tuple[str, ...]  # The interaction types
     field: ForceField  # Window, ranges and anchor
     networks: dict[str, Layers]
     """phi by type and of the environment, and rho with the head as its last layer."""
@@ -39,17 +39,18 @@ class TorqueModel:
     def torques(
         self, position: npt.ArrayLike, velocity: npt.ArrayLike, team: str | Sequence[Vehicle]
     ) -> FloatArray:
-        """Torque tau_a (E, N, 3), N m, world frame, on every drone of every environment.
+        """Return the torque tau_a (E, N, 3), N m, world frame, on every drone.
 
-        Positions and velocities are (E, N, 3), m and m/s, of the same N vehicles in each.
+        Positions and velocities are (E, N, 3), m and m/s, of the same N vehicles in each
+        environment.
 
         Raises:
-            ValueError: shapes do not fit the team, an entry is not finite, or a type is unknown.
+            ValueError: a shape does not fit the team, an entry is not finite, or a type is unknown.
         """
         vehicles = parse_team(team)
         p, v = check_states(position, velocity, len(vehicles))
         kinds = tuple(vehicle.interaction_type for vehicle in vehicles)
-        types_array(kinds, self.types, f"in interaction model {self.name!r}")  # refuses others
+        types_array(kinds, self.types, f"in interaction model {self.name!r}")  # raises for others
         return np.stack([self._torque(p, v, kinds, i) for i in range(len(kinds))], axis=1)
 
     def _torque(self, p: FloatArray, v: FloatArray, kinds: tuple[str, ...], i: int) -> FloatArray:
@@ -74,7 +75,12 @@ class TorqueModel:
 
 
 def load_torque(path: str | Path) -> TorqueModel:
-    """Load the torque of a deep set fitted by `swarm-envs fit --torque`."""
+    """Load the torque of a deep set fitted by `swarm-envs fit --torque`.
+
+    Raises:
+        ValueError: the file is damaged, or has no torque head.
+        FileNotFoundError: the file does not exist.
+    """
     types, field, _ = load_weights(Path(path))
     tensors, _ = read_tensors(Path(path))
     missing = [n for n in types for k in ("weight", "bias") if f"torque.{n}.{k}" not in tensors]

@@ -1,14 +1,14 @@
-"""`wake`: downwash in closed form, fitted to the measured flights.
+"""The model `wake`: downwash in closed form, fitted to the measured flights.
 
-Each drone trails a jet. At depth dz below it the jet is w = w0 + S dz wide and pushes a drone at
-lateral distance r down with
+Below each drone there is a jet. At depth dz the jet has the width w = w0 + S dz, and exerts on a
+drone at lateral distance r the downward force
 
     A (w0 / w)^p exp(-(r / w)^2 / 2) s(dz / 3 cm),   s the logistic function,
 
-so nothing is felt above it or at its height. The jet tilts: its axis at depth dz lies where the
-upper drone was when the jet left it (by its own velocity; the relative one fits flights worse).
-Several jets together push less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is
-mitigated, and a drone's own jet carries it (ground effect). Linear drag acts on its motion.
+which vanishes above the jet's drone. The jet is tilted: its axis at depth dz is at the position at
+which the upper drone was when the jet left it, by its own velocity (the relative velocity fits the
+flights less well). Several jets exert less than their sum: (sum_k f_k^q)^(1/q). Near the ground the
+downwash is reduced, and a drone has lift (ground effect). There is also linear drag.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from swarm_envs.interactions.field import LOWEST_HEIGHT, ONSET, WAKE, ForceField
 from swarm_envs.interactions.packed import PackedField, Scratch
 from swarm_envs.vehicles import GRAM_FORCE
 
-FORMAT = "wake-1"  # What a file of a closed form says it is
+FORMAT = "wake-1"  # The format name in files
 
 
 def wake_field(parameters: dict[str, Any]) -> ForceField:
-    """Build the field from fitted parameters, as `weights/wake.json` holds them."""
+    """Return the force field of fitted parameters, in the format of `weights/wake.json`."""
     types = parameters["types"]
     field = empty_field(len(types))
     for a, upper in enumerate(types):
@@ -52,13 +52,20 @@ def wake_field(parameters: dict[str, Any]) -> ForceField:
 
 
 def load_wake(path: Path | None = None) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
-    """Types, field and notes of a closed form: the shipped one, or a file of `swarm-envs fit`."""
+    """Return types, field and notes of the shipped model, or of a file of `swarm-envs fit`.
+
+    Raises:
+        ValueError: the file is damaged.
+        FileNotFoundError: the file does not exist.
+    """
     if path is None:
         file = resources.files("swarm_envs.interactions").joinpath("weights/wake.json")
         parameters = json.loads(file.read_text())
         return tuple(parameters["types"]), wake_field(parameters), {}
     if not path.is_file():
-        raise FileNotFoundError(f"wake file {str(path)!r} does not exist; give its path")
+        raise FileNotFoundError(
+            f"wake file {str(path)!r} does not exist; give the path of a file of `swarm-envs fit`"
+        )
     try:
         parameters = json.loads(path.read_text(encoding="utf-8-sig"))
         _check(parameters)
@@ -72,18 +79,17 @@ def load_wake(path: Path | None = None) -> tuple[tuple[str, ...], ForceField, di
 
 
 def _check(parameters: object) -> None:
-    """Refuse what is no closed form, or one that the kernels do not compute."""
+    """Raise ValueError for invalid parameters, and for a model that kernels do not implement."""
     if not isinstance(parameters, dict) or parameters.get("format") != FORMAT:
-        raise ValueError("its format is another")
+        raise ValueError("it has another format")
     if parameters["advection_velocity"] != "neighbor":
         raise ValueError(
-            f"its jets tilt with the velocity {parameters['advection_velocity']!r}, but only "
-            "'neighbor', the upper drone's own, is computed"
+            f"advection_velocity is {parameters['advection_velocity']!r}, but must be 'neighbor'"
         )
     field = wake_field(parameters)
     for array in field:
         if not np.isfinite(array).all():
-            raise ValueError("it holds a number that is not finite")
+            raise ValueError("it has a number that is not finite")
     q, (lost, height) = field.wake_combine, field.wake_mitigation
     if q < 1.0 or not 0.0 <= lost <= 1.0 or height <= 0.0:
         raise ValueError(
@@ -91,16 +97,16 @@ def _check(parameters: object) -> None:
             "1, and hm_m above 0"
         )
     if (field.wake_pair < 0.0).any() or (field.wake_pair[..., 1] == 0.0).any():
-        raise ValueError("pair holds a negative number, or a wake without width")
+        raise ValueError("pair has a negative number, or a wake without width")
     if (field.wake_delay < 0.0).any() or (field.wake_ground < 0.0).any():
-        raise ValueError("advection_speed or ground holds a negative number")
+        raise ValueError("advection_speed or ground has a negative number")
     if (field.wake_ground[:, 1] == 0.0).any():
         raise ValueError("ground has a height h_m of 0")
 
 
 @equation
 def wake_forces(field: PackedField, total: int, scratch: Scratch) -> None:
-    """Add the vertical wake and ground forces on the first `total` drones; pairs are known."""
+    """Add the wake and ground forces on the first `total` drones, after `find_pairs`."""
     model, ground_effect = field.constants[0], field.constants[0]["wake_ground"]
     q, mitigation = model["wake_combine"], model["wake_mitigation"]
     for slot in range(total):

@@ -1,11 +1,11 @@
-"""Reading a network's weights file: safetensors with a JSON note, checked before it is used.
+"""Reading and validation of weights files: safetensors with a JSON note.
 
-Tensors, float64, of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`, the same for
-`phi.environment` and `rho.<type>`; of a pairwise sum: `pair.<neighbour>.<drone>.<layer>...` and
-`environment.<type>.<layer>...`; of a composed model the same, and `wake.<neighbour>.<drone>` (4,):
-A in gram-force, w0 in m, S, p; `delay.<type>` (1,) in s/m, `joining` (3,): q, M, and h in m. Of all
-`drag.<type>` (3,) in N s/m. The note under the key
-`swarm_envs` holds format, types, window, input ranges, anchor height and provenance.
+Tensors are float64. A deep set has `phi.<type>.<layer>.weight` (out, in) and `.bias`, and likewise
+`phi.environment` and `rho.<type>`. A pairwise sum has `pair.<neighbor>.<drone>.<layer>...` and
+`environment.<type>.<layer>...`. A composed model has these and `wake.<neighbor>.<drone>` (4,): A in
+gram-force, w0 in m, S, p; `delay.<type>` (1,) in s/m, `joining` (3,): q, M, and h in m. All may
+have `drag.<type>` (3,) in N s/m. The note under the key `swarm_envs` has format, types, window,
+input ranges, anchor height and provenance.
 """
 
 from __future__ import annotations
@@ -39,19 +39,24 @@ Layers = list[tuple[FloatArray, FloatArray]]
 """Weights and biases of a network."""
 
 KINDS = {"deep-set-1": DEEP_SET, "pairwise-1": PAIRWISE, "composed-1": COMPOSED}
-"""Formats, and which kernels read them."""
+"""Kinds of force models by format."""
 _FORMATS = " or ".join(map(repr, KINDS))
 ENVIRONMENT = "environment"  # Name of the environment's network and input range in a file
 _PREFIXES = ("phi.", "rho.", "pair.", f"{ENVIRONMENT}.")
-LARGEST = 1e6  # No number of a network that was fitted comes near it; one beyond it was damaged
+LARGEST = 1e6  # Fitted networks have far smaller numbers; larger ones mean damage
 
 
 def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
-    """Read a weights file: interaction types, the compiled field, and the file's own notes."""
+    """Return the interaction types, parameters and notes of a weights file.
+
+    Raises:
+        ValueError: the file is damaged.
+        FileNotFoundError: the file does not exist.
+    """
     if not path.is_file():
         raise FileNotFoundError(
             f"weights file {str(path)!r} does not exist; give the path of a file made by "
-            "`swarm-envs fit`, or the name of one that ships, such as 'learned'"
+            "`swarm-envs fit`, or the name of a shipped model, such as 'learned'"
         )
     try:
         tensors, notes = read_tensors(path)
@@ -66,11 +71,11 @@ def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any
 
 
 def read_tensors(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-    """Read the tensors, as float64, and the note of a file.
+    """Return the tensors, as float64, and the note of a file.
 
     Raises:
         SafetensorError: it is no safetensors file.
-        ValueError: its format is unknown, or a number is not finite or absurd.
+        ValueError: its format is unknown, or a number is not finite or too large.
     """
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata() or {}
@@ -81,21 +86,21 @@ def read_tensors(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         raise ValueError(f"its format is {notes.get('format')!r}")
     for name, tensor in tensors.items():
         if not np.isfinite(tensor).all():
-            raise ValueError(f"tensor {name!r} holds a number that is not finite")
+            raise ValueError(f"tensor {name!r} has a number that is not finite")
         if (np.abs(tensor) > LARGEST).any():
-            raise ValueError(f"tensor {name!r} holds a number beyond {LARGEST:g}")
+            raise ValueError(f"tensor {name!r} has a number beyond {LARGEST:g}")
     return tensors, notes
 
 
 def _types(value: object) -> tuple[str, ...]:
-    """The interaction types: a list of different names, none of them that of the environment."""
+    """Return the interaction types: distinct names other than that of the environment."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"types is {value!r:.80}, but must be a list of names")
     for name in value:
         if not isinstance(name, str) or not name or name == ENVIRONMENT:
-            raise ValueError(f"{name!r:.80} is no name of an interaction type")
+            raise ValueError(f"{name!r:.80} is not a valid name of an interaction type")
     if len(set(value)) < len(value):
-        raise ValueError(f"types is {value!r:.80}, but each may stand there only once")
+        raise ValueError(f"types is {value!r:.80}, but names must be distinct")
     return tuple(value)
 
 
@@ -133,7 +138,7 @@ def _assemble(
 
 
 def _joined(types: tuple[str, ...], tensors: dict[str, FloatArray]) -> ForceField:
-    """A field with the wakes of a composed model, and how its pushes are joined."""
+    """Return the parameters of a composed model's wakes, and of the combination of pairs."""
     field = empty_field(len(types))
     for a, upper in enumerate(types):
         for b, lower in enumerate(types):
@@ -150,7 +155,7 @@ def _joined(types: tuple[str, ...], tensors: dict[str, FloatArray]) -> ForceFiel
 
 
 def _positive(name: str, tensors: dict[str, FloatArray], count: int) -> FloatArray:
-    """Numbers that may not be negative; the width w0 of a wake not 0 either."""
+    """Return numbers that must not be negative; the width w0 of a wake must be positive."""
     numbers = tensors[name]
     if numbers.shape != (count,) or (numbers < 0.0).any():
         raise ValueError(f"{name!r} must be {count} numbers that are not negative")
@@ -160,12 +165,12 @@ def _positive(name: str, tensors: dict[str, FloatArray], count: int) -> FloatArr
 
 
 def _deep_set_names(types: tuple[str, ...]) -> list[str]:
-    """Names of the networks of a deep set, in the order of the field."""
+    """Return the names of the networks of a deep set, in the order of the field."""
     return [*(f"phi.{t}" for t in types), f"phi.{ENVIRONMENT}", *(f"rho.{t}" for t in types)]
 
 
 def network_layers(name: str, tensors: dict[str, FloatArray]) -> Layers:
-    """Weight (outputs, inputs) and bias (outputs,) of each layer of a network, in order."""
+    """Return weight (outputs, inputs) and bias (outputs,) of each layer of a network, in order."""
     layers: Layers = []
     while f"{name}.{len(layers)}.weight" in tensors:
         prefix = f"{name}.{len(layers)}"
@@ -185,11 +190,11 @@ def network_layers(name: str, tensors: dict[str, FloatArray]) -> Layers:
 
 
 def _check_all_read(tensors: dict[str, FloatArray], networks: list[Layers]) -> None:
-    """Refuse layers that nothing reads: one before them is missing, or a type is not named."""
+    """Raise ValueError for unused layers: an earlier one is missing, or a type is not listed."""
     found = sum(name.startswith(_PREFIXES) for name in tensors)
     read = 2 * sum(map(len, networks))
     if found != read:
-        raise ValueError(f"it holds {found} weights and biases, but its networks have {read}")
+        raise ValueError(f"it has {found} weights and biases, but its networks have {read}")
 
 
 def _check_widths(kind: int, names: list[str], networks: list[Layers]) -> None:
@@ -224,12 +229,14 @@ def _window(window: object) -> FloatArray:
     edges = [_numbers(name, window[name], (2,)) for name in ("lateral_m", "vertical_m")]
     for full, end in edges:
         if not 0.0 <= full <= end:
-            raise ValueError(f"the window fades from {full:g} to {end:g} m, not outwards from 0")
+            raise ValueError(
+                f"the window fades from {full:g} to {end:g} m, but must satisfy 0 <= from <= to"
+            )
     return np.concatenate(edges)
 
 
 def _ranges(ranges: object) -> tuple[FloatArray, FloatArray]:
-    """The ranges (2, 4) of the environment's and (2, 6) of a pair's inputs."""
+    """Return the ranges (2, 4) of the environment's and (2, 6) of a pair's inputs."""
     if ranges is None:
         return unlimited(4), unlimited(6)
     if not isinstance(ranges, dict):
@@ -242,7 +249,7 @@ def _ranges(ranges: object) -> tuple[FloatArray, FloatArray]:
 
 
 def _anchor_height(value: object) -> float:
-    """The anchor height, m; 0 where the model is not anchored."""
+    """Return the anchor height, m; 0 if the model is not anchored."""
     height = 0.0 if value is None else float(_numbers("anchor_height_m", value, ()))
     if height < 0.0:
         raise ValueError(f"anchor_height_m is {height:g}, but must not be negative")
@@ -250,7 +257,7 @@ def _anchor_height(value: object) -> float:
 
 
 def _numbers(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
-    """Finite numbers of a shape; neither truth values nor text that reads as numbers."""
+    """Return finite numbers of a shape; booleans and strings raise ValueError."""
     array = np.asarray(value)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{name} is {value!r:.80}, but must be numbers of shape {shape}")

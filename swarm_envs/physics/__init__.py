@@ -3,7 +3,7 @@
 from swarm_envs.physics import BatchPhysics
 physics = BatchPhysics("LS", num_envs=1, interactions="learned")
 state = physics.reset()
-state = physics.step(commands)      # (E, N, 4) newton a rotor, 1/240 s
+state = physics.step(commands)      # (E, N, 4) thrust of each rotor, N, for 1/240 s
 """
 
 from swarm_envs.physics.base import BatchPhysics, Physics

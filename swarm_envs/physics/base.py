@@ -1,8 +1,7 @@
-"""What both engines share: the memory, the checks at the door, the reset, the step.
+"""The base class of both physics engines, and the compiled engine.
 
-A physics object holds E environments of N drones: of one team, unless `set_team` changes
-it. `step` takes rotor commands and advances
-everything by 1/240 s; the interaction force is part of it.
+A physics object simulates E environments of N drones. `step` takes rotor commands and advances all
+environments by 1/240 s, including the interaction forces.
 """
 
 from __future__ import annotations
@@ -63,53 +62,51 @@ from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Team, Vehicle, parse_team
 
 __all__ = ["BatchPhysics"]
 
-MOST_ENVIRONMENTS = 1_000_000  # Of `num_envs`: memory ends before
+MOST_ENVIRONMENTS = 1_000_000  # Upper bound of `num_envs`, beyond any memory
 PART = 2048
 """Drones of a part of a batch: their records stay in the cache from one kernel to the next."""
 AIR_DENSITY = 1.225  # Density of air at sea level, kg/m^3
 FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}
-"""Bounds on the vertical interaction force by vehicle token, gram-force: those with which
-Neural-Swarm2 plans (Sec. VII-D, Fig. 6)."""
-
+"""Bounds on the vertical interaction force by vehicle token, gram-force, of Neural-Swarm2's planner
+(Sec. VII-D, Fig. 6)."""
 
 DECISION = BEGIN | CONTROL | FORCES | INTEGRATE | CONTACTS
 """Phases of the steps of a decision on the compiled engine."""
 
 
 class Physics:
-    """Rigid bodies, rotors and the air between them, for E environments of one team.
+    """The dynamics of E environments of N drones: rigid bodies, rotors and interaction forces.
 
     Args:
         team: the N vehicles of every environment, or a string such as `"SSL"`.
         num_envs: E.
-        interactions: the model of the interaction forces: a name, a path, a model or a function,
+        interactions: the model of the interaction forces: a name, a path, a model or a function;
             see `swarm_envs.interactions.load`.
         arena: (2, 3) corners of the walls for the collision test, m; None for no walls.
-        battery: how thrust falls as batteries empty; None for batteries that never do.
-        force_rate: how often a second the interaction force is evaluated; between, it is held.
-            240 or a divisor.
-        gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration that gusts
-            give in environments; None for still air. `step` leaves them out.
-        hall: numbers of the world `"hall"`, of which environments draw what is constant in an
-            episode; None for the ideal world.
-        interaction_torque: whether the interaction force, uneven over the rotors, turns bodies.
+        battery: the model of batteries; None for ideal batteries.
+        force_rate: evaluations of the interaction force per second, 240 or a divisor; the force is
+            held between them.
+        gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration by gusts in
+            environments; None for none. `step` ignores them.
+        hall: parameters of the world `"hall"`; None for the ideal world.
+        interaction_torque: True to let the interaction force also exert a torque.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none.
-        level: where commands enter: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
-        controller: of the tracking loop, for the first two.
-        threads: how many fly the environments, each its part of them.
-        num_stages: S, sets of goals of an episode.
-        force_bounds_g: bound on the vertical interaction force by vehicle token, gram-force, that
-            metrics count; types that are left out have none.
-        on_contact: one of `ON_CONTACT`; with `bounce` drones bounce off each other, floor, walls
-            and obstacles as `swarm_envs.physics.contact` says. Else the compiled engine lets them
-            pass through; so does Bullet with `end_pair`, and pushes them apart with `end_team`.
+        level: input of commands: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
+        controller: configuration of the tracking controller, for SETPOINTS and RATES.
+        threads: number of threads, which share the environments.
+        num_stages: S, the number of sets of goals of an episode.
+        force_bounds_g: bounds on the vertical interaction force by vehicle token, gram-force;
+            metrics count violations. Other types have no bound.
+        on_contact: one of `ON_CONTACT`. With `bounce`, drones bounce off each other, the floor,
+            walls and obstacles; see `swarm_envs.physics.contact`. Otherwise bodies pass through
+            each other, except in Bullet with `end_team`, which computes contact forces.
 
     Raises:
-        ValueError: an argument names nothing valid.
+        ValueError: an argument is invalid.
     """
 
     name: str
-    """The engine's name, as environments report it."""
+    """The name of the engine."""
 
     def __init__(
         self,
@@ -191,14 +188,14 @@ class Physics:
             )
         self._make_memory(threads)
         self._set_state(hover_state(self.team, self._default_positions()), self._everywhere)
-        self._ready = False  # the first reset or step makes it so: it loads a kernel
+        self._ready = False  # until the first reset or step, which loads a kernel
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():
             self.settings[name] = value
 
     def _make_memory(self, threads: int) -> None:
-        """What `fly` takes: all of it stays, so it is put together once."""
+        """Create the arguments of `fly`, once."""
         drones = len(self.team)
         work = new_work(drones)
         largest = max(1, PART // drones)
@@ -215,37 +212,37 @@ class Physics:
         )
         flags = (self._varied, self.settings["adaptation"][0], self.hall, self._twisting)
         given = (flight, *(True if flag else None for flag in flags))
-        places = len(work.members)
+        size = len(work.members)
         models = self.interactions.packed, self.feedforward.packed
-        self._given = [  # to each thread
-            (*given, *(Forces(m, scratch_for(m, places, drones)) for m in models), new_work(drones))
+        self._given = [  # for each thread
+            (*given, *(Forces(m, scratch_for(m, size, drones)) for m in models), new_work(drones))
             for _ in range(self.workers.threads)
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
 
     @property
     def _varied(self) -> bool:
-        """True if a part of `fly` is needed that most flights do without."""
+        """True if `fly` needs one of the parts that are compiled with its flag `varied`."""
         s = self.settings[0]
         options = s["drains"] or s["gusty"] or s["bounces"] or s["compensates"]
         return bool(options or len(self.obstacles) or len(self.team) > FEW)
 
     def compile(self) -> None:
-        """Compile `fly`, which the first step would do otherwise."""
+        """Compile `fly`, which otherwise happens at the first step."""
         _ = self._compiled
 
     @cached_property
     def _begin(self) -> Callable[..., None]:
-        """`begin_flight` for the types of our arguments."""
+        """The entry point of `begin_flight`."""
         return entry_point(begin_flight, np.zeros(1, np.int64), True, *self._begun)
 
     @cached_property
     def _compiled(self) -> Callable[..., None]:
-        """`fly` for the types of our arguments, which are then not looked up at every call."""
+        """The entry point of `fly`."""
         return entry_point(fly, 0, 0, 0, 0, self._everywhere, *self._given[0])
 
     def _fields_of(self, team: Team) -> dict[str, npt.ArrayLike]:
-        """What the table of drones holds of a team: fields by name, (N, ...)."""
+        """Return the fields of the drones' table for a team: (N, ...) by name."""
         nominal = parameters(team)
         tokens = list(VEHICLES)
         areas = np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team])
@@ -269,37 +266,35 @@ class Physics:
 
     @property
     def parameters(self) -> Parameters:
-        """What each drone is made of: views (E, N, ...)."""
+        """The parameters of the drones, as views (E, N, ...)."""
         return Parameters(*(self.world.drones[name] for name in Parameters._fields))
 
     @property
     def force(self) -> FloatArray:
-        """(E, N, 3) interaction force, as last evaluated, N, world frame."""
+        """The interaction force (E, N, 3), as last evaluated, N, world frame."""
         return self.world.drones["force"]
 
     @property
     def contacts(self) -> Contacts:
-        """What each drone touched in the last step or decision."""
+        """The contacts of the last step or decision."""
         return contacts_of(self.world.drones)
 
     @property
     def contact(self) -> BoolArray:
-        """(E, N) whether each drone touched a drone, floor, wall or obstacle in the last step."""
+        """True (E, N) for drones with any contact in the last step or decision."""
         return self.contacts.any()
 
     def set_team(self, e: int, team: str | Sequence[Vehicle]) -> None:
-        """Let other vehicles fly in environment `e`, as many as before, from its next reset on.
-
-        Parameters, interaction types, batteries and bodies become theirs.
+        """Set the vehicles of environment `e`, as many as before, for its next reset.
 
         Raises:
-            ValueError: their number is another, or a force model does not know their type;
-                nothing is changed.
+            ValueError: their number is another, or a force model lacks their type. Nothing was
+                changed.
         """
         vehicles = parse_team(team)
         if len(vehicles) != len(self.team):
             raise ValueError(
-                f"the team has {len(vehicles)} vehicles, but must have {len(self.team)}, as before"
+                f"the team has {len(vehicles)} vehicles, but must have {len(self.team)} as before"
             )
         for name, values in self._fields_of(vehicles).items():
             self.world.drones[name][e] = values
@@ -309,14 +304,14 @@ class Physics:
         """Set the state of every environment, or of those in the mask.
 
         Args:
-            state: the new state; None hovers at 1 m, the drones 1 m apart in a row.
-            mask: (E,) which environments to set; None for all.
+            state: the new state; None to hover in a row at 1 m height, 1 m apart.
+            mask: (E,) environments to set; None for all.
 
         Returns:
             A read-only view of the state, valid until the next step.
 
         Raises:
-            ValueError: the state does not fit, or holds an impossible value; nothing is changed.
+            ValueError: the state has a wrong shape or an invalid value. Nothing was changed.
         """
         new = state
         if new is None:
@@ -333,39 +328,39 @@ class Physics:
             self.world.drones[name][where] = array[where]
 
     def begin(self, where: IntArray, at_rest: bool = True) -> None:
-        """Let environments (M,) restart: at rest at their starts, or as their state was set."""
+        """Restart environments (M,): at rest at their starts, or in the state that was set."""
         self._ready = True
         self._begin(where, at_rest, *self._begun)
         clear_environments(self.world.environments, where)
         self.place_bodies(where)
 
     def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
-        """Make so many physics steps in the environments that fly: a decision of theirs.
+        """Simulate the physics steps of a decision.
 
         Args:
-            steps: of 1/240 s.
-            flown: (E,) which fly.
-            then: called with the first environment, one past the last, and the thread's number,
-                for every part of the batch that has been flown, on the thread that flew it.
+            steps: number of steps of 1/240 s.
+            flown: (E,) environments to simulate.
+            then: a function that is called for every part of the batch after its simulation, on the
+                same thread, with the first environment, one past the last, and the thread's number.
         """
         if not self._functions:
             self._fly(DECISION, steps, flown, then)
             return
         phases = DECISION
-        while steps:  # in parts, between which functions give the forces
+        while steps:  # in parts, between which functions return the forces
             part = min(steps, self._call_functions(flown))
             steps -= part
             self._fly(phases, part, flown, *([] if steps else [then]))
             phases = DECISION & ~BEGIN
 
     def _call_functions(self, flown: BoolArray) -> int:
-        """Write the forces that functions give where they are due.
+        """Write the forces of functions in environments in which they are due.
 
         Args:
-            flown: (E,) environments that fly.
+            flown: (E,) environments that are simulated.
 
         Returns:
-            The number of steps until a force is due again somewhere.
+            The number of steps until a force is due in any of them.
         """
         environments, hold = self.world.environments, int(self.settings["hold"][0])
         since = environments["age"] % hold
@@ -382,12 +377,12 @@ class Physics:
         return int(hold - since[flown].max(initial=0))
 
     def control(self) -> None:
-        """Let the tracking loop alone make one step everywhere: commands for the state that is."""
+        """Make one step of the tracking controller in all environments, at the present state."""
         self._fly(CONTROL, 1, self._everywhere)
 
     def _fly(self, phases: int, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         kernel, given = self._compiled, self._given
-        mask: BoolArray = np.ascontiguousarray(flown)  # a view of the records would not be
+        mask: BoolArray = np.ascontiguousarray(flown)  # views of records are not contiguous
 
         def work(first: int, last: int, thread: int) -> None:
             kernel(first, last, phases, steps, mask, *given[thread])
@@ -401,18 +396,17 @@ class Physics:
         """Advance every environment by 1/240 s.
 
         Args:
-            commands: (E, N, 4) commanded thrust of each rotor, N; motors reach at most
-                [0, rotor_limit].
-            external_force: (E, N, 3) further force on each drone, N, world frame.
+            commands: (E, N, 4) commanded thrust of each rotor, N, clipped to [0, rotor_limit].
+            external_force: (E, N, 3) external force on each drone, N, world frame.
 
         Returns:
             A read-only view of the state, valid until the next step.
 
         Raises:
-            ValueError: a shape does not fit or an entry is not finite; nothing is changed.
+            ValueError: a shape is wrong or an entry is not finite. Nothing was changed.
         """
         drones = self.world.drones
-        u = check_array("commands", commands, (*drones.shape, 4), "(E, N, 4), newton a rotor")
+        u = check_array("commands", commands, (*drones.shape, 4), "(E, N, 4), newton per rotor")
         if external_force is not None:
             shape = (*drones.shape, 3)
             external_force = check_array(
@@ -425,7 +419,7 @@ class Physics:
             drones["external"] = external_force
         self._advance()
         if external_force is not None or self.hall is not None:
-            drones["external"] = 0.0  # it pushes in this step alone
+            drones["external"] = 0.0  # it acts only in this step
         return self.state
 
     def _advance(self) -> None:
@@ -434,26 +428,18 @@ class Physics:
         self._fly(BEGIN | FORCES | INTEGRATE | CONTACTS, 1, self._everywhere)
 
     def __reduce__(self) -> str:
-        """Refuse to be copied or pickled: views of the state would come apart from it.
-
-        Raises:
-            TypeError: always, saying what to do instead.
-        """
+        """Raise TypeError: a copy's state would not be views of its memory."""
         raise TypeError(
             f"{type(self).__name__} cannot be copied or pickled; make another and "
             "reset(state=physics.state.copy())"
         )
 
     def close(self) -> None:
-        """Free what the engine holds. May be called more than once."""
+        """Release threads, and clients of Bullet. May be called more than once."""
         self.workers.close()
 
     def place_bodies(self, where: IntArray) -> None:
-        """Tell an engine that keeps bodies of its own that states or vehicles were set.
-
-        Args:
-            where: (M,) the environments in which they were.
-        """
+        """Update the bodies of an engine with its own bodies in environments (M,)."""
 
     def _default_positions(self) -> FloatArray:
         row = np.zeros((self.num_envs, len(self.team), 3))
@@ -463,40 +449,43 @@ class Physics:
 
 
 class BatchPhysics(Physics):
-    """The compiled engine. Any number of environments, no dependency on Bullet.
+    """The compiled engine, for any number of environments, without Bullet.
 
-    It is the twin of `BulletPhysics`: the same step rule, to 1e-9 until the first contact. After a
-    contact it continues without response, unless drones bounce: they pass through each other and
-    through walls.
+    It agrees with `BulletPhysics` to 1e-9 until the first contact. Unless drones bounce, contacts
+    have no effect on the motion: bodies pass through each other and through walls.
     """
 
     name = "batch"
 
 
 def without_ended(position: FloatArray, active: FloatArray) -> FloatArray:
-    """Return positions (E, N, 3), m, at which drones that have ended push nobody.
+    """Return positions (E, N, 3), m, with drones whose episode has ended far from all others.
 
-    They are far from all others, as in `fly`; `active` (E, N) is 0 for them.
+    `active` (E, N) is 0 for these drones. They thereby exert no forces, as in `fly`.
     """
-    place = FAR * np.arange(1.0, active.size + 1.0).reshape(*active.shape, 1)
-    return np.where(active[..., None] > 0.0, position, place)
+    away = FAR * np.arange(1.0, active.size + 1.0).reshape(*active.shape, 1)
+    return np.where(active[..., None] > 0.0, position, away)
 
 
 _NOMINAL = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
-"""Parameters of which the controller knows the nominal value alone."""
+"""Parameters of which the controller uses nominal values."""
 
 
 def check_state(state: SwarmState, like: SwarmState) -> None:
-    """Refuse a state that physics could not start from."""
+    """Raise ValueError for a state of wrong shapes or with invalid values."""
     for name, array, model in zip(state._fields, state, like, strict=True):
         check_array(f"state.{name}", array, model.shape)
     norm = np.linalg.norm(state.quaternion, axis=-1)
     if (abs(norm - 1.0) > 1e-6).any():
         raise ValueError(
-            f"state.quaternion has length {norm[abs(norm - 1.0) > 1e-6][0]}; "
-            "attitudes are unit quaternions (x, y, z, w)"
+            f"state.quaternion has length {norm[abs(norm - 1.0) > 1e-6][0]}, but must be a unit "
+            "quaternion (x, y, z, w); normalize it"
         )
     if (state.rotor_thrust < 0.0).any():
-        raise ValueError(f"state.rotor_thrust has {state.rotor_thrust.min()} N; rotors only push")
-    if ((state.battery < 0.0) | (state.battery > 1.0)).any():
-        raise ValueError("state.battery must lie between 0 (empty) and 1 (full)")
+        raise ValueError(
+            f"state.rotor_thrust has {state.rotor_thrust.min()} N, but must not be negative"
+        )
+    if len(wrong := state.battery[(state.battery < 0.0) | (state.battery > 1.0)]):
+        raise ValueError(
+            f"state.battery has {wrong[0]}, but must lie between 0 (empty) and 1 (full)"
+        )

@@ -1,4 +1,4 @@
-"""The beginning of a flight, compiled: what a reset sets of drones, on both engines."""
+"""The kernel of resets, for both engines."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ def begin_flight(
     settings: Records,
     open_circuit: FloatArray,
 ) -> None:
-    """Let the drones of these environments (M,) begin, as if nothing had been flown.
+    """Reset the drones of these environments (M,).
 
-    `at_rest`: they begin an episode, at rest at their `start`, rotors at hover, charged as `charge`
-    says; who starts at the goal has arrived. Else their state has been set. `columns` (E, N,
-    columns) is the memory of the drones; `open_circuit` (K,) of the batteries is None if they never
-    empty.
+    With `at_rest`, they are at rest at their `start`, with rotors at hover thrust and their
+    `charge`; a drone that starts at its goal has arrived. Otherwise their state was set before.
+    `columns` (E, N, columns) is the memory of the drones, `open_circuit` (K,) that of `voltage`.
     """
     for e in where:
         for i in range(drones.shape[1]):
@@ -47,7 +46,7 @@ def begin_flight(
             for k in range(4):
                 square += d.quaternion[k] * d.quaternion[k]
                 total += d.rotor_thrust[k]
-            for k in range(4):  # Bullet keeps quaternions of exactly unit length: so does its twin
+            for k in range(4):  # normalize quaternions, as Bullet does
                 d.quaternion[k] /= np.sqrt(square)
                 d.commands[k] = d.rotor_thrust[k]
                 d.asked[k] = 0.0

@@ -1,4 +1,4 @@
-"""`BulletPhysics`: pybullet rigid bodies, one client an environment."""
+"""`BulletPhysics`: rigid bodies in pybullet, with one client for each environment."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ __all__ = ["build_body", "import_bullet"]
 def build_body(
     bullet: Any, client: int, vehicle: Vehicle, mass: float, inertia: list[float]
 ) -> int:
-    """Create a vehicle's body: free, undamped, its angular velocity not clamped by Bullet.
+    """Create a vehicle's body, free, undamped and without a limit of its angular velocity.
 
     Args:
         bullet: the pybullet module.
         client: id of the physics client.
-        vehicle: gives the collision radius.
-        mass: kg.
-        inertia: principal moments, kg m^2.
+        vehicle: the vehicle, for the collision radius.
+        mass: mass, kg.
+        inertia: principal moments of inertia, kg m^2.
 
     Returns:
         Bullet's id of the body.
@@ -52,15 +52,15 @@ def build_body(
         angularDamping=0.0,
         jointDamping=0.0,
         localInertiaDiagonal=inertia,
-        maxJointVelocity=1e6,  # Bullet would clamp angular velocity at 100 rad/s per component
-        contactProcessingThreshold=0.0,  # no push before bodies touch
+        maxJointVelocity=1e6,  # by default Bullet clamps angular velocities at 100 rad/s
+        contactProcessingThreshold=0.0,  # no contact force before bodies touch
         physicsClientId=client,
     )
     return int(body)
 
 
 def build_floor(bullet: Any, client: int) -> int:
-    """Create the ground at z = 0, for contact response only; returns Bullet's id of it."""
+    """Create the ground at z = 0, for contact forces; return Bullet's id of it."""
     plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
     body = bullet.createMultiBody(
         baseMass=0.0, baseCollisionShapeIndex=plane, physicsClientId=client
@@ -69,7 +69,7 @@ def build_floor(bullet: Any, client: int) -> int:
 
 
 def build_obstacle(bullet: Any, client: int, row: Sequence[float]) -> int:
-    """Create a static obstacle from its row (7,); returns Bullet's id of it."""
+    """Create a static obstacle from its row (7,); return Bullet's id of it."""
     if row[0] == BOX:
         low, high = row[1:4], row[4:7]
         half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
@@ -94,10 +94,7 @@ _BODY = Struct("13d")
 
 
 def bullet_available() -> bool:
-    """Whether pybullet can be imported here: tried, since it may be there and broken.
-
-    Python keeps the module once it was imported, so that asking again costs nothing.
-    """
+    """Return True if pybullet can be imported; an installed one may be broken."""
     try:
         import_bullet()
     except ImportError:
@@ -109,12 +106,12 @@ def import_bullet() -> Any:
     """Import pybullet.
 
     Raises:
-        ImportError: it is not installed, or broken; the message says why and what to do.
+        ImportError: it is not installed or broken; the message gives the reason and the fix.
     """
     try:
         bullet = importlib.import_module("pybullet")
-        _ = bullet.connect  # any folder of that name on the path can be imported
-    except Exception as error:  # a broken library fails in ways of its own
+        _ = bullet.connect  # since any folder of this name on the path can be imported
+    except Exception as error:  # a broken library may raise anything
         missing = isinstance(error, ModuleNotFoundError) and error.name == "pybullet"
         state = "is not installed" if missing else "is installed, but does not work"
         raise ImportError(
@@ -126,14 +123,14 @@ def import_bullet() -> Any:
 
 
 class BulletPhysics(Physics):
-    """Rigid bodies in Bullet, built once for a team; a reset sets poses and velocities.
+    """The Bullet engine.
 
-    Collisions are decided by the phase `CONTACTS` of `fly`, as on the compiled engine. Where one
-    ends the team's episode Bullet's contacts give the response; else Bullet lets bodies pass.
-    Call `close()` when done, or use it in `with`.
+    Collisions are detected by the phase `CONTACTS` of `fly`, as on the compiled engine. Bullet
+    computes contact forces only if a contact ends the team's episode; otherwise bodies pass through
+    each other. Call `close()` at the end, or use it in a `with` statement.
 
     Raises:
-        ImportError: pybullet is not installed, or broken.
+        ImportError: pybullet is not installed or broken.
     """
 
     name = "bullet"
@@ -147,11 +144,11 @@ class BulletPhysics(Physics):
         self.reset()
 
     def __enter__(self) -> BulletPhysics:
-        """Use as a context that closes itself."""
+        """Return the engine, which is closed at the end of the `with` statement."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the engine."""
         self.close()
 
     def close(self) -> None:
@@ -160,7 +157,7 @@ class BulletPhysics(Physics):
         self._finalizer()
 
     def _populate(self, e: int) -> list[int]:
-        """Empty the world of environment `e` and build floor, obstacles and drones; their ids."""
+        """Build floor, obstacles and drones of environment `e` anew; return the drones' ids."""
         bullet, client = self._bullet, self.clients[e]
         bullet.resetSimulation(physicsClientId=client)
         bullet.setTimeStep(TIME_STEP, physicsClientId=client)
@@ -173,36 +170,36 @@ class BulletPhysics(Physics):
             for vehicle, inertia in zip(self.teams[e], self._inertias(e), strict=True)
         ]
         if not self.settings["ends_team"][0]:
-            for body in bodies:  # neither group nor mask: nothing collides with it
+            for body in bodies:  # no group and no mask: no collisions
                 bullet.setCollisionFilterGroupMask(body, -1, 0, 0, physicsClientId=client)
         return bodies
 
     def _inertias(self, e: int) -> list[tuple[float, list[float]]]:
-        """Mass and moments of inertia of each drone of environment `e`, for its body."""
+        """Return the mass and moments of inertia of each drone of environment `e`."""
         drones = self.world.drones[e]
         return list(zip(drones["mass"].tolist(), drones["inertia"].tolist(), strict=True))
 
     def place_bodies(self, where: IntArray) -> None:
-        """Move the bodies of these environments (M,) to their states, masses included.
+        """Set poses, velocities and masses of the bodies in environments (M,).
 
-        Where other vehicles fly, all bodies are built again: Bullet cannot change a body's shape.
+        If the team has changed, all bodies are built anew: Bullet cannot change a body's shape.
         """
         if not self.bodies:
             self._build()
         self._check_open()
         for e in where.tolist():
-            wanted, built = self._inertias(e), self._built[e]
+            inertias, built = self._inertias(e), self._built[e]
             if self.teams[e] != self._built_teams[e]:
                 self.bodies[e], self._built_teams[e] = self._populate(e), self.teams[e]
             else:
-                for body, new, old in zip(self.bodies[e], wanted, built, strict=True):
+                for body, new, old in zip(self.bodies[e], inertias, built, strict=True):
                     if new != old:
                         mass, inertia = new
                         self._bullet.changeDynamics(
                             body, -1, mass=mass, localInertiaDiagonal=inertia,
                             physicsClientId=self.clients[e],
                         )  # fmt: skip
-            self._built[e] = wanted
+            self._built[e] = inertias
             self.settle(e)
 
     def _build(self) -> None:
@@ -211,7 +208,7 @@ class BulletPhysics(Physics):
             client = int(self._bullet.connect(self._bullet.DIRECT))
             if client < 0:
                 raise RuntimeError(
-                    "Bullet gave no client: too many are open; close() environments that are done"
+                    "Bullet created no client: too many are open; close() other environments"
                 )
             self.clients.append(client)
             self.bodies.append(self._populate(e))
@@ -219,13 +216,13 @@ class BulletPhysics(Physics):
         self._memory = self._columns.data.cast("B")
         self._active, self._tumbling = self.world.drones["active"], self.world.drones["tumbling"]
         wrenches = self.world.drones["wrench"]
-        self._wrenches = wrenches.reshape(*wrenches.shape[:2], 2, 3)  # a view: force and torque
+        self._wrenches = wrenches.reshape(*wrenches.shape[:2], 2, 3)  # views of force and torque
 
     def settle(self, e: int) -> None:
-        """Put the bodies of environment `e` where its state says, to the last bit.
+        """Set the bodies of environment `e` to the state of the drones.
 
-        Bullet keeps attitudes in a form of its own, and rounds one that it is given. Done between
-        decisions, this makes the state all there is: what is restored from it continues alike.
+        Bullet rounds attitudes when it stores them. Setting them after every decision makes a
+        flight depend only on the state, so that a restored snapshot continues bitwise identically.
         """
         state, bullet, client = self.state, self._bullet, self.clients[e]
         pose, twist = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
@@ -246,7 +243,7 @@ class BulletPhysics(Physics):
             raise RuntimeError("this BulletPhysics is closed; make a new one")
 
     def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
-        """Make so many physics steps in the environments that fly; see `Physics.fly`."""
+        """Simulate the physics steps of a decision; see `Physics.fly`."""
         self._step_bodies(CONTROL | FORCES, steps, np.ascontiguousarray(flown), settles=True)
         then(0, self.num_envs, 0)
 
@@ -254,15 +251,15 @@ class BulletPhysics(Physics):
         self._step_bodies(FORCES, 1, self._everywhere, settles=False)
 
     def _step_bodies(self, before: int, steps: int, flown: BoolArray, settles: bool) -> None:
-        """Make physics steps, with Bullet in the place of the phase INTEGRATE.
+        """Make physics steps, with Bullet in place of the phase INTEGRATE.
 
-        One call of the kernel ends a step and begins the next: it has to load and store once.
+        One call of the kernel ends a step and begins the next, to load and store only once.
 
         Args:
-            before: phases that come before it.
-            steps: of 1/240 s.
-            flown: (E,) environments that fly.
-            settles: whether bodies are at last put where their state says, as `settle` does.
+            before: phases before INTEGRATE.
+            steps: number of steps of 1/240 s.
+            flown: (E,) environments to simulate.
+            settles: True to set the bodies to the state after the last step, as `settle` does.
         """
         if not self.clients:
             self._check_open()
@@ -277,15 +274,15 @@ class BulletPhysics(Physics):
                     self.settle(e)
                 self._move_bodies(e, settles and k == steps - 1, ends_team)
         kernel(0, self.num_envs, CONTACTS, *given)
-        if not ends_team:  # who bounced, or has ended, is not where its body is
+        if not ends_team:  # drones that bounced or ended are not at their bodies
             for e in where.tolist():
                 self.settle(e)
 
     def _move_bodies(self, e: int, settles: bool, ends_team: bool) -> None:
-        """Let Bullet advance the bodies of environment `e`, and write where they are now.
+        """Let Bullet advance the bodies of environment `e`, and write their states.
 
-        Who tumbles stays where it was, and its team too if its episode ends with that.
-        Numbers are packed into the memory of the drones: to make an array of them takes longer.
+        A drone that tumbles is not advanced, nor its team if their episode ends. Numbers are packed
+        into the memory of the drones, which is faster than creating an array.
         """
         tumbles = self._tumbling[e].tolist()
         if ends_team and any(tumbles):
@@ -300,12 +297,12 @@ class BulletPhysics(Physics):
         pose, twist = bullet.getBasePositionAndOrientation, bullet.getBaseVelocity
         put, set_off = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
         write, memory, size = _BODY.pack_into, self._memory, self.world.drones.itemsize
-        place = e * len(bodies) * size
+        offset = e * len(bodies) * size
         for body, active, stays in zip(bodies, self._active[e].tolist(), tumbles, strict=True):
             (position, quaternion), (velocity, rate) = pose(body, client), twist(body, client)
             if active and not stays:
-                write(memory, place, *position, *quaternion, *velocity, *rate)
-            place += size
+                write(memory, offset, *position, *quaternion, *velocity, *rate)
+            offset += size
             if settles:
                 put(body, position, quaternion, client)
                 set_off(body, velocity, rate, client)

@@ -1,17 +1,16 @@
-"""Collisions, by one compiled test on positions, whatever the engine.
+"""Detection of collisions for both engines, and bounces.
 
-Two drones touch when their distance is below the sum of their radii, a drone touches the floor
-when its centre is lower than its radius, a wall when its sphere reaches past the arena, and an
-obstacle when that is nearer to its centre than its radius.
+Drones are spheres. Two drones touch if their distance is below the sum of their radii. A drone
+touches the floor, a wall or an obstacle if the distance of its center is below its radius.
 
 Obstacles are rows of seven numbers: the kind, then for a box the lower and upper corner, for a
-column the axis x and y, the radius, and the lower and upper end. `swarm_envs.tasks.obstacles` makes
-the rows.
+column x and y of the axis, the radius, and the lower and upper end. `swarm_envs.tasks.obstacles`
+makes the rows.
 
-Where drones bounce, a drone is a sphere without friction. If two overlap, or one overlaps floor,
-wall or obstacle, and they approach each other at speed u along the normal n, an impulse lets them
-part at `RESTITUTION` times u: between masses m1 and m2 it is (1 + e) u / (1 / m1 + 1 / m2) n. The
-overlap is removed along the normal, shared by the inverse masses; attitudes and rates stay.
+Bounces are without friction. If two drones overlap and approach each other at speed u along the
+normal n, an impulse lets them separate at `RESTITUTION` times u: for masses m1 and m2 it is
+(1 + e) u / (1 / m1 + 1 / m2) n. The overlap is removed along the normal, in proportion to the
+inverse masses; attitudes and rates do not change. Floor, walls and obstacles have infinite mass.
 """
 
 from __future__ import annotations
@@ -31,18 +30,18 @@ from swarm_envs.tables import LANES, Field, Records, record_type
 __all__ = ["BOX", "Contacts", "distances", "nearest_point"]
 
 BOX, COLUMN = 0.0, 1.0
-"""Kinds of obstacles, as they stand first in a row."""
+"""Kinds of obstacles, the first number of a row."""
 ROW = 7  # Numbers in a row
 
 
 def no_obstacles() -> FloatArray:
-    """Rows (0, 7) of no obstacle at all."""
+    """Return the rows (0, 7) of no obstacle."""
     return np.zeros((0, ROW))
 
 
 @part
 def _beyond(low: float, high: float, x: float) -> float:
-    """What must be added to x to come into [low, high]; 0 within."""
+    """Return the offset from x to the interval [low, high]; 0 inside."""
     return max(low - x, 0.0) + min(high - x, 0.0)
 
 
@@ -50,7 +49,7 @@ def _beyond(low: float, high: float, x: float) -> float:
 def nearest_point(
     rows: FloatArray, k: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Offset from a point to the nearest point of obstacle k of (M, 7), m; zero inside of it."""
+    """Return the offset from a point to the nearest point of obstacle k of (M, 7), m; 0 inside."""
     if rows[k, 0] == BOX:
         return (
             _beyond(rows[k, 1], rows[k, 4], x),
@@ -65,28 +64,28 @@ def nearest_point(
 
 @part
 def distance_to(rows: FloatArray, k: int, x: float, y: float, z: float) -> float:
-    """Distance from a point to obstacle k of the rows (M, 7), m; zero inside of it."""
+    """Return the distance from a point to obstacle k of (M, 7), m; 0 inside."""
     dx, dy, dz = nearest_point(rows, k, x, y, z)
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @kernel
 def distances(rows: FloatArray, points: FloatArray, out: FloatArray) -> None:
-    """Write the distance (P, M), m, from each of P points (P, 3) to each of M obstacles (M, 7)."""
+    """Write the distances (P, M), m, from points (P, 3) to obstacles (M, 7)."""
     for p in range(points.shape[0]):
         for k in range(rows.shape[0]):
             out[p, k] = distance_to(rows, k, points[p, 0], points[p, 1], points[p, 2])
 
 
-NO_DRONE = -1  # In `Contacts.drone`: touches no other drone
-NO_OBSTACLE = -1  # In `Contacts.obstacle`: touches no obstacle
+NO_DRONE = -1  # In `Contacts.drone`: no contact with a drone
+NO_OBSTACLE = -1  # In `Contacts.obstacle`: no contact with an obstacle
 
 ON_CONTACT = ("end_team", "end_pair", "bounce")
-"""What a contact does: it ends the episode of the whole team, it ends that of the drones that touch
-something, or they bounce and fly on."""
+"""Effects of a contact: it ends the episode of the team or of the drones in contact, or drones
+bounce and continue."""
 
 NO_WALLS = np.array([[-np.inf, -np.inf, -np.inf], [np.inf, np.inf, np.inf]])
-"""(2, 3) arena without walls, m."""
+"""The arena (2, 3) without walls, m."""
 
 PLACES = 64  # Environments whose pairs are compared side by side
 SPOT_TYPE = record_type(
@@ -95,40 +94,40 @@ SPOT_TYPE = record_type(
         for name in ("x", "y", "z", "radius", "distance", "ratio")
     )
 )
-"""What the comparison of pairs knows of drone `i` of `PLACES` environments: where it is, and the
-square of its smallest distance to another drone, in m^2 and over the square of the radii's sum."""
+"""The record of drone `i` in `PLACES` environments for the comparison of pairs: positions, radii,
+and squares of the smallest distance to another drone, in m^2 and over the sum of radii."""
 
 
 class Contacts(NamedTuple):
-    """Who touches what, and how close they came. Arrays (E, N)."""
+    """Contacts and smallest distances of drones. Arrays (E, N)."""
 
     drone: IntArray
-    """Index of the other drone it touches (the nearest), or -1."""
+    """Index of the nearest drone in contact, or -1."""
     floor: BoolArray
-    """Whether it touches the floor."""
+    """True for a contact with the floor."""
     wall: BoolArray
-    """Whether it touches a wall or the ceiling of the arena."""
+    """True for a contact with a wall or the ceiling of the arena."""
     tumbling: BoolArray
-    """Whether it turns faster than 150 rad/s."""
+    """True if the drone rotates faster than 150 rad/s."""
     separation: FloatArray
-    """Distance from its centre to that of the nearest other drone, m; infinite if alone."""
+    """Distance to the nearest other drone, between centers, m; infinite for a single drone."""
     clearance: FloatArray
-    """Smallest distance to another drone as a multiple of the sum of their radii: below 1 is a
-    collision, below 1.5 a near miss; infinite if alone."""
+    """Smallest distance to another drone over the sum of their radii: below 1 for a collision,
+    below 1.5 for a near miss; infinite for a single drone."""
     obstacle: IntArray
-    """Index of the obstacle it touches (the nearest), or -1."""
+    """Index of the nearest obstacle in contact, or -1."""
     obstacle_clearance: FloatArray
-    """Smallest distance from its centre to an obstacle as a multiple of its radius: below 1 is a
-    collision; infinite where there is none."""
+    """Smallest distance from the drone's center to an obstacle over its radius: below 1 for a
+    collision; infinite without obstacles."""
 
     def any(self) -> BoolArray:
-        """(E, N) whether it touches anything."""
+        """Return True (E, N) for drones with a contact."""
         touched = (self.drone != NO_DRONE) | (self.obstacle != NO_OBSTACLE)
         return touched | self.floor | self.wall
 
 
 def contacts_of(drones: Records) -> Contacts:
-    """The contacts of drones (E, N) in their last decision, as new arrays."""
+    """Return the contacts of drones (E, N) in their last decision, as new arrays."""
     return Contacts(
         drone=drones["touched_drone"].astype(np.int64),
         floor=drones["touched_floor"] > 0.0,
@@ -143,7 +142,7 @@ def contacts_of(drones: Records) -> Contacts:
 
 @part
 def touch(blocks: Records, count: int, settings: Records) -> None:
-    """Add what the drones of the first `count` blocks touch now of floor and walls: flags stay."""
+    """Update contacts with floor and walls, and tumbling, of the drones of `count` blocks."""
     low, high = settings[0].arena[0], settings[0].arena[1]
     low_x, low_y, high_x, high_y, high_z = low[0], low[1], high[0], high[1], high[2]
     fastest = TUMBLING_RATE * TUMBLING_RATE
@@ -167,7 +166,7 @@ def touch(blocks: Records, count: int, settings: Records) -> None:
 
 @part
 def touch_obstacles(blocks: Records, slots: int, obstacles: FloatArray) -> None:
-    """Add which of the obstacles (M, 7) the drones in the first `slots` lanes touch now."""
+    """Update contacts with obstacles (M, 7) of the drones in the first `slots` lanes."""
     for slot in range(slots):
         b, lane = blocks[slot // LANES], slot % LANES
         for k in range(obstacles.shape[0]):
@@ -181,11 +180,10 @@ def touch_obstacles(blocks: Records, slots: int, obstacles: FloatArray) -> None:
 
 @part
 def find_pairs(blocks: Records, count: int, drones: int, spots: Records) -> None:
-    """Add how near the drones of `count` environments of few drones come to each other now.
+    """Update separations and contacts between drones in `count` environments of few drones.
 
-    Every pair of one environment is looked at, side by side with the same pair of the others: at
-    most `PLACES`, one after the other in the blocks, whose separations, clearances and drones
-    touched are updated. `spots` (N,) is scratch of `SPOT_TYPE`.
+    These are at most `PLACES` environments, one after another in the blocks. Every pair of drones
+    is compared in all of them side by side. `spots` (N,) is scratch of `SPOT_TYPE`.
     """
     smallest, largest = math.inf, 0.0
     for place in range(count):
@@ -205,8 +203,8 @@ def find_pairs(blocks: Records, count: int, drones: int, spots: Records) -> None
                 distance = x * x + y * y + z * z
                 s.distance[place] = min(s.distance[place], distance)
                 t.distance[place] = min(t.distance[place], distance)
-            # Squares are compared: roots are taken once, at the end.
-            if smallest < largest:  # else the nearest drone is also that of the smallest ratio
+            # Squares are compared, and roots are taken at the end
+            if smallest < largest:  # else the nearest drone also has the smallest ratio
                 for place in range(count):
                     x, y = t.x[place] - s.x[place], t.y[place] - s.y[place]
                     z, radii = t.z[place] - s.z[place], s.radius[place] + t.radius[place]
@@ -228,7 +226,7 @@ def find_pairs(blocks: Records, count: int, drones: int, spots: Records) -> None
 
 @part
 def nearest_of(spots: Records, drones: int, i: int, place: int) -> int:
-    """The drone of one environment that is nearest to drone `i` for the sum of their radii."""
+    """Return the drone with the smallest distance to drone `i` over the sum of their radii."""
     s, nearest, smallest = spots[i], NO_DRONE, math.inf
     for j in range(drones):
         t = spots[j]
@@ -241,7 +239,7 @@ def nearest_of(spots: Records, drones: int, i: int, place: int) -> int:
 
 @part
 def find_pairs_sorted(blocks: Records, first: int, position: FloatArray, order: IntArray) -> None:
-    """Do as `find_pairs` in one environment of many drones: look along x only as far as needed.
+    """Do the same as `find_pairs` for one environment of many drones, by a sweep along x.
 
     Its first drone is in the slot `first`; `position` (N, 3) is scratch, and `order` (N,), any
     permutation of the drones, is sorted along x.
@@ -279,17 +277,16 @@ def find_pairs_sorted(blocks: Records, first: int, position: FloatArray, order: 
                 other += step
 
 
-RESTITUTION = 0.5  # Speed at which bodies part over that at which they met: e
+RESTITUTION = 0.5  # e: speed of separation over speed of approach
 
 
 @part
 def bounce(
     blocks: Records, first: int, drones: int, settings: Records, obstacles: FloatArray
 ) -> None:
-    """Let the drones of an environment bounce off what they overlap now; their contacts are known.
+    """Let the drones of an environment bounce at their contacts, after `find_pairs`.
 
-    The first is in the slot `first`. The arena's floor is the ground at z = 0; obstacles are rows
-    (M, 7).
+    The first drone is in the slot `first`. The floor is at z = 0; obstacles are rows (M, 7).
     """
     low, high = settings[0].arena[0], settings[0].arena[1]
     for i in range(drones):
@@ -338,7 +335,7 @@ def bounce_pair(blocks: Records, slot: int, other: int) -> None:
 
 @part
 def bounce_off(blocks: Records, slot: int, obstacles: FloatArray, m: int) -> None:
-    """Let the drone of a slot bounce off obstacle `m`; one inside it goes back as it came."""
+    """Let the drone of a slot bounce off obstacle `m`; inside of it, against its velocity."""
     b, lane = blocks[slot // LANES], slot % LANES
     x, y, z = three(b.position, lane)
     x, y, z = nearest_point(obstacles, m, x, y, z)

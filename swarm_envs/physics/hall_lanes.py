@@ -1,15 +1,15 @@
-"""The world `"hall"` in lanes: forces that no model knows, and a state that is estimated.
+"""The world `"hall"` in lanes: random forces and the state estimate.
 
 Each drone estimates its state by a filter of constant gain: accelerometer and gyroscope predict it
-at every physics step, and a frame of motion capture corrects it, late, noisy, or not at all. All
-this is linear in the errors of the estimate but for the turning of the body, so the *errors* are
-what is kept and advanced; the estimate is the truth plus its error. With n standard normal numbers:
+at every physics step, and frames of motion capture correct it, with delay, noise and losses. Except
+for rotations, this is linear in the errors of the estimate. The simulation therefore advances the
+*errors*; the estimate is the true state plus its error. With standard normal numbers n:
 
 1. prediction: e_v += a n, e_p += e_v dt; e_q += g n, e_w = g n / dt;
 2. a frame of age d: i = -v d + s n - e_p, e_p += K_p i, e_v += K_v i; the same for e_q with the
-   angular velocity. Over the delay a drone is taken to go straight on.
+   angular velocity. The velocity is taken as constant over the delay.
 
-The controller is given the estimate, which `see` writes.
+The controller receives the estimate, which `see` writes.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from swarm_envs.tables import ADAPTATION_END, HALL_ENDS, LANES, Records
 
 __all__ = ["sense_in_hall"]
 
-DRAWS = 9  # Random numbers of 64 bits that a drone takes in a physics step
+DRAWS = 9  # Random numbers of 64 bits for a drone in a physics step
 
 
 @equation
 def turned(
     q: tuple[float, float, float, float], angle: tuple[float, float, float]
 ) -> tuple[float, float, float, float]:
-    """An attitude turned by a small rotation vector (rad) in the world frame."""
+    """Return an attitude rotated by a small rotation vector (rad) in the world frame."""
     x, y, z = 0.5 * angle[0], 0.5 * angle[1], 0.5 * angle[2]
     a = q[0] + x * q[3] + y * q[2] - z * q[1]
     b = q[1] - x * q[2] + y * q[3] + z * q[0]
@@ -52,10 +52,9 @@ def load_hall(
     blocks: Records,
     tile: FloatArray,
 ) -> None:
-    """Copy what the hall knows of the drones of the first `count` members into the blocks.
+    """Copy the hall's columns of the drones of the first `count` members into the blocks.
 
-    Lanes that are left over in the last block are zeros or what another tile left there: sound
-    numbers, which are not read.
+    Unused lanes of the last block have valid numbers, zeros or those of another tile.
     """
     drones, slot = columns.shape[1], 0
     for place in range(count):
@@ -78,7 +77,7 @@ def store_hall(
     tile: FloatArray,
     stopped: BoolArray,
 ) -> None:
-    """Copy back what has changed of slots first to last - 1, but of drones that have stopped."""
+    """Copy changed columns of slots first to last - 1 back, except for drones that have stopped."""
     drones = columns.shape[1]
     for slot in range(first, last):
         if stopped[slot]:
@@ -90,10 +89,10 @@ def store_hall(
 
 @part
 def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratch: Scratch) -> None:
-    """Note which drones have another one in the interaction volume of the force model.
+    """Write `company`: 1 for drones with another one in the interaction volume of the force model.
 
-    The forces of `count` environments have just been evaluated; `due` (C,) are their places among
-    the blocks. The scratch of the force model lists the pairs.
+    The forces of `count` environments have just been evaluated; `due` (C,) are their indices in the
+    tile. The scratch of the force model lists the pairs.
     """
     for place in range(count):
         for i in range(drones):
@@ -107,10 +106,9 @@ def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratc
 
 @part
 def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
-    """Write the force that no model knows into `external` (N, world frame), and advance it.
+    """Advance the random force of the first `count` blocks; write it to `external`, N, world frame.
 
-    The modelled force of the first `count` blocks has just been evaluated. With `adds` it is added
-    to what `external` holds.
+    The modeled force is up to date. With `adds`, the random force is added to `external`.
     """
     s, base = settings[0], 1.0 if adds else 0.0
     kept, sideways = s.residual_kept, s.residual_sideways
@@ -148,7 +146,7 @@ def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
 
 @part
 def estimate(blocks: Records, count: int, settings: Records) -> None:
-    """Advance the errors of the estimates, in the first blocks, to the state after a step."""
+    """Advance the errors of the estimates of the first `count` blocks by a step."""
     s = settings[0]
     dt, velocity_walk, attitude_walk = TIME_STEP, s.velocity_walk, s.attitude_walk
     per_step, loss, delay = s.frames_per_step, s.frame_loss, s.frame_delay
@@ -187,7 +185,7 @@ def estimate(blocks: Records, count: int, settings: Records) -> None:
 
 @part
 def see(blocks: Records, count: int) -> None:
-    """Write the estimate that the controller is given."""
+    """Write the state estimate for the controller."""
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
@@ -203,10 +201,10 @@ def see(blocks: Records, count: int) -> None:
 
 @kernel
 def sense_in_hall(first: int, last: int, drones: Records, mask: BoolArray, out: Records) -> None:
-    """Write the state as drones of the world `"hall"` estimate it; rotors and batteries are known.
+    """Write the state estimate in the world `"hall"`; rotor thrusts and charges are exact.
 
-    Records (E, N) hold the true state and the errors of its estimate; environments from `first` to
-    before `last` are looked at, where the mask (E,) is true.
+    Records (E, N) have the true state and the errors of its estimate. Estimates are written for the
+    environments first to last - 1 that are in the mask (E,).
     """
     for e in range(first, last):
         if not mask[e]:

@@ -1,10 +1,10 @@
-"""One physics step of quadrotors, in lanes: rotor lag, wrench, semi-implicit Euler.
+"""One physics step of quadrotors, in lanes: motor lag, wrench, semi-implicit Euler.
 
-The rule is that of Bullet's multibody solver for a free body, so that the compiled engine is its
-twin. One step of dt:
+The method is that of Bullet's multibody solver for a free body, so that both engines agree. One
+step of dt:
 
-1. rotor lag, exactly: f <- f_c + (f - f_c) exp(-lambda dt), f_c limited to [0, f_max];
-2. wrench: T and tau from the rotors; F = R (0, 0, T) + f with f the force of air and disturbance;
+1. motor lag, exactly: f <- f_c + (f - f_c) exp(-lambda dt), f_c limited to [0, f_max];
+2. wrench: T and tau of the rotors; F = R (0, 0, T) + f with aerodynamic and external forces f;
 3. w_b += dt J^-1 (tau - w_b x J w_b), w = R w_b, v += dt (F / m + g), p += dt v, q <- exp(w dt) q.
 """
 
@@ -28,15 +28,15 @@ TIME_STEP = 1.0 / PHYSICS_RATE
 """Duration of one physics step, s."""
 TUMBLING_RATE = 150.0  # Angular speed above which a drone counts as tumbling, rad/s
 LARGEST_RATE = 1000.0
-"""Limit of each body rate, rad/s: far past tumbling, where the explicit gyroscopic term would grow
-without bound, it keeps numbers finite until the episode is ended."""
+"""Limit of each body rate, rad/s, far beyond tumbling: it keeps numbers finite until the episode
+ends, since the explicit gyroscopic term would grow without bound."""
 
 
 @equation
 def rotation_entries(
     x: float, y: float, z: float, w: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Rotation matrix, row by row, of a unit quaternion (x, y, z, w)."""
+    """Return the rotation matrix, row by row, of a unit quaternion (x, y, z, w)."""
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - z * w),
@@ -54,7 +54,7 @@ def rotation_entries(
 def rotor_wrench(
     rotors: tuple[float, float, float, float], offset: float, thrust_to_torque: float
 ) -> tuple[float, float, float, float]:
-    """Total thrust T (N) and body torque tau (N m) of four rotor thrusts (N): eta = B_0 u."""
+    """Return total thrust T (N) and torque tau (N m, body frame) of rotor thrusts (N): B_0 u."""
     f1, f2, f3, f4 = rotors
     return (
         f1 + f2 + f3 + f4,
@@ -66,11 +66,11 @@ def rotor_wrench(
 
 @equation
 def sinc_cos(angle: float) -> tuple[float, float]:
-    """sin(angle) / angle and cos(angle), within 1e-13 for angles of up to 8 rad.
+    """Return sin(angle) / angle and cos(angle), within 1e-13 for angles of up to 8 rad.
 
-    Library functions are no vector instructions. This takes Taylor's series at an eighth of the
-    angle, where eight terms are exact, and doubles it three times: sin 2a = 2 sin a cos a and
-    1 - cos 2a = 2 (sin a)^2. The second is kept in place of the cosine, which loses digits near 1.
+    Library functions would prevent vectorization. Taylor's series at an eighth of the angle, where
+    eight terms are exact, is doubled three times: sin 2a = 2 sin a cos a and
+    1 - cos 2a = 2 (sin a)^2. 1 - cos is used instead of cos, which loses digits near 1.
     """
     a = 0.125 * angle
     x = a * a
@@ -105,7 +105,7 @@ def sinc_cos(angle: float) -> tuple[float, float]:
 
 @part
 def spin_rotors(blocks: Records, count: int) -> None:
-    """Count a physics step, and move the rotors towards their commands (eq. 1c), in place."""
+    """Update the metrics of `count` blocks, and advance the rotors to their commands, eq. 1c."""
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
@@ -126,7 +126,7 @@ def spin_rotors(blocks: Records, count: int) -> None:
 
 @part
 def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None:
-    """Advance the bodies of `count` blocks by 1/240 s; `twisting`: True if the air turns them."""
+    """Advance the bodies of `count` blocks by 1/240 s; `twisting`: True with interaction torque."""
     dt = TIME_STEP
     for n in range(count):
         b = blocks[n]
@@ -142,7 +142,7 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
             if twisting is not None:
                 x, y, z = three(b.interaction_torque, lane)
                 tx, ty, tz = tx + x, ty + y, tz + z
-            # Euler's equations in the body frame.
+            # Euler's equations in the body frame
             jx, jy, jz = three(b.inertia, lane)
             x, y, z = three(b.angular_velocity, lane)
             bx = r[0] * x + r[3] * y + r[6] * z
@@ -159,7 +159,7 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
             z = r[6] * cx + r[7] * cy + r[8] * cz
             w = b.angular_velocity
             w[0, lane], w[1, lane], w[2, lane] = x, y, z
-            # Newton's, with the thrust along the old attitude.
+            # Newton's equations, with the thrust along the old attitude
             per_mass = dt / b.mass[lane]
             (fx, fy, fz), (ex, ey, ez) = three(b.force, lane), three(b.external, lane)
             b.velocity[0, lane] += per_mass * (r[2] * thrust + (fx + ex))
@@ -167,7 +167,7 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
             b.velocity[2, lane] += per_mass * (r[8] * thrust + (fz + ez)) - dt * GRAVITY
             for k in range(3):
                 b.position[k, lane] += dt * b.velocity[k, lane]
-            # The attitude turns by the new angular velocity: q <- exp(w dt) q.
+            # Rotation of the attitude by the new angular velocity: q <- exp(w dt) q
             half = 0.5 * math.sqrt(x * x + y * y + z * z) * dt
             s, aw = sinc_cos(half)
             s *= 0.5 * dt
@@ -186,7 +186,7 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
 def gust(environment: Record, first: int, drones: int, settings: Records, blocks: Records) -> None:
     """Advance an environment's gusts by a step, and write the force on drones from slot `first`.
 
-    The acceleration is an Ornstein-Uhlenbeck process, exactly discretised.
+    The acceleration is an exactly discretized Ornstein-Uhlenbeck process.
     """
     kept, strength = settings[0].gust_kept, settings[0].gust_strength
     fresh = strength * math.sqrt(1.0 - kept * kept)

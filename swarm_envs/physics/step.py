@@ -1,11 +1,11 @@
-"""The physics step: one loop for both engines, compiled.
+"""The kernel of physics steps, for both engines.
 
-`fly` takes some environments from their records into blocks of `LANES` drones, makes steps of
-1/240 s there, and writes them back. A step has four phases, of which Bullet replaces one:
+`fly` copies a tile of environments from their records into blocks of `LANES` drones, makes steps of
+1/240 s there, and copies them back. A step has four phases:
 
-1. `CONTROL`: the tracking loop turns set-points into rotor commands;
+1. `CONTROL`: the tracking controller computes rotor commands from set-points;
 2. `FORCES`: interaction forces and gusts at the present state, metrics, motor lag, batteries;
-3. `INTEGRATE`: the rigid bodies, on the compiled engine; on Bullet `wrench` is what pushes them;
+3. `INTEGRATE`: the rigid bodies; Bullet replaces this phase, with the forces of `wrench`;
 4. `CONTACTS`: contacts at the new positions.
 """
 
@@ -64,57 +64,57 @@ from swarm_envs.tables import (
 )
 
 SETPOINTS, RATES, ROTORS = 0, 1, 2
-"""Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
+"""Inputs of actions: set-points of the tracking controller, thrust and body rates, or rotors."""
 BEGIN, CONTROL, FORCES, INTEGRATE, CONTACTS = 1, 2, 4, 8, 16
-"""Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
-FAR = 1e6  # Where drones whose episode has ended are taken to be, and how far from each other, m
+"""Phases of a step, as flags; `BEGIN` first clears the contacts of the last decision."""
+FAR = 1e6  # Distance of drones whose episode has ended, from all drones and from each other, m
 
 
 class Flight(NamedTuple):
     """The memory of E environments of N drones that `fly` reads and writes."""
 
     drones: Records  # (E, N)
-    columns: FloatArray  # (E, N, columns) the same memory as plain numbers
+    columns: FloatArray  # (E, N, columns) the memory of the drones as floats
     environments: Records  # (E,)
     settings: Records  # (1,)
     obstacles: FloatArray  # (M, 7)
-    open_circuit: FloatArray  # (K,) voltages, as of `empty_batteries`
-    order: IntArray  # (E, N) the drones as last sorted along x, used if they are many
+    open_circuit: FloatArray  # (K,) voltages of `swarm_envs.motors.voltage`
+    order: IntArray  # (E, N) the drones as last sorted along x, in large teams
 
 
 class Forces(NamedTuple):
-    """A model of interaction forces, and the memory of one thread in which it is evaluated."""
+    """A model of interaction forces, and its scratch memory for one thread."""
 
     model: PackedField
     scratch: Scratch
 
 
 class Work(NamedTuple):
-    """Working memory of one thread, nothing to keep."""
+    """The scratch memory of one thread."""
 
     blocks: Records
-    """Records of `LANES` drones: all drones of a tile, one environment after the other."""
-    tile: FloatArray  # (blocks, rows, LANES) the same memory as plain numbers
+    """Records of `LANES` drones: all drones of a tile, one environment after another."""
+    tile: FloatArray  # (blocks, rows, LANES) the memory of the blocks as floats
     members: IntArray  # (C,) the environments of the tile
-    due: IntArray  # (C,) places of those whose force is due
+    due: IntArray  # (C,) indices in `members` of environments whose force is due
     spots: Records  # (N,) for `find_pairs`
     position: FloatArray  # (N, 3) for `find_pairs_sorted`
     stopped: BoolArray
-    """(drones of the tile,) who tumbled in this decision, or ended with its team by that."""
+    """(drones of the tile,) True for drones that tumbled in this decision, or whose team did."""
 
 
 def new_work(num_drones: int) -> Work:
-    """Working memory for environments of so many drones."""
-    places = max(1, min(PLACES, CHUNK // num_drones))
-    blocks = aligned(-(-places * num_drones // LANES), BLOCK_TYPE)
+    """Return the scratch memory for environments of a number of drones."""
+    size = max(1, min(PLACES, CHUNK // num_drones))
+    blocks = aligned(-(-size * num_drones // LANES), BLOCK_TYPE)
     return Work(
         blocks=blocks,
         tile=blocks.view(np.float64).reshape(len(blocks), -1, LANES),
-        members=np.zeros(places, np.int64),
-        due=np.zeros(places, np.int64),
+        members=np.zeros(size, np.int64),
+        due=np.zeros(size, np.int64),
         spots=aligned(num_drones if num_drones <= FEW else 0, SPOT_TYPE),
         position=np.zeros((num_drones, 3)),
-        stopped=np.zeros(places * num_drones, np.bool_),
+        stopped=np.zeros(size * num_drones, np.bool_),
     )
 
 
@@ -122,13 +122,13 @@ def new_work(num_drones: int) -> Work:
 def load_tile(
     columns: FloatArray, count: int, controlled: bool, adaptive: bool, begins: bool, work: Work
 ) -> None:
-    """Copy what a step knows of the drones of the first `count` members into the blocks.
+    """Copy the columns of a step for the drones of the first `count` members into the blocks.
 
-    The columns of the tracking loop, and of its adaptation, are left out if there is none. Where a
-    decision begins, what was touched in the last one is forgotten. Lanes that are left over in the
-    last block repeat the last drone, so that numbers there are sound; they are not written back.
-    Drones whose episode has ended come far away from all others, and are not written back either:
-    so they neither touch nor push anybody, and stay as they were at their end.
+    Columns of the tracking controller, and of its adaptation, are left out if there is none. At the
+    beginning of a decision, contacts are cleared. Unused lanes of the last block repeat the last
+    drone, so that their numbers are valid; they are not copied back. Drones whose episode has ended
+    are moved far away from all others, so that they neither touch nor exert forces; they are not
+    copied back either, so that they keep their last state.
     """
     drones, slot = columns.shape[1], 0
     skipped = BODY_END if controlled else CONTROLLER_END
@@ -158,7 +158,7 @@ def load_tile(
 def store_tile(
     columns: FloatArray, first: int, last: int, controlled: bool, adaptive: bool, work: Work
 ) -> None:
-    """Copy what a step has changed back from the blocks, of the slots first to last - 1."""
+    """Copy the columns that a step changes, of slots first to last - 1, back from the blocks."""
     drones = columns.shape[1]
     end = CONTROLLER_END if controlled else BODY_END
     learned = ADAPTATION_END if adaptive else VEHICLE_END
@@ -184,10 +184,10 @@ def stop_tumbling(
     twisting: bool | None,
     work: Work,
 ) -> None:
-    """End the flight of drones that tumble, or of their teams, at this physics step.
+    """Stop drones that tumble, or their teams, at this physics step.
 
-    They are written back as they are now, and no more in this decision. They come far away, as in
-    `load_tile`: the others fly on.
+    They are copied back now, for the last time in this decision, and are moved far away, as in
+    `load_tile`.
     """
     drones = columns.shape[1]
     for slot in range(count * drones):
@@ -197,7 +197,7 @@ def stop_tumbling(
         for other in range(place, place + drones):
             if (team or other == slot) and not work.stopped[other]:
                 store_tile(columns, other, other + 1, controlled, adaptive, work)
-                if hall is not None:  # noqa: SIM114  # what is None is left out
+                if hall is not None:  # noqa: SIM114  # Numba removes branches of None, not of `or`
                     store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
                 elif twisting is not None:
                     store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
@@ -208,7 +208,7 @@ def stop_tumbling(
 
 @part
 def gather(count: int, drones: int, work: Work, scratch: Scratch) -> None:
-    """Give a force model the drones at the places `work.due[:count]`, where they are."""
+    """Copy types and states of the drones of `work.due[:count]` into a force model's scratch."""
     for place in range(count):
         for i in range(drones):
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
@@ -221,7 +221,7 @@ def gather(count: int, drones: int, work: Work, scratch: Scratch) -> None:
 
 @part
 def spread(count: int, drones: int, environments: Records, work: Work, scratch: Scratch) -> None:
-    """Write the forces that a model has found for the drones of `gather` into the blocks."""
+    """Copy the forces of a model on the drones of `gather` into the blocks."""
     for place in range(count):
         scale = environments[work.members[work.due[place]]].force_scale
         for i in range(drones):
@@ -236,7 +236,7 @@ def spread(count: int, drones: int, environments: Records, work: Work, scratch: 
 def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, work: Work) -> None:
     """Write the forces that the controllers of the first `count` members compensate.
 
-    `hall`: True if drones are where the hall's estimate says, else None.
+    `hall` is True if they use the hall's state estimate, else None.
     """
     scratch = feedforward.scratch
     for at in range(count * drones):
@@ -255,8 +255,8 @@ def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, wor
 
 @equation
 def find_due(count: int, hold: int, environments: Records, work: Work) -> int:
-    """Write places of members whose force is due to `work.due`, and count their physics step."""
-    due: Any = np.int64(0)  # a literal would compile what takes it twice
+    """Write indices of members whose force is due to `work.due`; count a step of all members."""
+    due: Any = np.int64(0)  # with a literal, Numba would compile callees twice
     for place in range(count):
         environment = environments[work.members[place]]
         if environment.age % hold == 0:
@@ -277,9 +277,9 @@ def control(
     feedforward: Forces,
     work: Work,
 ) -> None:
-    """Turn set-points, or thrust and body rates, into rotor commands; arguments as of `fly`.
+    """Compute rotor commands from set-points, or from thrust and body rates.
 
-    `count` members of a tile lie in `full` blocks.
+    The `count` members of the tile are in `full` blocks. Other arguments are those of `fly`.
     """
     settings = flight.settings
     if hall is not None:
@@ -305,9 +305,10 @@ def push(
     acting: Forces,
     work: Work,
 ) -> None:
-    """Evaluate all forces at the present state, and let motors follow; arguments as of `control`.
+    """Evaluate all forces at the present state; advance motors and batteries.
 
-    Gusts belong to flights with a controller: a single step of physics is without.
+    Without the phase CONTROL, as in `Physics.step`, there are no gusts. The arguments are those of
+    `control`.
     """
     settings, environments, size = flight.settings, flight.environments, flight.drones.shape[1]
     due = find_due(count, settings[0].hold, environments, work)
@@ -335,7 +336,7 @@ def push(
 def find_contacts(
     count: int, full: int, flight: Flight, varied: bool | None, hall: bool | None, work: Work
 ) -> None:
-    """Find what drones touch where they are now; arguments as of `control`."""
+    """Update the contacts at the present positions. The arguments are those of `control`."""
     settings, obstacles, size = flight.settings, flight.obstacles, flight.drones.shape[1]
     if hall is not None:
         estimate(work.blocks, full, settings)
@@ -369,16 +370,16 @@ def fly(  # noqa: C901  # one step, on one screen
     feedforward: Forces,
     work: Work,
 ) -> None:
-    """Fly the environments first to last - 1 that are `flown` (E,), a tile of them at a time.
+    """Simulate the environments first to last - 1 in the mask `flown` (E,), a tile at a time.
 
-    Each step has the phases given; without INTEGRATE, CONTACTS comes first: Bullet has moved the
-    bodies since the last call. A drone that tumbles stops at that step: alone, or with its team
-    where `ends_team` is set. `acting` are the forces on the drones, `feedforward` those that their
-    controllers compensate.
+    Each step has the given phases. Without INTEGRATE, CONTACTS is the first, since Bullet has moved
+    the bodies after the last call. A drone that tumbles stops at that step, alone or, with
+    `ends_team`, with its team. `acting` are the forces on the drones, `feedforward` those that
+    their controllers compensate.
 
-    Flags are True or None: what is None is left out when this is compiled, which saves about a
-    fifth of the time. `varied` stands for obstacles, batteries, gusts, bounces, a force that is fed
-    forward and many drones together: one flag, so that few combinations are compiled.
+    Flags are True or None. Numba leaves out branches of flags that are None, which saves about a
+    fifth of the time. `varied` is one flag for obstacles, batteries, gusts, bounces, a force that
+    is fed forward, and large teams, so that few combinations are compiled.
     """
     drones, columns, environments = flight.drones, flight.columns, flight.environments
     s, size, members = flight.settings[0], drones.shape[1], work.members
@@ -396,11 +397,11 @@ def fly(  # noqa: C901  # one step, on one screen
             continue
         full = (count * size + LANES - 1) // LANES
         load_tile(columns, count, controlled, adapts, phases & BEGIN != 0, work)
-        if hall is not None:  # noqa: SIM114  # what is None is left out, but not from an `or`
+        if hall is not None:  # noqa: SIM114  # Numba removes branches of None, not of `or`
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         elif twisting is not None:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
-        if phases & CONTACTS and phases & BEGIN == 0:  # may have tumbled since the decision began
+        if phases & CONTACTS and phases & BEGIN == 0:  # drones may have tumbled in earlier steps
             stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
         for k in range(steps + 1):
             if phases & CONTACTS and (k > 0) == moves:
@@ -417,7 +418,7 @@ def fly(  # noqa: C901  # one step, on one screen
             elif phases & FORCES:
                 write_wrenches(count, drones, work, twisting)
         store_tile(columns, 0, count * size, controlled, adapts, work)
-        if hall is not None:  # noqa: SIM114  # likewise
+        if hall is not None:  # noqa: SIM114  # as above
             store_hall(columns, members, 0, count * size, work.tile, work.stopped)
         elif twisting is not None:
             store_hall(columns, members, 0, count * size, work.tile, work.stopped)
@@ -425,11 +426,11 @@ def fly(  # noqa: C901  # one step, on one screen
 
 @part
 def twist(acting: Forces, count: int, drones: int, environments: Records, work: Work) -> None:
-    """Write the torque of the air on bodies: each rotor feels a quarter of its place's force.
+    """Write the aerodynamic torque: each rotor receives a quarter of the force at its position.
 
-    That is the vertical force that the model, just evaluated for the first `count` places of
-    `work.due`, gives for the drone at the rotor's place, all others where they are. Pairs, and
-    where the model says so their weights, are those of the centres.
+    This is the vertical force of the model for the drone at the rotor's position. The model was
+    just evaluated for the first `count` environments of `work.due`. Its pairs, and in some models
+    their weights, are those of the drones' centers.
     """
     scratch = acting.scratch
     for rotor in range(4):
@@ -461,7 +462,7 @@ def twist(acting: Forces, count: int, drones: int, environments: Records, work: 
 def empty_batteries(
     count: int, drones: Records, settings: Records, open_circuit: FloatArray, work: Work
 ) -> None:
-    """Take one step's charge from the batteries; the limits of their rotors follow."""
+    """Update the charges of the batteries, and the limits of the rotors, by one step."""
     size = drones.shape[1]
     for slot in range(count * size):
         b, lane = work.blocks[slot // LANES], slot % LANES
@@ -475,7 +476,7 @@ def empty_batteries(
 
 @part
 def write_wrenches(count: int, drones: Records, work: Work, twisting: bool | None) -> None:
-    """Write force (N) and torque (N m) on each body in its own frame, for Bullet to move it."""
+    """Write the force (N) and torque (N m) on each body, in the body frame, for Bullet."""
     size = drones.shape[1]
     for slot in range(count * size):
         b, lane = work.blocks[slot // LANES], slot % LANES

@@ -10,17 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 Call = Callable[[int, int, int], object]
-"""What is done with the environments first to last - 1, on the thread of a number."""
-_PARTS_PER_THREAD = 4
-"""So that a thread whose core is busy with something else leaves more to the others."""
+"""A function of the first environment, one past the last, and the number of the thread."""
+_PARTS_PER_THREAD = 4  # More than one, since the cores of some threads may be busy
 
 
 class Workers:
-    """Threads that work on environments, each on the next part of them that is left.
+    """Threads that share the parts of a batch.
 
-    One thread takes them in parts too: what a part needs stays in the cache from one kernel to the
-    next. `threads` counts the one that asks. A part has at most `largest` environments, and no
-    fewer than the `together` at which a kernel looks, unless there are too few for all threads.
+    A single thread works on parts too, whose data stays in the cache from one kernel to the next.
+    `threads` includes the calling thread. A part has at most `largest` environments, and at least
+    the `together` that a kernel processes at once, unless these are too few for all threads.
     """
 
     def __init__(
@@ -38,20 +37,20 @@ class Workers:
         return ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def close(self) -> None:
-        """Let the threads end. May be called more than once."""
+        """End the threads. May be called more than once."""
         if self._pool is not None:
             self._pool.shutdown(wait=os.getpid() == self._process)
 
     def share(self, call: Call) -> None:
-        """Call `call(first, last + 1, thread)` until every environment had its turn."""
+        """Call `call(first, last + 1, thread)` for all parts."""
         if self._pool is None:
             for first, last in self.parts:
                 call(first, last, 0)
             return
-        if os.getpid() != self._process:  # a fork copies no threads: the child would wait for ever
+        if os.getpid() != self._process:  # a forked process has no threads
             self._pool = self._new_pool()
         assert self._pool is not None
-        left = iter(self.parts)  # of which Python hands each part to one thread only
+        left = iter(self.parts)  # each part goes to one thread
         waiting = [self._pool.submit(_work, call, left, k) for k in range(1, self.threads)]
         _work(call, left, 0)
         for future in waiting:
@@ -64,6 +63,6 @@ def _work(call: Call, left: Iterator[tuple[int, int]], thread: int) -> None:
 
 
 def parts(num_envs: int, count: int) -> list[tuple[int, int]]:
-    """So many contiguous ranges (first, last + 1) of environments, as equal as can be."""
+    """Return `count` contiguous ranges (first, last + 1) of environments of nearly equal size."""
     edges = np.linspace(0, num_envs, count + 1).round().astype(int).tolist()
     return list(itertools.pairwise(edges))

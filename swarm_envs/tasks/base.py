@@ -1,4 +1,4 @@
-"""What a task is: where drones start, where they belong, what is good, and when it is over."""
+"""The base class of tasks: starts, goals, references, rewards, success and time limit."""
 
 from __future__ import annotations
 
@@ -45,41 +45,41 @@ __all__ = [
 
 
 class Orbit(NamedTuple):
-    """Ellipses on which drones circle: center + first cos(angle) + second sin(angle)."""
+    """The drones' ellipses: center + first cos(angle) + second sin(angle)."""
 
-    center: FloatArray  # (N, 3) centres, m
-    first: FloatArray  # (N, 3) half axes to which angle zero points, m
-    second: FloatArray  # (N, 3) half axes to which a quarter turn points, m
+    center: FloatArray  # (N, 3) centers, m
+    first: FloatArray  # (N, 3) half axes at angle 0, m
+    second: FloatArray  # (N, 3) half axes at angle pi / 2, m
     rate: FloatArray  # (N,) angular rates, rad/s
     phase: FloatArray  # (N,) angles at time zero, rad
 
     def at(self, angle: FloatArray) -> FloatArray:
-        """Points (N, 3), m, of the ellipses at angles (N,), rad."""
+        """Return the points (N, 3), m, of the ellipses at angles (N,), rad."""
         c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
         return np.asarray(self.center + self.first * c + self.second * s)
 
 
 class Placement(NamedTuple):
-    """One episode of one environment, as a task draws it."""
+    """The starts and goals of one episode of one environment, as a task samples them."""
 
     start: FloatArray
     """(N, 3) start positions, m."""
     goals: FloatArray
     """(S, N, 3) goal positions of each stage, m."""
     duration: float = 0.0
-    """Seconds that the reference takes from one stage to the next; 0 if it rests at the goals."""
+    """Time of the reference from one stage to the next, s; 0 if it rests at the goals."""
     orbit: Orbit | None = None
-    """What the reference circles on, if it does."""
+    """The ellipses of a reference that moves on ellipses."""
     team: Team | None = None
-    """The vehicles of this episode, where the task draws payloads; None for the task's."""
+    """The vehicles of this episode, if the task samples payloads; None for the task's."""
     chased: IntArray | None = None
-    """(N,) index of the drone that each one chases; -1, and None for all, if it chases none."""
+    """(N,) index of the drone that each drone chases, or -1; None if no drone chases another."""
     key: int = 0
-    """Stream of random numbers from which kernels draw goals to come: 64 bits."""
+    """Key of the random numbers from which kernels sample further goals, 64 bits."""
 
 
 def place(world: World, e: int, placement: Placement) -> None:
-    """Keep a new episode of environment `e` in the tables; its first stage begins."""
+    """Write a new episode of environment `e` into the tables, at its first stage."""
     drones, goals = world.drones[e], placement.goals
     drones["start"], drones["goal"], world.goals[e] = placement.start, goals[0], goals
     world.environments["duration"][e] = placement.duration
@@ -91,7 +91,7 @@ def place(world: World, e: int, placement: Placement) -> None:
 
 
 def world_of(placement: Placement) -> World:
-    """The tables of a single environment that begins with a placement."""
+    """Return the tables of a single environment at the start of an episode."""
     stages, drones, _ = placement.goals.shape
     world = new_world(1, drones, stages)
     place(world, 0, placement)
@@ -100,24 +100,24 @@ def world_of(placement: Placement) -> World:
 
 
 NEAR_MISS = 1.5
-"""Drones that come closer than this times the sum of their radii had a near miss."""
-_DRAWS = 200  # How often an episode is sampled again until it is free of obstacles
+"""A near miss is a distance below this factor times the sum of two drones' radii."""
+_DRAWS = 200  # Largest number of samples of an episode until one is free of obstacles
 
 
 @dataclass(frozen=True)
 class Success:
-    """When a team has done a stage of its task: every drone near its goal, for a while."""
+    """Success of a stage: every drone stays near its goal for some time."""
 
     radius: float = 0.10
-    """How near a drone must be to its goal, m."""
+    """Largest distance of a drone from its goal, m."""
     hold_s: float = 0.5
-    """For how long all must stay there, s, as seen at decisions."""
+    """Time for which all drones must stay there, s, checked at decisions."""
     named: bool = True
-    """Whether each drone has a goal of its own. If not, a drone that comes to another's goal
-    exchanges goals with it, unless either stands at its own: any may take any."""
+    """True if each drone must reach its own goal. If False, a drone that reaches the goal of
+    another exchanges goals with it, unless one of them is at its own goal."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         check_number("radius", self.radius, above=0.0, unit="m")
         check_number("hold_s", self.hold_s, at_least=0.0)
         check_bool("named", self.named)
@@ -125,90 +125,90 @@ class Success:
 
 @dataclass(frozen=True)
 class TrackingSuccess:
-    """Success at the time limit: no crash, and never far from the reference."""
+    """Success at the time limit: no crash, and every drone always near its reference."""
 
     worst_error: float = 0.15
-    """Every drone must always have been nearer to its reference than this, m."""
+    """Bound on every drone's distance from its reference, m."""
     settle_s: float = 2.0
-    """Errors count from this time on, s."""
+    """Time from which errors count, s."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         check_number("worst_error", self.worst_error, above=0.0, unit="m")
         check_number("settle_s", self.settle_s, at_least=0.0)
 
 
 @dataclass(frozen=True)
 class ByScore:
-    """A task that continues until the time limit: success is a sufficient score without a crash."""
+    """Success at the time limit by a sufficient score without a crash."""
 
     radius: float
-    """How near a drone must be to its goal, m."""
+    """Largest distance of a drone from its goal, m."""
     least: float
-    """The score, in the task's own unit, from which the episode is a success."""
+    """Least score of a success, in the task's own unit."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         check_number("radius", self.radius, above=0.0, unit="m")
         check_number("least", self.least, at_least=0.0)
 
 
-OwnSuccess = Callable[[World], BoolArray]  # A method of a task of one's own
+OwnSuccess = Callable[[World], BoolArray]  # A method of a custom task
 Given = FloatArray | None
-"""Starts or goals (N, 3), m, that a reset was given; None if they are drawn."""
+"""Starts or goals (N, 3), m, of the reset's options; None to sample them."""
 
 
 @dataclass(frozen=True)
-class _Flown:
-    """Fields of every task."""
+class _TaskFields:
+    """The fields of every task."""
 
     team: Team
     """The drones, in the order of the agents."""
     reward_weights: Mapping[str, float] = field(default_factory=dict, kw_only=True)
-    """Weight of each reward term; a term left out has none. If empty, `default_weights`."""
+    """Weights of the reward terms; a term left out has weight 0. If empty, `default_weights`."""
     obstacles: tuple[Obstacle, ...] = field(default=(), kw_only=True)
     """Static obstacles, the same in every episode."""
 
 
-class Task(_Flown, ABC):
-    """A task for a team. Stateless: what changes over an episode lives in the `World`."""
+class Task(_TaskFields, ABC):
+    """A task of a team. It has no state: the state of episodes is in the `World`."""
 
     name: str
-    """Versioned name, such as `swap_v1`; by default that of the class, `line_v0` of `LineTask`."""
+    """Versioned name, such as `swap_v1`; by default `line_v0` for a class `LineTask`."""
     success: Success | TrackingSuccess | ByScore | OwnSuccess = Success()
-    """When the team has done a stage, or the task; or a method `success(world)`, which returns for
-    each environment (E,) whether its team is done."""
+    """The criterion of success; or a method `success(world)`, which returns booleans (E,), True
+    where an environment's team is done."""
     defaults: ClassVar[Mapping[str, Any]] = {}
-    """Defaults of options that every task has, such as `num_drones`, where they differ."""
+    """Different defaults for options that every task has, such as `num_drones`."""
     layouts: tuple[str, ...] = ()
-    """The names that the task's option `layout` can have, if it has one."""
+    """The values of the task's option `layout`, if it has one."""
     default_weights: Mapping[str, float] = {}
-    """Weight of each reward term, unless others are given."""
+    """Default weights of the reward terms."""
     reward_names: tuple[str, ...] = REWARD_NAMES
     """Names of the T reward terms."""
     goals_are: str = ""
-    """What goals are, in a task that takes none."""
+    """A description of the goals, for the error message, in a task in which they cannot be set."""
     learning: Learning | None = None
     """Layouts, curriculum and measures of training; None to train on the task as it is."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None] = staticmethod(
         write_terms
     )
-    """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
+    """A kernel that writes the terms (T, E, N). See `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
     score_names: tuple[str, ...] = ()
-    """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
+    """Names of the metrics `environments.score` and, if there are two, `.goals_reached`."""
     advance: Callable[..., None] | None = None
     """A method `advance(world)`, which sets new goals in `world.drones["goal"]`, (E, N, 3) m, and
-    scores in `world.environments["score"]`, (E,); or a kernel that does so: `(flown, drones,
-    environments, goals, settings)`. These are the environments (E,) that made a decision; records
-    (E, N) and (E,); goals (E, S, N, 3) of every stage or row, m; and one record (1,) of the
-    rules."""
+    scores in `world.environments["score"]`, (E,); or a kernel that does so, with the arguments
+    `(flown, drones, environments, goals, settings)`: a mask (E,) of the environments that made a
+    decision; records (E, N) and (E,); goals (E, S, N, 3) of every stage or row, m; and one record
+    (1,) of the rules."""
     reward_terms: Callable[[World], Mapping[str, FloatArray]] | None = None
-    """A method `reward_terms(world)`, which returns reward terms (E, N) by name: those that
-    `default_weights` names besides the shared ones, and shared ones that it replaces."""
+    """A method `reward_terms(world)`, which returns reward terms (E, N) by name: the further terms
+    of `default_weights`, and shared terms that it replaces."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Name the task after its class, and its reward terms after their weights, if not given."""
+        """Set `name` and `reward_names` if they are not given."""
         super().__init_subclass__(**options)
         if not hasattr(cls, "name"):
             words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__.removesuffix("Task"))
@@ -218,9 +218,9 @@ class Task(_Flown, ABC):
             cls.reward_names = (*REWARD_NAMES, *own)
 
     def __post_init__(self) -> None:
-        """Read the team; complete the weights of rewards, and refuse those of unknown terms."""
+        """Parse the team, complete the reward weights and check them."""
         if inspect.isfunction(getattr(type(self), "success", None)):
-            vars(self).pop("success", None)  # a method takes the place of a base class's field
+            vars(self).pop("success", None)  # a method overrides a base class's field
         object.__setattr__(self, "team", parse_team(self.team))
         check_type("obstacles", self.obstacles, tuple | list)
         if not self.reward_weights:
@@ -229,80 +229,80 @@ class Task(_Flown, ABC):
 
     @classmethod
     def default_team(cls, options: Any) -> Team:
-        """Return the team that flies if none is given: `options.num_drones` small drones.
+        """Return the default team: `options.num_drones` small drones.
 
         Raises:
-            ValueError: there is no team of so many.
+            ValueError: the task has no team of this size.
         """
         return parse_team("S" * check_integer("num_drones", options.num_drones, at_least=1))
 
     def with_team(self, team: Team) -> Self:
-        """The same task for another team.
+        """Return this task with another team.
 
         Raises:
-            ValueError: the team cannot fly it; the message says why.
+            ValueError: the task does not fit the team; the message gives the reason.
         """
         given: dict[str, Any] = {}
         if inspect.ismethod(self.success) and "success" in self.__dataclass_fields__:
-            given["success"] = Success()  # of a base class, whose place the method takes
-        same: Self = replace(self, team=team, **given)
-        return same
+            given["success"] = Success()  # the field of a base class, which the method overrides
+        copied: Self = replace(self, team=team, **given)
+        return copied
 
     @property
     def arena(self) -> FloatArray:
-        """Corners (2, 3) of the arena, m."""
+        """The corners (2, 3) of the arena, m."""
         return arena_of(len(self.team))
 
     @property
     def num_stages(self) -> int:
-        """S: how many sets of goals are flown to, one after another."""
+        """S, the number of stages: sets of goals, one after another."""
         return 1
 
     @property
     def rules(self) -> dict[str, Any]:
-        """Fields of `swarm_envs.tables.SETTINGS` that its kernels read besides the usual ones."""
+        """Further fields of `swarm_envs.tables.SETTINGS` for the task's kernels."""
         return {}
 
     @property
     def radius(self) -> FloatArray:
-        """(N,) radii of the collision spheres, m."""
+        """The radii (N,) of the collision spheres, m."""
         return np.array([vehicle.radius for vehicle in self.team])
 
     @property
     def obstacle_rows(self) -> FloatArray:
-        """(M, 7) the obstacles, for the compiled contact test."""
+        """The obstacles as rows (M, 7) for the contact kernels."""
         return obstacle_rows(self.obstacles)
 
     @cached_property
     def _kept(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Obstacle rows, radii and arena, made once: what every placement asks for."""
+        """Obstacle rows, radii and arena, cached for placements."""
         return self.obstacle_rows, self.radius, self.arena
 
     @property
     def motion(self) -> Motion:
-        """The motion of the reference, by default rest at the goals."""
+        """The motion of the reference; by default it rests at the goals."""
         return Motion(REST)
 
     @property
     def write_reference(self) -> Callable[[Records, Records, FloatArray, Records], None]:
-        """The kernel that writes the reference of every environment at its time."""
+        """The kernel that writes the references of all environments."""
         return WRITERS[self.motion.kind]
 
     @property
     def episode_s(self) -> float:
-        """The time limit, unless an environment is given another, s."""
+        """The default time limit, s."""
         return 8.0
 
     @abstractmethod
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw an episode, obstacles apart; a start or goal (N, 3) that is given is kept.
+        """Sample an episode, ignoring obstacles; a given start or goal (N, 3) is used as it is.
 
         Raises:
-            RuntimeError: no room for the drones was found within a bounded number of draws.
+            RuntimeError: no room for the drones was found in a bounded number of samples.
         """
 
     def place(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw an episode whose starts, goals and reference are free of obstacles.
+        """Sample an episode whose starts, goals and reference are free of obstacles.
 
         Args:
             rng: the environment's generator.
@@ -310,9 +310,9 @@ class Task(_Flown, ABC):
             goal: (N, 3) given goals, m.
 
         Raises:
-            ValueError: what is given lies outside the arena, in an obstacle, or drones touch; or
-                the task takes no goal.
-            RuntimeError: no placement was found within a bounded number of draws.
+            ValueError: a given point is outside the arena or in an obstacle, drones touch, or goals
+                cannot be set in this task.
+            RuntimeError: no placement was found in a bounded number of samples.
         """
         if goal is not None and self.goals_are:
             family = self.name.partition("_")[0]
@@ -339,7 +339,7 @@ class Task(_Flown, ABC):
         )
 
     def _obstructed(self, placement: Placement, margin: float) -> str:
-        """Say what of a placement meets an obstacle; empty if nothing does."""
+        """Return a message on a point too near an obstacle; empty if there is none."""
         rows = self.obstacle_rows
         parts = [("start", placement.start), *(("goal", goals) for goals in placement.goals)]
         if placement.duration or placement.orbit is not None:
@@ -353,7 +353,7 @@ class Task(_Flown, ABC):
         return ""
 
     def reference(self, world: World, time: FloatArray) -> Reference:
-        """Where the drones should be at `time` (E,), s: arrays (E, N, 3) of their own."""
+        """Return the reference at `time` (E,), s, as new arrays (E, N, 3)."""
         copied = world.copy()
         copied.environments["time"] = check_array("time", time, world.environments.shape)
         settings = np.zeros(1, SETTINGS_TYPE)

@@ -1,7 +1,7 @@
 """Columns: drones gather in two vertical columns and stay in the downwash of those above.
 
-Drones start next to their column, each at the height of its first place and in a direction of its
-own, so that straight ways within a column do not meet, with any assignment of places.
+Drones start next to their column, each at the height of its first slot and in its own direction,
+so that straight paths within a column do not intersect, with any assignment of slots.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ __all__ = ["COLUMN_LAYOUTS", "ColumnsTask"]
 
 
 class ColumnLayout(NamedTuple):
-    """The ranges from which columns are drawn; by default those of `stack`."""
+    """Parameters of a layout; by default those of `stack`."""
 
     gap_m: tuple[float, float] = (0.36, 0.42)
-    """Range of the vertical distance between places, m."""
+    """Range of the vertical distance between slots, m."""
     payload_kg: tuple[float, float] = (0.008, 0.011)
-    """Range of what half of each column's drones carry, kg; in an episode all of them the same."""
+    """Range of the payload of half of each column's drones, kg; one value per episode."""
     beside_m: float = 0.6
-    """Distance from their column at which drones start, m."""
+    """Distance of starts from the column, m."""
     travel_s: float = 2.5
-    """Time in which the reference gets there, s."""
+    """Time of the reference from start to slot, s."""
     success: Success = Success(0.06, 1.0, named=False)
-    """When the team has gathered."""
+    """The criterion of success."""
     episode_s: float = 6.0
     """Time limit, s."""
 
@@ -49,22 +49,22 @@ COLUMN_LAYOUTS: Mapping[str, ColumnLayout] = MappingProxyType(
         "sprint": ColumnLayout((0.28, 0.36), (0.0, 0.0), 0.5, 0.9, Success(0.03, 1.0), 2.0),
     }
 )
-"""Each layout by name."""
+"""The layouts by name."""
 LOWEST_M, APART_M = 0.4, 1.5
-"""Height of the lowest places, and distance between the columns, m."""
+"""Height of the lowest slots, and distance between the columns, m."""
 AIR_DEFAULTS: Mapping[str, Any] = MappingProxyType(
     {"num_neighbors": 7, "observe_load": True, "on_contact": "end_pair", "world": "hall"}
 )
-"""Defaults of the options of tasks about downwash."""
-RAMP = 0.5  # Share of the way's time in which the reference speeds up, and in which it slows down
+"""Defaults of options in tasks about downwash."""
+RAMP = 0.5  # Share of the duration in which the reference accelerates, and in which it decelerates
 
 
 def column_team(layout: str, num_drones: int | None) -> Team:
-    """The vehicles of a layout: small ones; in `sprint` one `S*` in each column, the others `L`.
+    """Return a layout's team: small drones; in `sprint` one `S*` in each column, and `L`.
 
     Args:
         layout: `stack` or `sprint`.
-        num_drones: N; None for 8 in `stack`, and 6 in `sprint`.
+        num_drones: N; None for 8 in `stack` and 6 in `sprint`.
     """
     if layout == "stack":
         return parse_team("S" * (num_drones or 8))
@@ -73,7 +73,7 @@ def column_team(layout: str, num_drones: int | None) -> Team:
 
 
 def in_columns(num_drones: int) -> list[IntArray]:
-    """Indices of the drones of the first and of the second column."""
+    """Return the indices of the drones of the first and of the second column."""
     return np.array_split(np.arange(num_drones), 2)
 
 
@@ -89,17 +89,17 @@ class ColumnsTask(Task):
     margin, mass and charge of itself and of its neighbors.
 
     **Layouts.** `stack`: eight small drones, half of them with a payload of 8 to 11 g, in two
-    columns of four places, 0.36 to 0.42 m apart. `sprint`: two large drones and a strong small one
+    columns of four slots, 0.36 to 0.42 m apart. `sprint`: two large drones and a strong small one
     in each column, in random order, 0.28 to 0.36 m apart.
 
     **Start.** Next to the column, 0.6 m away in `stack` and 0.5 m in `sprint`, each drone at the
-    height of its first place. Gap, rotation, payload, which drones carry it, and starts are random.
-    `reset(options={"start": ...})` sets other starts. Goals cannot be set.
+    height of its first slot. Gap, rotation, payload, the drones that carry it, and starts are
+    random. `reset(options={"start": ...})` sets other starts. Goals cannot be set.
 
-    **Success.** `stack`: all places are occupied, within 0.06 m, for 1 s. Any drone may take any
-    place: a drone that reaches the place of another exchanges goals with it, so that `task.goal` is
-    always a place that no other drone has. The neighbors' goals show all places. `sprint`: every
-    drone stays within 0.03 m of its own place for 1 s. In both, without a collision.
+    **Success.** `stack`: all slots are occupied, within 0.06 m, for 1 s. Any drone may take any
+    slot: a drone that reaches the slot of another exchanges goals with it, so that `task.goal` is
+    always a slot that no other drone has. The neighbors' goals show the other slots. `sprint`:
+    every drone stays within 0.03 m of its own slot for 1 s. In both, without a collision.
 
     **Rewards** (`parallel_env` lists terms and weights): as in swap.
 
@@ -113,26 +113,26 @@ class ColumnsTask(Task):
     layout: str = "stack"
     """The layout: `stack` or `sprint`."""
     gap_m: tuple[float, float] | None = None
-    """Range of the vertical distance between places, m; None: the layout's."""
+    """Range of the vertical distance between slots, m; None: the layout's."""
     payload_kg: tuple[float, float] | None = None
     """Range of the payload of half of each column's drones, kg; None: the layout's."""
     success: Success | None = None  # type: ignore[assignment]  # set below
-    """When the team has gathered; None: the layout's."""
+    """The criterion of success; None: the layout's."""
 
     name = "columns_v0"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": None, **AIR_DEFAULTS}
     layouts = tuple(COLUMN_LAYOUTS)
     default_weights = REWARD_WEIGHTS
-    goals_are = "the places of the columns"
+    goals_are = "the slots of the columns"
     learning = in_time(
         {
             "stack": {"layout": "stack", "gap_m": (0.28, 0.42), "payload_kg": (0.008, 0.016)},
             **{name: {"layout": name} for name in COLUMN_LAYOUTS if name != "stack"},
         }
-    )  # The gaps and payloads of `stack` are those of the default and of the benchmark
+    )  # The ranges of `stack` contain those of its default and of the benchmark
 
     def __post_init__(self) -> None:
-        """Refuse teams and gaps of which no columns can be made."""
+        """Raise ValueError for invalid values, and for columns that do not fit the team."""
         check_name("layout", self.layout, COLUMN_LAYOUTS)
         check_interval("gap_m", self.ranges.gap_m, above=0.0, unit="m")
         check_interval("payload_kg", self.ranges.payload_kg, at_least=0.0)
@@ -145,7 +145,7 @@ class ColumnsTask(Task):
         if narrow <= 2.0 * widest:
             raise ValueError(
                 f"gap_m begins at {narrow} m, but these drones touch at {2 * widest:.3f} m; "
-                "use a larger gap"
+                "use a larger gap_m"
             )
         top, ceiling = LOWEST_M + wide * (size - 1), self.arena[1, 2] - widest
         if top > ceiling:
@@ -163,7 +163,7 @@ class ColumnsTask(Task):
 
     @cached_property
     def ranges(self) -> ColumnLayout:
-        """The ranges from which columns are drawn: those of the layout, and what was given."""
+        """The parameters of the layout, with `gap_m` and `payload_kg` replaced if given."""
         given = {"gap_m": self.gap_m, "payload_kg": self.payload_kg}
         own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         return COLUMN_LAYOUTS[self.layout]._replace(**own)
@@ -175,25 +175,25 @@ class ColumnsTask(Task):
 
     @property
     def motion(self) -> Motion:
-        """Straight lines to the places."""
+        """Straight lines to the slots."""
         return Motion(LINES, RAMP)
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw gap, turn, who starts where, who carries the payload, and how much that is."""
+        """Sample gap, rotation, slots, starts, payload and the drones that carry it."""
         n, team = len(self.team), list(self.team)
         ranges = self.ranges
         gap, turn = rng.uniform(*ranges.gap_m), rng.uniform(0.0, 2 * np.pi)
         payload = rng.uniform(*ranges.payload_kg)
-        places, beside = np.empty((n, 3)), np.zeros((n, 3))
+        slots, beside = np.empty((n, 3)), np.zeros((n, 3))
         for side, column in zip((-0.5, 0.5), in_columns(n), strict=True):
             size = len(column)
-            places[column, 0] = side * APART_M * np.cos(turn)
-            places[column, 1] = side * APART_M * np.sin(turn)
-            places[column, 2] = LOWEST_M + gap * rng.permutation(size)
+            slots[column, 0] = side * APART_M * np.cos(turn)
+            slots[column, 1] = side * APART_M * np.sin(turn)
+            slots[column, 2] = LOWEST_M + gap * rng.permutation(size)
             angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * rng.permutation(size) / max(size, 1)
             beside[column, 0] = ranges.beside_m * np.cos(angle)
             beside[column, 1] = ranges.beside_m * np.sin(angle)
             for i in rng.permutation(column)[: size // 2].tolist():
                 team[i] = replace(team[i], mass=team[i].mass + payload)
-        begin = places + beside if start is None else start
-        return Placement(begin, places[None], ranges.travel_s, team=tuple(team))
+        begin = slots + beside if start is None else start
+        return Placement(begin, slots[None], ranges.travel_s, team=tuple(team))

@@ -1,7 +1,7 @@
 """Crowd: many drones at constant density fly from goal to goal until the time limit.
 
-Goals are sites, drawn once an episode, all apart from each other and free of obstacles. A drone has
-one of them at a time; when it reaches it, another free one is sampled.
+Goals are sites, sampled once per episode with a minimum distance and free of obstacles. A drone has
+one site as its goal; when it reaches it, another free site is sampled.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ __all__ = ["CROWD_LAYOUTS", "REWARD_WEIGHTS", "CrowdTask", "Layout"]
 Layout = Literal["open", "forest", "buildings"]
 """The name of a layout."""
 CROWD_LAYOUTS: tuple[str, ...] = get_args(Layout)
-"""Obstacles of the layouts, by name."""
-_SITES = 3  # Sites for each drone: one that it has, two that are free
+"""The names of the layouts."""
+_SITES = 3  # Sites per drone: its goal and two free ones
 _LOWEST, _HIGHEST = 0.5, 2.0
 """Heights of sites in an arena 2.5 m high, m; the highest grows with it."""
 _TREES_M, _TREE_RADIUS, _TREE_SHIFT = 1.2, 0.15, 0.2
@@ -45,7 +45,7 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "reach
 
 
 def crowd_obstacles(layout: str, num_drones: int) -> tuple[Obstacle, ...]:
-    """Obstacles of a layout for a number of drones, the same in every episode.
+    """Return the obstacles of a layout for a number of drones, the same in every episode.
 
     `forest`: columns of radius 0.15 m, one for each square of 1.2 m, shifted by up to 0.2 m along
     x and y. `buildings`: towers 0.45 m wide on a grid of 1.4 m. Both reach the ceiling.
@@ -70,17 +70,14 @@ def crowd_obstacles(layout: str, num_drones: int) -> tuple[Obstacle, ...]:
 def next_site(
     position: FloatArray, goals: FloatArray, near: float, far: float, chance: float
 ) -> int:
-    """A free site whose distance is between two limits; any, if there is none.
+    """Return the index of a free site at a distance between two limits; of any, if there is none.
 
     Args:
-        position: (3,) of the drone, m.
-        goals: (S, N, 3) the sites, m: the first N are taken.
+        position: (3,) position of the drone, m.
+        goals: (S, N, 3) sites, m; the first N are occupied.
         near: least distance, m.
         far: largest distance, m.
-        chance: in (0, 1): where the search begins.
-
-    Returns:
-        Which of the S N sites.
+        chance: a number in (0, 1), which determines the site at which the search begins.
     """
     size = goals.shape[1]
     free = (goals.shape[0] - 1) * size
@@ -99,9 +96,9 @@ def next_site(
 def give_next_goals(
     flown: BoolArray, drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Count the goals that were reached in this decision, and give their drones others.
+    """Count the goals that were reached in this decision, and give their drones new ones.
 
-    Arguments as of `Task.advance`.
+    The arguments are those of `Task.advance`.
     """
     rules, size = settings[0], drones.shape[1]
     for e in range(drones.shape[0]):
@@ -130,7 +127,7 @@ def give_next_goals(
 def write_crowd_terms(
     drones: Records, environments: Records, settings: Records, out: FloatArray
 ) -> None:
-    """Write the seven terms of `write_terms` and one more.
+    """Write the seven terms of `write_terms` and a further one.
 
     - `reached`: 1 for each goal that the drone reaches.
     """
@@ -141,8 +138,8 @@ def write_crowd_terms(
 
 
 _COLUMNS = (Column((1.0, 1.0), 0.15), Column((-0.7, -0.4), 0.15))
-"""Obstacles of the open crowds that are learned beside the layouts: places for obstacles in a row
-stay empty there. A policy that had never seen such rows hovered 0.4 m off its goals."""
+"""Obstacles of further training environments, in which fewer obstacles than M are present. Without
+such observations in training, a policy hovered 0.4 m off its goals."""
 
 
 @dataclass(frozen=True)
@@ -162,12 +159,12 @@ class CrowdTask(Task):
     drone starts at one; its goal is another, 1-3 m away if one is free.
 
     **Goals.** A drone within 0.15 m of its goal has reached it, at any speed, and receives another
-    at once: a site that no drone has, 1-3 m away if one is free, sampled with the episode's seed.
+    at once: a site that is no drone's goal, 1-3 m away if one is free, sampled with the episode's
+    seed.
 
-    **Success.** At the time limit: no drone has crashed, and the score is at least 16, 70 % of what
-    a single drone reaches in an open arena on straight lines. The score is the metric
-    `throughput_per_min`: goals reached, per drone and minute of the whole episode length. A drone
-    that has ended reaches no more.
+    **Success.** At the time limit: no drone has crashed, and the score is at least 16, 70 % of the
+    score of a single drone on straight lines in an open arena. The score is the metric
+    `throughput_per_min`: goals reached per drone and minute of the whole episode length.
 
     **Rewards** (`parallel_env` lists terms and weights): as in swap, and `reached`, 1 for each goal
     that the drone reaches.
@@ -184,9 +181,10 @@ class CrowdTask(Task):
     spacing_m: float = 0.5
     """Smallest distance between two goals, and between two starts, m."""
     reach_m: tuple[float, float] = (1.0, 3.0)
-    """Range of the distance of the next goal, if one is free there, m."""
+    """Range of the distance to the next goal, if a site is free there, m."""
     success: ByScore = ByScore(radius=0.15, least=16.0)
-    """How near a goal counts as reached, and the throughput that is a success, goals a minute."""
+    """The distance at which a goal counts as reached, m, and the least throughput of a success,
+    goals per drone and minute."""
 
     name = "crowd_v0"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 16, "on_contact": "end_pair"}
@@ -202,7 +200,7 @@ class CrowdTask(Task):
         CROWD_LAYOUTS,
         "throughput_per_min",
         40.0,
-        {"buildings": {"reach_m": (0.8, 2.2)}},  # ways as short as those of the benchmark
+        {"buildings": {"reach_m": (0.8, 2.2)}},  # paths as short as those of the benchmark
         has_obstacles=True,
         beside={
             "column": {"layout": "open", "obstacles": _COLUMNS[:1]},
@@ -211,19 +209,19 @@ class CrowdTask(Task):
     )
 
     def __post_init__(self) -> None:
-        """Add the layout's obstacles; refuse weights of unknown terms."""
+        """Raise ValueError for invalid values; add the layout's obstacles."""
         check_name("layout", self.layout, CROWD_LAYOUTS)
         check_number("spacing_m", self.spacing_m, above=0.0, unit="m")
         check_interval("reach_m", self.reach_m, above=0.0, unit="m")
         check_type("success", self.success, ByScore)
         super().__post_init__()
-        stands = crowd_obstacles(self.layout, len(self.team))
-        given = tuple(o for o in self.obstacles if o not in stands)
-        object.__setattr__(self, "obstacles", (*stands, *given))
+        own = crowd_obstacles(self.layout, len(self.team))
+        given = tuple(o for o in self.obstacles if o not in own)
+        object.__setattr__(self, "obstacles", (*own, *given))
 
     @property
     def num_stages(self) -> int:
-        """Rows of sites: the first are the drones' goals."""
+        """The number of rows of N sites; the first row is the drones' goals."""
         return _SITES
 
     @property
@@ -233,34 +231,32 @@ class CrowdTask(Task):
 
     @property
     def rules(self) -> dict[str, Any]:
-        """How far goals are drawn."""
+        """The range of distances to the next goal."""
         return {"goal_reach": self.reach_m}
 
     @cached_property
     def _room(self) -> tuple[FloatArray, FloatArray, float]:
-        """Corners of the box of sites, and how far to keep from obstacles, m."""
+        """The corners of the box of sites, and their least distance from obstacles, m."""
         box = drawing_box(self.arena, _LOWEST, _HIGHEST)
         return *box, OBSTACLE_MARGIN + float(self.radius.max())
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw sites, of which the first goals and the starts are some; what is given is kept.
+        """Sample sites, and among them starts and first goals; given ones are used as they are.
 
         Raises:
-            RuntimeError: no room for the sites was found within a bounded number of draws.
+            RuntimeError: no room for the sites was found in a bounded number of samples.
         """
         n, (low, high, margin) = len(self.team), self._room
         rows, count = self.obstacle_rows, _SITES * n
         sites = draw_apart(rng, low, high, count, self.spacing_m, rows, margin, goal)
         start = sites[-n:].copy() if start is None else start
         if goal is None:
-            sites = self._given_out(rng, start, sites)
+            sites = self._goals_first(rng, start, sites)
         key = int(rng.integers(2**64, dtype=np.uint64))
         return Placement(start, sites.reshape(_SITES, n, 3), key=key)
 
-    def _given_out(
-        self, rng: np.random.Generator, start: FloatArray, sites: FloatArray
-    ) -> FloatArray:
-        """The sites in an order in which the first N are the goals from these starts."""
+    def _goals_first(self, rng: Generator, start: FloatArray, sites: FloatArray) -> FloatArray:
+        """Return the sites in an order in which the first N are the goals for these starts."""
         free, chosen = np.ones(len(sites), dtype=np.bool_), []
         for point in start:
             away = np.sqrt(((sites - point) ** 2).sum(axis=1))

@@ -1,9 +1,9 @@
-"""Delivery: couriers dock just above the floor, below others that hover, and move on.
+"""Delivery: couriers dock just above the floor, below hovering drones, and move on.
 
-Three docks lie on a circle. Drones hover above some of them, two above each, and it is drawn which:
-where they do, the air pushes a courier down by two thirds of its weight at once, and the floor is
-near. Three couriers visit the docks in turn, each another one in every stage, so that a constant
-correction is of no use. Goals of the others are where they hover.
+Three docks lie on a circle. Above some of them, sampled for each episode, two drones hover: their
+downwash pushes a courier toward the near floor with up to two thirds of its weight. Three couriers
+visit the docks in turn, another one in each stage, so that a constant correction does not help. The
+goals of the hovering drones are their starts.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from swarm_envs.vehicles import Team, parse_team
 
 __all__ = ["DeliveryTask"]
 
-DOCKS = 3  # Docks, and couriers
+DOCKS = 3  # Number of docks, and of couriers
 _SECOND_M = 0.35  # Height of the second drone above a dock over the first, m
 _OUTSIDE, _START_HEIGHT_M = 1.4, 0.5
-"""Couriers start outside of their first dock, at so many times its radius, and at this height."""
+"""Starts of couriers: distance from the center over that of the docks, and height, m."""
 
 
 def delivery_team(num_drones: int) -> Team:
-    """Three couriers `S*`, then `L` above docks."""
+    """Return three couriers `S*`, then `L` that hover above docks."""
     check_integer("num_drones", num_drones, at_least=1)
     return parse_team("S*" * min(num_drones, DOCKS) + "L" * (num_drones - DOCKS))
 
 
 @dataclass(frozen=True)
 class DeliveryTask(Task):
-    """Delivery, version 0: drones dock just above the floor, below others that hover, and move on.
+    """Delivery, version 0: drones dock just above the floor, below hovering drones, and move on.
 
         from swarm_envs import delivery_v0
         env = delivery_v0.parallel_env()
@@ -74,17 +74,17 @@ class DeliveryTask(Task):
     radius_m: float = 0.8
     """Radius of the circle of docks, m."""
     height_m: tuple[float, float] = (0.093, 0.103)
-    """Range of the height of docked couriers, m: a small one touches the floor at 0.06 m."""
+    """Range of the height of docked couriers, m; a small drone touches the floor at 0.06 m."""
     above_m: tuple[float, float] = (0.28, 0.36)
-    """Range of the height of the first drone that hovers above a dock, over the courier, m."""
+    """Range of the height of the lower hovering drone over the docked courier, m."""
     stages: int = 3
-    """How often couriers dock."""
+    """Number of stages; in each, every courier docks once."""
     stage_s: float = 2.2
     """Time for each stage, s."""
     travel_s: float = 1.1
-    """Time in which the reference gets to a dock, s."""
+    """Time of the reference from one dock to the next, s."""
     success: Success = Success(0.02, 0.4)
-    """When all have docked, and those that hover are where they should be."""
+    """The criterion of success of a stage, for couriers and hovering drones."""
 
     name = "delivery_v0"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 7, **AIR_DEFAULTS}
@@ -93,7 +93,7 @@ class DeliveryTask(Task):
     learning = in_time({"docks": {}})
 
     def __post_init__(self) -> None:
-        """Refuse teams for which there are no docks, and ways that take longer than a stage."""
+        """Raise ValueError for invalid values, and for options that contradict each other."""
         check_number("radius_m", self.radius_m, above=0.0, unit="m")
         for name in ("height_m", "above_m"):
             check_interval(name, getattr(self, name), above=0.0, unit="m")
@@ -104,15 +104,15 @@ class DeliveryTask(Task):
         super().__post_init__()
         if len(self.team) > 3 * DOCKS:
             raise ValueError(
-                f"delivery has {len(self.team)} drones, but room for {DOCKS} couriers and two "
-                f"drones above each of {DOCKS} docks; use at most {3 * DOCKS}"
+                f"team has {len(self.team)} drones, but delivery has room for {DOCKS} couriers and "
+                f"two drones above each of {DOCKS} docks; use at most {3 * DOCKS} drones"
             )
         lowest, widest = self.height_m[0], max(v.radius for v in self.team[:DOCKS])
         if lowest < widest:
             raise ValueError(
                 f"couriers dock at {lowest} m, but the largest of the first {DOCKS} drones, which "
-                f"are the couriers, touches the floor at {widest:.3f} m; let small ones be the "
-                "first, such as 'S*S*S*LL', or, in Python, give a larger height_m"
+                f"are the couriers, touches the floor at {widest:.3f} m; begin the team with small "
+                "drones, such as 'S*S*S*LL', or, in Python, give a larger height_m"
             )
         if self.travel_s > self.stage_s:
             raise ValueError(
@@ -121,12 +121,12 @@ class DeliveryTask(Task):
 
     @classmethod
     def default_team(cls, options: Any) -> Team:
-        """Return three couriers, and large drones that hover."""
+        """Return three couriers and large hovering drones."""
         return delivery_team(options.num_drones)
 
     @property
     def num_stages(self) -> int:
-        """How often couriers dock."""
+        """The number of stages."""
         return self.stages
 
     @property
@@ -136,20 +136,20 @@ class DeliveryTask(Task):
 
     @property
     def episode_s(self) -> float:
-        """A time for each stage, s."""
+        """The time of all stages, s."""
         return self.stages * self.stage_s
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw docks, heights, which docks have drones above, and who docks where."""
+        """Sample rotation, heights, the docks below hovering drones, and the couriers' docks."""
         n, height, above = len(self.team), rng.uniform(*self.height_m), rng.uniform(*self.above_m)
         angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(DOCKS) / DOCKS
-        round_about = np.stack([np.cos(angle), np.sin(angle), np.zeros(DOCKS)], axis=1)
-        dock = self.radius_m * round_about + np.array([0.0, 0.0, height])
+        outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(DOCKS)], axis=1)
+        dock = self.radius_m * outward + np.array([0.0, 0.0, height])
         covered, first = rng.permutation(DOCKS), rng.permutation(DOCKS)
         turn = 1 if rng.random() < 0.5 else -1
         begin = np.empty((n, 3))
         couriers = slice(min(n, DOCKS))
-        begin[couriers] = (_OUTSIDE * self.radius_m * round_about[first])[couriers]
+        begin[couriers] = (_OUTSIDE * self.radius_m * outward[first])[couriers]
         begin[couriers, 2] = _START_HEIGHT_M
         for k in range(n - DOCKS):
             begin[DOCKS + k] = dock[covered[k // 2]]

@@ -1,16 +1,17 @@
-"""Formation: one shape after another, each drone with a place of its own.
+"""Formation: drones form one shape after another, each in its own slot.
 
-Who goes where (`labels`):
+Assignments of drones to slots (`labels`):
 
-- `nearest`: places are matched so that the squared ways sum to the least. Straight lines, flown
-  at the same time by all, are free of collisions then (Turpin, Michael and Kumar 2014, for spacings
-  above 2.83 radii); they are the reference.
-- `random`: places are drawn, as in labelled planning. The way is the agent's business.
-- `mirror`: each to the place nearest to its point reflection, as in the `rings` of RTH3D, Fig. 9.
-- `blocks`: between `blocks` only; each block goes to another block's place, drawn, as in RTH3D.
+- `nearest`: the assignment with the least sum of squared distances. Synchronous motion on straight
+  lines is then free of collisions (Turpin, Michael and Kumar 2014, for spacings above 2.83 radii);
+  these lines are the reference.
+- `random`: a random assignment, as in labeled planning. The agent plans the paths.
+- `mirror`: the slots nearest to the drones' point reflections, as in `rings` of RTH3D, Fig. 9.
+- `blocks`: between `blocks` only; each block goes to the slots of another, random block, as in
+  RTH3D.
 
-Shapes change at fixed times, whether they were reached or not, so that the reference is a function
-of time alone.
+Shapes change at fixed times, even if they were not reached, so that the reference is a function of
+time alone.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ from swarm_envs.tasks.swap import REWARD_WEIGHTS
 __all__ = ["FormationTask", "nearest_places"]
 
 SHAPES = ("plane", "pyramid", "cube", "sphere", "plane")
-"""What is flown unless other shapes are asked for."""
+"""The default shapes."""
 
 
 class Mission(NamedTuple):
-    """The mission that is flown; by default the tour of all shapes."""
+    """Shapes, assignment and time; by default those of the layout `tour`."""
 
     shapes: tuple[str, ...] = SHAPES
-    """Names of the shapes, in order; `letter:A` and the like write."""
+    """Names of the shapes, in order; those of letters are `letter:A` etc."""
     labels: str = "nearest"
-    """The assignment to places: `nearest`, `random`, `mirror` or `blocks`."""
+    """The assignment to slots: `nearest`, `random`, `mirror` or `blocks`."""
     shape_s: float = 6.0
     """Time for each shape, s."""
 
@@ -58,45 +59,45 @@ LAYOUTS: Mapping[str, Mission] = MappingProxyType(
         "shuffle": Mission(("plane", "cube"), "random", 8.0),
     }
 )
-"""Missions by name: the default; one change of shape, in which half of the drones end up below
-others; the same where places are drawn, so that ways cross."""
-LABELS = ("nearest", "random", "mirror", "blocks")  # Rules of who goes to which place
-STARTS = ("shape", "ground")  # Where an episode begins: on the first shape, or on the ground
+"""Missions by name: the default; one change of shape, after which half of the drones are below
+others; the same with a random assignment, so that paths cross."""
+LABELS = ("nearest", "random", "mirror", "blocks")  # Assignments of drones to slots
+STARTS = ("shape", "ground")  # Starts of an episode: in the first shape, or above the ground
 GROUND_HEIGHT = 0.15
-"""Height at which drones start on the ground, m: just above it, since touching it is a crash."""
-SPACING = 0.5  # Distance between places unless another is given, m
+"""Height of starts with `start="ground"`, m: just above the ground, where contact is a crash."""
+SPACING = 0.5  # Default of the distance between slots, m
 CLOSEST = 2.0 * math.sqrt(2.0)
-"""Places are at least this many radii apart, so that straight ways to them do not meet."""
+"""Least distance between slots, in radii, at which straight paths are free of collisions."""
 _RAMP = 0.5
 
 
 @dataclass(frozen=True)
 class FormationTask(Task):
-    """Formation, version 1: drones fly one shape after another, each to a place of its own.
+    """Formation, version 1: drones form one shape after another, each in its own slot.
 
         from swarm_envs import formation_v1
         env = formation_v1.parallel_env(num_drones=10, letters="ARC")
 
     Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; the observed
-    `task.goal` is the drone's place in the current shape.
+    `task.goal` is the drone's slot in the current shape.
 
     **Shapes.** `plane`, `pyramid`, `cube`, `sphere` and `plane` by default; `rings` and `blocks`
     are those of Fig. 9 of the RTH3D paper; `letter:A` etc. are letters. Shapes exist for any number
-    of drones; places are 0.5 m apart, or less where the shape would not fit into the arena. All
-    shapes are turned about the vertical by one random angle; letters are not.
+    of drones; slots are 0.5 m apart, or less if the shape would not fit into the arena. All shapes
+    are rotated about the vertical by one random angle, unless they are given as `letters`.
 
     **Layouts.** `tour`: the default shapes. `cube`: one change, from a plane to a cube, within 8 s.
     `shuffle`: the same with `labels="random"`.
 
-    **Labels.** `nearest` (the default): drones are assigned to places by the least sum of squared
-    distances, and the reference is a straight line of 4 s to the place. `random`, `mirror`,
+    **Labels.** `nearest` (the default): drones are assigned to slots by the least sum of squared
+    distances, and the reference is a straight line of 4 s to the slot. `random`, `mirror`,
     `blocks`: see `swarm_envs.tasks.formation`; there is no reference.
 
-    **Start.** On the first shape, or just above the ground (`start="ground"`), with a random
+    **Start.** In the first shape, or just above the ground (`start="ground"`), with a random
     assignment. `reset(options={"start": ...})` sets other starts. Goals cannot be set: use
     `shapes`.
 
-    **Success.** A shape is reached when every drone stayed within 0.10 m of its place for 0.5 s
+    **Success.** A shape is reached when every drone stayed within 0.10 m of its slot for 0.5 s
     before the next shape begins, every 6 s. Success: all shapes were reached, without a collision.
 
     **Rewards** (`parallel_env` lists terms and weights): as in swap; `success` is one over the
@@ -112,25 +113,25 @@ class FormationTask(Task):
     """A mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
     `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`."""
     shapes: Sequence[str] | None = None
-    """Names of the shapes, in order; None: `tour`'s."""
+    """Names of the shapes, in order; None: those of `tour`."""
     letters: str | None = None
-    """A text such as `"ARC"` to write, letter by letter, instead of `shapes`."""
+    """A text such as `"ARC"` to form letter by letter, instead of `shapes`."""
     labels: str | None = None
-    """The assignment to places: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
+    """The assignment to slots: `nearest`, `random`, `mirror` or `blocks`; None: `nearest`."""
     start: str = "shape"
-    """Where drones start: on the first `shape`, or on the `ground`."""
+    """Starts: `shape`, in the first shape, or `ground`, just above the ground."""
     spacing_m: float | None = None
-    """Smallest distance between two places of a shape, m; None: 0.5, or less where shapes of so
-    many drones would not fit the arena."""
+    """Smallest distance between two slots of a shape, m; None: 0.5, or less if shapes of this
+    number of drones would not fit into the arena."""
     shape_s: float | None = None
     """Time for each shape, s; None: 6."""
     travel_s: float = 4.0
-    """Time in which the reference gets there, s."""
+    """Time of the reference from one shape to the next, s."""
     turn_rad: tuple[float, float] | None = None
-    """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
-    turned."""
+    """Range of the rotation of all shapes about the vertical, rad; None: any angle, or 0 with
+    `letters`."""
     success: Success = Success()
-    """When the team has reached a shape."""
+    """The criterion of success for a shape."""
 
     name = "formation_v1"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 9}
@@ -147,7 +148,7 @@ class FormationTask(Task):
     )
 
     def __post_init__(self) -> None:
-        """Refuse options that contradict each other, and shapes that do not fit the arena."""
+        """Raise ValueError for invalid values, contradictions, and shapes larger than the arena."""
         check_type("letters", self.letters, str | None)
         check_type("shapes", self.shapes, tuple | list | None)
         if self.layout is not None:
@@ -167,18 +168,22 @@ class FormationTask(Task):
         least = 2 if self.start == "shape" else 1
         if len(shapes) < least:
             raise ValueError(
-                f"shapes are {shapes!r}, but must be at least {least} with start={self.start!r}"
+                f"shapes are {shapes!r}, but with start={self.start!r} there must be at least "
+                f"{least}; name more shapes"
             )
         if labels == "blocks" and {*shapes} != {"blocks"}:
-            raise ValueError(f"labels='blocks' needs shapes=('blocks', ...), not {shapes!r}")
+            raise ValueError(
+                f"shapes are {shapes!r}, but with labels='blocks' all must be 'blocks'; give "
+                "shapes=('blocks', 'blocks')"
+            )
         self._check_fits()
 
     @cached_property
     def mission(self) -> Mission:
-        """The mission that is flown: a layout, or what is given.
+        """The shapes, assignment and time, from the layout or the other options.
 
         Raises:
-            ValueError: more than one of layout, shapes and letters says so.
+            ValueError: more than one of layout, shapes and letters is given.
         """
         shapes = None if self.shapes is None else tuple(self.shapes)
         if self.letters is not None:
@@ -186,49 +191,48 @@ class FormationTask(Task):
                 raise ValueError("letters is '', but must have at least one, such as 'ARC'")
             if shapes is not None:
                 raise ValueError(
-                    f"letters={self.letters!r} says what is flown, but shapes are given too; give "
-                    "either"
+                    f"letters={self.letters!r} and shapes are given, but each sets the shapes; "
+                    "give one of them"
                 )
             shapes = shapes_of(self.letters)
         mission = {"shapes": shapes, "labels": self.labels, "shape_s": self.shape_s}
         given: dict[str, Any] = {k: value for k, value in mission.items() if value is not None}
         if self.layout is not None and given:
             raise ValueError(
-                f"layout={self.layout!r} already says what is flown, but {', '.join(given)} are "
-                "given too; give either"
+                f"layout={self.layout!r} and {', '.join(given)} are given, but a layout already "
+                "sets them; leave one of them out"
             )
         return LAYOUTS[self.layout or "tour"]._replace(**given)
 
     @property
     def turn(self) -> tuple[float, float]:
-        """Range from which the turn of all shapes about the vertical is drawn, rad."""
+        """The range of the rotation of all shapes about the vertical, rad."""
         if self.turn_rad is not None:
             return self.turn_rad
         return (0.0, 2 * math.pi) if self.letters is None else (0.0, 0.0)
 
     @property
     def _spaced(self) -> tuple[str, ...]:
-        """Names of all shapes for which there must be room."""
+        """The names of all shapes that must fit into the arena."""
         return (*self.mission.shapes, *(["plane"] if self.start == "ground" else []))
 
     def _check_fits(self) -> None:
-        wanted = SPACING if self.spacing_m is None else self.spacing_m
         name = min(self._spaced, key=self._room)
         largest, closest = self._room(name), CLOSEST * float(self.radius.max())
         if self.spacing < closest:
             raise ValueError(
-                f"places are {self.spacing:.3f} m apart, but must be {closest:.3f} m apart, so "
-                f"that drones do not meet between shapes; at most {largest:.2f} m fit shape "
-                f"{name!r} of {len(self.team)} drones: use a larger spacing_m or fewer drones"
+                f"slots are {self.spacing:.3f} m apart, but must be at least {closest:.3f} m apart "
+                f"to avoid collisions between shapes; at most {largest:.2f} m fit shape {name!r} "
+                f"of {len(self.team)} drones: use a larger spacing_m or fewer drones"
             )
         if self.spacing > largest:
             raise ValueError(
-                f"shape {name!r} of {len(self.team)} drones {wanted} m apart does not fit the "
-                f"arena; use spacing_m={largest:.2f} or less, or fewer drones"
+                f"shape {name!r} of {len(self.team)} drones {self.spacing} m apart does not fit "
+                f"the arena; use spacing_m={largest:.2f} or less, or fewer drones"
             )
 
     def _room(self, name: str) -> float:
-        """Largest spacing at which a shape fits the arena, m."""
+        """Return the largest spacing at which a shape fits the arena, m."""
         points = shape_points(name, len(self.team), 1.0)
         room = (self.arena[1] - self.arena[0]) / 2 - WALL_MARGIN
         reach = np.abs(points).max(axis=0)
@@ -238,36 +242,36 @@ class FormationTask(Task):
 
     @cached_property
     def spacing(self) -> float:
-        """Smallest distance between two places that is flown, m."""
+        """The smallest distance between two slots, m."""
         if self.spacing_m is not None:
             return self.spacing_m
         return min(SPACING, *(math.floor(100 * self._room(name)) / 100 for name in self._spaced))
 
     @property
     def num_stages(self) -> int:
-        """Shapes to be flown to."""
+        """The number of shapes, without one at the start."""
         return len(self.mission.shapes) - (self.start == "shape")
 
     @property
     def motion(self) -> Motion:
-        """Straight lines to the nearest places, else rest at the goals."""
+        """Straight lines with `labels="nearest"`, else rest at the goals."""
         _, labels, shape_s = self.mission
         return Motion(LINES if labels == "nearest" else REST, _RAMP, float(shape_s))
 
     @property
     def episode_s(self) -> float:
-        """A time for each shape, s."""
+        """The time of all shapes, s."""
         return self.num_stages * self.mission.shape_s
 
     @cached_property
     def places(self) -> tuple[FloatArray, ...]:
-        """Places (N, 3) of each shape, m, before the turn."""
+        """The slots (N, 3) of each shape before the rotation, m."""
         middle = (self.arena[0] + self.arena[1]) / 2
         n = len(self.team)
         return tuple(middle + shape_points(name, n, self.spacing) for name in self.mission.shapes)
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw the turn of the shapes, who starts where, and who goes where."""
+        """Sample the rotation of the shapes, the starts and the assignments."""
         n = len(self.team)
         turn, order = rng.uniform(*self.turn), rng.permutation(n)
         places = [_turned(points, turn) for points in self.places]
@@ -286,7 +290,7 @@ class FormationTask(Task):
     def _match(
         self, rng: np.random.Generator, here: FloatArray, places: FloatArray, at: IntArray
     ) -> IntArray:
-        """(N,) index of the place that each drone goes to; it is `here`, at place `at`."""
+        """Return the slot (N,) of each drone; drones are at positions `here`, in slots `at`."""
         labels = self.mission.labels
         if labels == "random":
             return rng.permutation(len(here))
@@ -302,61 +306,51 @@ class FormationTask(Task):
         return nearest_places(here, places)
 
 
-def nearest_places(wanted: FloatArray, places: FloatArray) -> IntArray:
-    """(N,) the place (N, 3) nearest to each point (N, 3), by the least sum of squared distances."""
-    from scipy.optimize import linear_sum_assignment  # half a second, which only formations need
+def nearest_places(points: FloatArray, places: FloatArray) -> IntArray:
+    """Return indices (N,) that assign points (N, 3) to places by least sum of squared distances."""
+    from scipy.optimize import linear_sum_assignment  # takes half a second; only formations need it
 
-    square = np.square(wanted[:, None] - places[None]).sum(axis=-1)
+    square = np.square(points[:, None] - places[None]).sum(axis=-1)
     return np.asarray(linear_sum_assignment(square)[1], dtype=np.int64)
 
 
 def _turned(points: FloatArray, angle: float) -> FloatArray:
-    """Points (N, 3) turned about the vertical axis by an angle, rad."""
+    """Return points (N, 3) rotated about the vertical axis by an angle, rad."""
     c, s = math.cos(angle), math.sin(angle)
     return np.asarray(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
 
 def shapes_of(letters: str) -> tuple[str, ...]:
-    """Names of the shapes that write letters, one after another.
-
-    Raises:
-        ValueError: a character is missing in the font.
-    """
+    """Return the names of the shapes of letters."""
     return tuple(LETTER + character for character in letters.upper())
 
 
 NEAREST_SHARE = 0.2
-"""Share of the curriculum in which places are matched to drones, as with labels='nearest'."""
+"""Share of the curriculum's episodes with the assignment of `labels="nearest"`."""
 STRETCH = (0.8, 1.0)
-"""Range from which the spacing of both shapes of the curriculum is drawn, over the task's own."""
+"""Range of the spacing of both shapes in the curriculum, over the task's."""
 
 
 @dataclass(frozen=True)
 class FormationCurriculum(FormationTask):
-    """One change of shape, from any of `shapes` to any, the same included; no reference.
+    """One change between two random shapes, which may be equal; without a reference.
 
-    Any shape follows any other at several spacings, and places are mostly drawn rather than
-    matched, so that straight ways cross; what also has to be learned is that a drone below others
-    sinks.
+    Spacings vary, and most assignments are random, so that straight paths cross. A policy also has
+    to learn that a drone below others is pushed down.
     """
 
     @property
     def num_stages(self) -> int:
-        """One: training episodes are short."""
+        """One, since training episodes are short."""
         return 1
 
     @property
     def motion(self) -> Motion:
-        """Rest at the places."""
+        """Rest at the slots."""
         return Motion(REST)
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw two shapes, their turn and spacing, who starts where and who goes where."""
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Sample two shapes, their rotation and spacing, the starts and the assignment."""
         count, n = len(self.places), len(self.team)
         stretch, angle = rng.uniform(*STRETCH), rng.uniform(*self.turn)
         middle = (self.arena[0] + self.arena[1]) / 2

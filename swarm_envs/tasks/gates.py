@@ -1,7 +1,7 @@
-"""Gates: a team in vertical formation flies a slalom, through each gate all at once.
+"""Gates: a team in a vertical column flies a slalom, with all drones in each gate at once.
 
-Drones that are one above another meet each other's downwash at each gate and turn, where they must
-be in a column at the same moment; between gates they may fly as they like.
+In each gate, drones are in the downwash of those above, since they must be in a column at the same
+time; between gates they may fly as they like.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from swarm_envs.tasks.scores import SCORED_WEIGHTS, send_to
 __all__ = ["REWARD_WEIGHTS", "GatesTask"]
 
 _GATES = tuple((-1.2 + 0.8 * k, 0.4 if k % 2 else -0.4) for k in range(4))
-"""Where gates are, x and y, m."""
+"""Positions of the gates, x and y, m."""
 _HALF_WIDTH, _POST = 0.35, 0.05
-"""Half the way between the posts of a gate, and their radius, m."""
+"""Half the distance between the posts of a gate, and their radius, m."""
 _START_X = -1.65
-_CEILING = 2.2  # Highest place of a column, m
+_CEILING = 2.2  # Largest height of a column, m
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "success": 10.0})
 """Default weight of each reward term."""
@@ -41,9 +41,9 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "succe
 def pass_gates(
     flown: BoolArray, drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Send teams of which all drones are in a gate to the next one; the last one ends the episode.
+    """Give a team whose drones are all in a gate the next gate; the last one ends the episode.
 
-    Arguments as of `Task.advance`.
+    The arguments are those of `Task.advance`.
     """
     rules, size, stages = settings[0], drones.shape[1], goals.shape[1]
     for e in range(drones.shape[0]):
@@ -76,24 +76,24 @@ def pass_gates(
 
 @dataclass(frozen=True)
 class GatesTask(Task):
-    """Gates, version 0: a team flies a slalom in a column, passing each gate together.
+    """Gates, version 0: a team flies a slalom and passes each gate together, in a column.
 
         from swarm_envs import gates_v0
         env = gates_v0.parallel_env(team="LSS")
 
     Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; `task.goal`
-    is the drone's place in the next gate. The default world is `"hall"`.
+    is the drone's slot in the next gate. The default world is `"hall"`.
 
     **Gates.** Four gates, 0.8 m apart along x, alternate between 0.4 m left and right. Each is a
     gap of 0.7 m between two posts of radius 0.05 m, which are obstacles. The team flies through
     them in both directions.
 
     **Start.** A column before the first gate, at either end. The order of drones in the column,
-    their vertical distance (0.3-0.4 m) and the height of the lowest place in each gate (0.4-0.8 m)
+    their vertical distance (0.3-0.4 m) and the height of the lowest slot in each gate (0.4-0.8 m)
     are random. `reset(options={"start": ...})` sets other starts. Goals cannot be set.
 
-    **Passing a gate.** A gate is passed on the step on which every drone that still flies is within
-    0.05 m of its place in it; the goals are then the places in the next gate.
+    **Passing a gate.** A gate is passed on the step on which every active drone is within 0.05 m of
+    its slot in it; the goals are then the slots in the next gate.
 
     **Success.** All eight gates are passed within the time limit, without a crash. The score is
     `gates_per_min`: gates passed per minute until the last one, or of the whole episode length if
@@ -110,11 +110,11 @@ class GatesTask(Task):
     """
 
     gap_m: tuple[float, float] = (0.3, 0.4)
-    """Range from which the vertical distance of neighbours in the column is drawn, m."""
+    """Range of the vertical distance between neighbors in the column, m."""
     lowest_m: tuple[float, float] = (0.4, 0.8)
-    """Range from which the height of the lowest is drawn, for each gate, m."""
+    """Range of the height of the lowest slot, sampled for each gate, m."""
     radius_m: float = 0.05
-    """Largest distance of all drones from their places in a gate, m."""
+    """Largest distance of a drone from its slot in a passed gate, m."""
 
     name = "gates_v0"
     defaults: ClassVar[Mapping[str, Any]] = {
@@ -138,7 +138,7 @@ class GatesTask(Task):
     )
 
     def __post_init__(self) -> None:
-        """Add the posts; refuse columns that do not fit, and weights of unknown terms."""
+        """Raise ValueError for invalid values, and columns that do not fit; add the posts."""
         for name in ("gap_m", "lowest_m"):
             check_interval(name, getattr(self, name), above=0.0, unit="m")
         check_number("radius_m", self.radius_m, above=0.0, unit="m")
@@ -157,21 +157,21 @@ class GatesTask(Task):
 
     @property
     def success(self) -> ByScore:  # type: ignore[override]
-        """Every gate is passed, all drones being in it at once."""
+        """The radius of the slots; `pass_gates` decides about success."""
         return ByScore(radius=self.radius_m, least=0.0)
 
     @property
     def num_stages(self) -> int:
-        """Gates: each of them there and back."""
+        """The number of gates to pass: each in both directions."""
         return 2 * len(_GATES)
 
     @property
     def motion(self) -> Motion:
-        """Rest at the places in the next gate."""
+        """Rest at the slots in the next gate."""
         return Motion(OWN_GOALS)
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw the column, the heights of the gates, and the end from which it starts."""
+        """Sample the column, the heights in the gates, and the end of the slalom at the start."""
         n, side = len(self.team), rng.choice([-1.0, 1.0])
         slots = rng.uniform(*self.gap_m) * rng.permutation(n)
         heights = rng.uniform(*self.lowest_m, len(_GATES) + 1)

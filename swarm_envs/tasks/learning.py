@@ -1,7 +1,6 @@
-"""The training of a task: a `Learning` is the class attribute `learning` of every task.
+"""Training of a task: `Learning`, the class attribute `learning` of every task.
 
-It says what `swarm-envs train` flies in place of a task's own episodes, and what makes one policy
-better than another. Training itself asks no task by its name.
+It defines the episodes that `swarm-envs train` uses, and the quality of a policy.
 """
 
 from __future__ import annotations
@@ -17,35 +16,35 @@ if TYPE_CHECKING:
 __all__ = ["ALL", "Learning", "in_time", "metric", "scored"]
 
 Metrics = Mapping[str, Any]
-"""`episode_metrics` of one episode."""
+"""The `episode_metrics` of an episode."""
 Measure = Callable[[Metrics], float]
-"""A number by which an episode of an evaluation is measured; it is averaged over episodes."""
+"""A function from the metrics of an evaluation episode to a number, which is averaged."""
 Parts = Mapping[str, tuple[float, Any]]
 """Tasks by name, each with its share of the environments."""
 
 ALL = "all"
 """Name of all layouts of a task together."""
 LATE_S = 10.0
-"""Time with which an episode counts that did not succeed, s."""
+"""Value of `late_s` for an episode without success, s."""
 
 
 def success(metrics: Metrics) -> float:
-    """Return 1 if the team has done its task."""
+    """Return 1 if the episode is a success, else 0."""
     return float(metrics["success"])
 
 
 def collision(metrics: Metrics) -> float:
-    """Return 1 if drones collided."""
+    """Return 1 if drones collided, else 0."""
     return float(metrics["collided_drones"] > 0)
 
 
 def late_s(metrics: Metrics) -> float:
-    """Return the time in which the team did its task, s; `LATE_S` if it did not."""
+    """Return the time to the goals, s; `LATE_S` without success."""
     return float(metrics["time_to_goal_s"]) if metrics["success"] else LATE_S
 
 
 def metric(name: str) -> Measure:
-    """Return the measure that is one of the metrics."""
+    """Return the measure that returns one of the metrics."""
     return lambda metrics: float(metrics[name])
 
 
@@ -55,42 +54,44 @@ RATES: Mapping[str, Measure] = MappingProxyType({"success": success, "collision"
 
 @dataclass(frozen=True, kw_only=True)
 class Learning:
-    """Layouts, curriculum, reward and measures with which a task is learned."""
+    """Layouts, curriculum, reward weights and measures for training a task."""
 
     layouts: Mapping[str, Mapping[str, Any]]
-    """Options of the environment by the names that `--layout` takes, the default first."""
+    """Options of the environment by the value of `--layout`, the default first."""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Layouts on which the policy of a layout is evaluated; itself alone where nothing is given."""
+    """Layouts on which a policy is evaluated, by the layout of its training; by default the same
+    layout."""
     beside: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Parts that are trained beside all layouts, but never evaluated: options of the task."""
+    """Options of further tasks that are trained together with all layouts, but not evaluated."""
     horizon_s: float | None = 3.5
-    """Default time limit in training, s, after which the value is bootstrapped: failures come
-    early. None for the task's."""
+    """Default time limit in training, s, after which the value is bootstrapped; it is short, since
+    failures occur early. None for the task's."""
     observe_load: bool | None = None
     """True to observe loads by default; None for the task's default."""
     has_obstacles: bool = False
     """True if the task has obstacles of its own, in some layout."""
     reward_weights: Mapping[str, float] = field(default_factory=dict)
-    """Weights of the reward in training that differ from the task's. Those of proximity and of a
-    crash come from the options of training; `at_goal` and `tracking` are for a whole episode."""
+    """Reward weights in training that differ from the task's. Those of `proximity` and `crash` are
+    options of training; `at_goal` and `tracking` are for a whole episode."""
     curriculum: Callable[[Any, str], Task] = lambda task, layout: task
-    """The task that is flown in training, made from the task and the name of its layout."""
+    """A function from the task and the name of its layout to the task of training."""
     parts: Callable[[Any, str], Parts] = lambda task, layout: {layout: (1.0, task)}
-    """That task as parts, for which DAgger may have teachers of their own."""
+    """A function from the task of training and its layout to parts, for which DAgger may have
+    different teachers."""
     measures: Mapping[str, Measure] = field(default_factory=lambda: RATES)
-    """The measures of an episode of an evaluation."""
+    """The measures of an evaluation."""
     cost: Mapping[str, float] = field(default_factory=dict)
-    """Factors: what one unit of a measure takes off the success of a layout in `quality`."""
+    """Factors of measures, by which they lower the quality of a policy."""
 
     def evaluation_layouts(self, layout: str) -> tuple[str, ...]:
-        """Return the layouts on which a policy that was trained on `layout` is evaluated."""
+        """Return the layouts on which a policy trained on `layout` is evaluated."""
         return self.evaluated.get(layout, (layout,))
 
     def quality(self, measured: Mapping[str, float]) -> float:
-        """Return how good a policy is: the larger, the better.
+        """Return the quality of a policy: the mean over layouts of success minus costs.
 
         Args:
-            measured: averages of measures by what was flown, such as `random_success`.
+            measured: averages of measures by layout and measure, such as `random_success`.
         """
         end, total = "_success", 0.0
         names = [key.removesuffix(end) for key in measured if key.endswith(end)]
@@ -101,7 +102,7 @@ class Learning:
 
 
 def in_time(layouts: Mapping[str, Mapping[str, Any]]) -> Learning:
-    """Return how a task about downwash is learned in which a team must be done in time."""
+    """Return the training of a task about downwash, in which late success has a cost."""
     return Learning(
         layouts=layouts,
         horizon_s=None,
@@ -119,11 +120,11 @@ def scored(
     more: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     **given: Any,
 ) -> Learning:
-    """Return how a task is learned that gives goal after goal, in all its layouts together.
+    """Return the training of a task with a score, by default on all its layouts together.
 
     Args:
         layouts: names of its layouts.
-        score: the metric that counts beside success.
+        score: the metric that counts in addition to success.
         full: the score that is worth as much as success.
         more: further options of layouts in training, by name.
         **given: other fields of `Learning`.
@@ -141,15 +142,15 @@ def scored(
 
 
 def _each_layout(task: Any, layout: str) -> Parts:
-    """Return the layout of a run, or each of `ALL` and what is trained beside them."""
+    """Return the task of a layout, or equal shares of all layouts and of `beside`."""
     if layout != ALL:
         return {layout: (1.0, task)}
     learning: Learning = task.learning
-    flown = {name: learning.layouts[name] for name in learning.evaluated[ALL]} | {**learning.beside}
+    every = {name: learning.layouts[name] for name in learning.evaluated[ALL]} | {**learning.beside}
     parts = {}
-    for name, own in flown.items():
-        stand = (*task.obstacles, *own.get("obstacles", ()))
-        # The success of `task` is that of its own layout: each part has the default for its layout.
-        given = {"success": type(task).success, **own, "obstacles": stand}
-        parts[name] = (1 / len(flown), replace(task, **given))
+    for name, own in every.items():
+        obstacles = (*task.obstacles, *own.get("obstacles", ()))
+        # `task.success` is that of the task's own layout; each part has its layout's default.
+        given = {"success": type(task).success, **own, "obstacles": obstacles}
+        parts[name] = (1 / len(every), replace(task, **given))
     return parts

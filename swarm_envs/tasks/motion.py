@@ -1,7 +1,6 @@
-"""References of every task, each in one compiled call: rest, straight lines, ellipses.
+"""Kernels that write the references of tasks: rest, straight lines, ellipses.
 
-Lines are those of `swarm_envs.trajectories.ramped_line`, for all drones of all environments at
-once, since each decision asks for them.
+Lines are those of `swarm_envs.trajectories.ramped_line`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from swarm_envs.trajectories import Reference
 __all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of"]
 
 SPEED_LIMIT, ACCELERATION_LIMIT = 2.0, 5.0
-"""Largest speed and acceleration that actions ask for, m/s and m/s^2, the same for every type."""
+"""Largest commanded speed and acceleration, m/s and m/s^2, the same for every vehicle type."""
 
 REST, LINES, ORBITS, OWN_GOALS, PURSUIT = 0, 1, 2, 3, 4
 """Kinds of motion."""
@@ -27,31 +26,31 @@ _ROUNDING = 1e-9
 
 
 class Motion(NamedTuple):
-    """How a task's reference moves."""
+    """The motion of a task's reference."""
 
     kind: int = REST
-    """`REST` at the goals; `LINES`: straight from each stage's goals to the next, where the
-    environment has a duration; `ORBITS`: on the drones' ellipses; `OWN_GOALS`: at rest at the goal
-    that each drone has now; `PURSUIT`: goals on ellipses, or next to other drones."""
+    """`REST`: at rest at the goals; `LINES`: straight from each stage's goals to the next, in the
+    episode's `duration`; `ORBITS`: on the drones' ellipses; `OWN_GOALS`: at rest at each drone's
+    present goal; `PURSUIT`: goals move on ellipses, or next to other drones."""
     ramp: float = 0.2
-    """`LINES`: share of the duration in which the speed grows, and in which it falls. `ORBITS`:
-    time in which the rate grows from rest, s."""
+    """`LINES`: share of the duration in which the speed grows, and in which it falls. `ORBITS` and
+    `PURSUIT`: time in which the angular rate grows from 0, s."""
     stage_s: float = 0.0
-    """Seconds that each stage lasts; 0 if there is only one."""
+    """Time for each stage, s; 0 if there is only one."""
 
     @property
     def rests(self) -> bool:
-        """Whether the reference is the goal, at rest."""
+        """True if the reference rests at the goal."""
         return self.kind in (REST, OWN_GOALS)
 
     def settings(self) -> dict[str, float]:
-        """The fields of `swarm_envs.tables.SETTINGS` that it gives."""
+        """Return its fields of `swarm_envs.tables.SETTINGS`."""
         return {"ramp": float(self.ramp), "stage_s": float(self.stage_s)}
 
 
 @part
 def stage_at(time: float, stage_s: float, num_stages: int) -> int:
-    """The stage that is flown at a time, s."""
+    """Return the stage at a time, s."""
     if stage_s <= 0.0:
         return 0
     stage: Any = np.int64((time + _ROUNDING) / stage_s)  # `int` and `min` take longer to compile
@@ -60,9 +59,9 @@ def stage_at(time: float, stage_s: float, num_stages: int) -> int:
 
 @part
 def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
-    """Time that stands still before zero and runs at full rate after `ramp`, and its derivatives.
+    """Return a time that runs at rate 0 before t = 0 and at rate 1 after `ramp`; 3 derivatives.
 
-    The rate is a quintic step, so that the jerk is continuous.
+    The rate is a quintic step between them, so that the jerk is continuous.
     """
     if t <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -78,12 +77,12 @@ def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
 
 @part
 def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, float, float]:
-    """Share of a straight way that is covered at time t, s, and its derivatives by time.
+    """Return the covered share of a straight line at time t, s, and its time derivatives.
 
     Args:
-        t: since the start, s.
-        duration: from start to goal, s.
-        ramp: share of the duration that each of the two ramps of the speed takes.
+        t: time since the start, s.
+        duration: time from start to goal, s.
+        ramp: share of the duration of each of the two ramps of the speed.
     """
     u = min(max(t / duration, 0.0), 1.0)
     full = 1.0 - ramp
@@ -99,13 +98,13 @@ def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, 
 def write_rest(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write that the drones of every environment should rest at the goals of its stage.
+    """Write references at rest at the goals of each environment's stage.
 
     Args:
         drones: (E, N) records; their `reference_...` fields are written.
         environments: (E,) records.
         goals: (E, S, N, 3) goals of every stage, m.
-        settings: (1,) how the reference moves: `stage_s`, and `ramp` on lines.
+        settings: (1,) record with `stage_s` and `ramp`.
     """
     stage_s, stages = settings[0].stage_s, goals.shape[1]
     for e in range(drones.shape[0]):
@@ -121,9 +120,9 @@ def write_rest(
 def write_lines(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write where drones should be on straight lines from the goals of each stage to the next.
+    """Write references on straight lines from the goals of each stage to those of the next.
 
-    Lines that take no time are rest at the goals. Arguments as of `write_rest`.
+    With a duration of 0 they rest at the goals. The arguments are those of `write_rest`.
     """
     ramp, stage_s, stages = settings[0].ramp, settings[0].stage_s, goals.shape[1]
     for e in range(drones.shape[0]):
@@ -137,19 +136,19 @@ def write_lines(
             for k in range(3):
                 goal = goals[e, stage, i, k]
                 start = d.start[k] if stage == 0 else goals[e, stage - 1, i, k]
-                way = goal - start
-                # Weighted so that the end is met to the last bit.
+                path = goal - start
+                # Weighted so that the end is reached to the last bit
                 d.reference_position[k] = start * (1.0 - s) + goal * s
-                d.reference_velocity[k] = d1 * way
-                d.reference_acceleration[k] = d2 * way
-                d.reference_jerk[k] = d3 * way
+                d.reference_velocity[k] = d1 * path
+                d.reference_acceleration[k] = d2 * path
+                d.reference_jerk[k] = d3 * path
 
 
 @kernel
 def write_orbits(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write where drones should be on their ellipses. Arguments as of `write_rest`."""
+    """Write references on the drones' ellipses. The arguments are those of `write_rest`."""
     for e in range(drones.shape[0]):
         s, d1, d2, d3 = ramped_time(environments[e].time, settings[0].ramp)
         for i in range(drones.shape[1]):
@@ -170,7 +169,7 @@ def write_orbits(
 def write_own_goals(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write that every drone should rest at its goal of now. Arguments as of `write_rest`."""
+    """Write references at rest at the present goals. The arguments are those of `write_rest`."""
     for e in range(drones.shape[0]):
         for i in range(drones.shape[1]):
             d = drones[e, i]
@@ -183,10 +182,11 @@ def write_own_goals(
 def write_pursuit(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write goals that are on ellipses or, where a drone chases another, next to that one.
+    """Write goals on ellipses or, if a drone chases another, next to that one.
 
-    The goal of who chases is the centre of its ellipse, seen from whom it chases; its reference has
-    the velocity of that one, and no acceleration, which is not observed. Arguments: `write_rest`.
+    The goal of a drone that chases another is the center of its ellipse, relative to the other
+    drone. Its reference has the velocity of the other drone, and no acceleration, which is not
+    observed. The arguments are those of `write_rest`.
     """
     write_orbits(drones, environments, goals, settings)
     for e in range(drones.shape[0]):
@@ -207,9 +207,9 @@ WRITERS = {
     OWN_GOALS: write_own_goals,
     PURSUIT: write_pursuit,
 }
-"""The kernel that writes the reference, by kind of motion: what is not flown is not compiled."""
+"""The kernels by kind of motion; only the task's own is compiled."""
 
 
 def reference_of(drones: Records) -> Reference:
-    """The reference of drones (E, N), as last written: views (E, N, 3)."""
+    """Return the references of drones (E, N), as last written: views (E, N, 3)."""
     return Reference(*(drones[f"reference_{name}"] for name in Reference._fields))

@@ -1,7 +1,8 @@
-"""Static obstacles: boxes and columns in metres, the same in every episode.
+"""Static obstacles, boxes and columns, which are the same in every episode.
 
-Every task takes `obstacles=(...)`. Touching one ends the episode; starts, goals and references are
-drawn free of them. The air does not know them: they make no ground effect and block no downwash.
+Every task takes `obstacles=(...)`. A contact counts as a crash; starts, goals and references are
+free of obstacles. Obstacles have no aerodynamic effect: they cause no ground effect and block no
+downwash.
 """
 
 from __future__ import annotations
@@ -45,39 +46,40 @@ class Box:
     """Upper corner (x, y, z), m."""
 
     def __post_init__(self) -> None:
-        """Refuse boxes without volume."""
+        """Raise ValueError for a box without volume."""
         low, high = check_array("Box.low", self.low, (3,)), check_array("Box.high", self.high, (3,))
         if not (low < high).all():
             raise ValueError(
-                f"Box.low is {self.low} and Box.high {self.high}, but each coordinate must grow"
+                f"Box.low is {self.low} and Box.high is {self.high}, but each coordinate of low "
+                "must be smaller than that of high; exchange them, or enlarge the box"
             )
 
     @property
     def row(self) -> tuple[float, ...]:
-        """Its row (7,) for the compiled contact test."""
+        """The row (7,) for the contact kernels."""
         return (BOX, *map(float, self.low), *map(float, self.high))
 
 
 @dataclass(frozen=True)
 class Column:
-    """An upright cylinder that stands on the floor. Raises ValueError for impossible sizes."""
+    """A vertical cylinder on the floor. Raises ValueError for invalid sizes."""
 
     center: tuple[float, float]
-    """Where it stands (x, y), m."""
+    """Position of the axis (x, y), m."""
     radius: float
-    """Its radius, m."""
+    """Radius, m."""
     height: float = 10.0
-    """Its height, m; by default higher than any arena."""
+    """Height, m; by default higher than any arena."""
 
     def __post_init__(self) -> None:
-        """Refuse a place that is none."""
+        """Raise ValueError for invalid values."""
         for name in ("radius", "height"):
             check_number(name, getattr(self, name), above=0.0, unit="m")
         check_array("Column.center", self.center, (2,))
 
     @property
     def row(self) -> tuple[float, ...]:
-        """Its row (7,) for the compiled contact test."""
+        """The row (7,) for the contact kernels."""
         x, y = self.center
         return (COLUMN, float(x), float(y), float(self.radius), 0.0, float(self.height), 0.0)
 
@@ -95,18 +97,18 @@ def buildings(
     height: float = 10.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Box, ...]:
-    """Square towers on a grid, as in Fig. 1 of the RTH3D paper.
+    """Return square towers on a grid, as in Fig. 1 of the RTH3D paper.
 
-    There they are in the cells (3 i + 1, 3 j + 1) of the grid, so that a third of each side is
-    built up: `width` is a third of `spacing` by default.
+    By default, the width is a third of the spacing, as there: towers occupy the cells
+    (3 i + 1, 3 j + 1) of a grid.
 
     Args:
-        columns: towers along x.
-        rows: towers along y.
-        spacing: distance between neighbouring centres, m.
-        width: of a tower, m.
-        height: of a tower, m; by default higher than any arena, so that none is flown over.
-        center: of the grid (x, y), m.
+        columns: number of towers along x.
+        rows: number of towers along y.
+        spacing: distance between the centers of adjacent towers, m.
+        width: width of a tower, m.
+        height: height of a tower, m; by default higher than any arena.
+        center: center of the grid (x, y), m.
 
     Raises:
         ValueError: a number or size is not positive, or towers would touch.
@@ -114,35 +116,36 @@ def buildings(
     counts = check_integer("columns", columns, 1), check_integer("rows", rows, 1)
     if not 0.0 < width < spacing < np.inf:
         raise ValueError(
-            f"width is {width} and spacing {spacing}, but they must satisfy 0 < width < spacing"
+            f"width is {width} and spacing is {spacing}, but must satisfy 0 < width < spacing; "
+            "change one of them"
         )
-    places = [
+    x_centers, y_centers = (
         [c + spacing * (k - (n - 1) / 2) for k in range(n)]
         for c, n in zip(center, counts, strict=True)
-    ]
+    )
     half = width / 2
     return tuple(
         Box((x - half, y - half, 0.0), (x + half, y + half, height))
-        for x in places[0]
-        for y in places[1]
+        for x in x_centers
+        for y in y_centers
     )
 
 
 def parse_obstacles(text: str) -> tuple[Obstacle, ...]:
-    """Obstacles of a text such as `buildings=2:2,column=1:1:0.15,box=0:0:0:1:1:2`.
+    """Return the obstacles of a string such as `buildings=2:2,column=1:1:0.15,box=0:0:0:1:1:2`.
 
-    `buildings` takes columns and rows, `column` x, y and radius, `box` both corners, m.
+    `buildings` takes columns and rows, `column` x, y and radius, `box` two corners, m.
 
     Raises:
-        ValueError: it names something else, or numbers that no obstacle has.
+        ValueError: it has another name, or invalid numbers.
     """
     found: list[Obstacle] = []
     for name, numbers in parse_pairs("obstacles", text, "buildings=2:2,column=1:1:0.15"):
-        wanted = _NUMBERS[check_name("obstacle", name, _NUMBERS)]
-        if len(numbers) != len(wanted):
+        form = _NUMBERS[check_name("obstacle", name, _NUMBERS)]
+        if len(numbers) != len(form):
             raise ValueError(
-                f"obstacle {name} has {len(numbers)} numbers, but must have {len(wanted)}: "
-                f"{name}={':'.join(wanted)}"
+                f"obstacle {name} has {len(numbers)} numbers, but must have {len(form)}: "
+                f"{name}={':'.join(form)}"
             )
         if name == "buildings":
             if not all(number.is_integer() for number in numbers):
@@ -164,7 +167,7 @@ _NUMBERS = {
 
 
 def obstacle_rows(obstacles: Sequence[Obstacle]) -> FloatArray:
-    """Rows (M, 7) of obstacles for the compiled contact test.
+    """Return the rows (M, 7) of obstacles for the contact kernels.
 
     Raises:
         TypeError: one is neither a `Box` nor a `Column`.
@@ -181,7 +184,7 @@ def obstacle_rows(obstacles: Sequence[Obstacle]) -> FloatArray:
 
 
 def obstacle_distances(rows: FloatArray, points: FloatArray) -> FloatArray:
-    """Distance (..., M), m, from points (..., 3) to obstacles (M, 7); zero inside."""
+    """Return distances (..., M), m, from points (..., 3) to obstacles (M, 7); 0 inside."""
     flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
     out = np.empty((len(flat), len(rows)))
     distances(rows, flat, out)

@@ -1,4 +1,4 @@
-"""Where drones may stand: the arena, apart from each other, free of obstacles."""
+"""Sampling and checks of starts and goals: inside the arena, apart, free of obstacles."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ ARENA_WIDTH, ARENA_HEIGHT = 4.0, 2.5
 WALL_MARGIN = 0.3
 """Starts and goals keep this distance from the walls, m."""
 OBSTACLE_MARGIN = 0.15
-"""What is drawn keeps this distance from obstacles, beyond the radius of the drone, m."""
+"""Sampled points keep this distance from obstacles, beyond the radius of the drone, m."""
 _ROUNDING = 1e-9
-"""Two that are this much further apart do not touch, however their distance is rounded, m."""
+"""Drones this far apart do not touch, regardless of rounding, m."""
 _ANYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 
 
 def arena_of(num_drones: int) -> FloatArray:
-    """Corners (2, 3) of the arena, m: 4 x 4 x 2.5, grown with (N / 16)^(1/3) above 16 drones."""
-    grown = max(1.0, (num_drones / 16) ** (1 / 3))
+    """Return the corners (2, 3) of the arena, m.
+
+    It is 4 x 4 x 2.5 m, scaled by (N / 16)^(1/3) above 16 drones.
+    """
+    scale = max(1.0, (num_drones / 16) ** (1 / 3))
     half = ARENA_WIDTH / 2
-    return np.array([[-half, -half, 0.0], [half, half, ARENA_HEIGHT]]) * grown
+    return np.array([[-half, -half, 0.0], [half, half, ARENA_HEIGHT]]) * scale
 
 
 def drawing_box(arena: FloatArray, lowest: float, highest: float) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corner (3,) of the box in which starts and goals are drawn, m.
+    """Return the lower and upper corner (3,) of the box in which starts and goals are sampled, m.
 
     Args:
         arena: (2, 3) corners, m.
@@ -53,10 +56,10 @@ def check_points(
     arena: FloatArray,
     obstacles: FloatArray | None = None,
 ) -> None:
-    """Refuse starts or goals that collide, or lie outside the arena or in an obstacle.
+    """Raise ValueError if points collide, or lie outside the arena or in an obstacle.
 
     Args:
-        name: what they are: `start` or `goal`.
+        name: name of the points, `start` or `goal`.
         points: (N, 3) m.
         radius: (N,) collision radii, m.
         arena: (2, 3) corners, m.
@@ -73,7 +76,7 @@ def check_points(
 
 
 def _refuse_touching(name: str, points: FloatArray, radius: FloatArray, arena: FloatArray) -> None:
-    """Name the drone that is outside, or the two that touch, if there are any."""
+    """Raise ValueError for a drone outside the arena, or for two drones that touch."""
     low, high = arena[0] + radius[:, None], arena[1] - radius[:, None]
     outside = (points < low) | (points > high)
     if outside.any():
@@ -99,20 +102,20 @@ def check_free(
     obstacles: FloatArray,
     margin: float = OBSTACLE_MARGIN,
 ) -> str:
-    """Say which drone meets which obstacle; empty if none does.
+    """Return a message on a drone too near an obstacle; empty if there is none.
 
     Args:
-        name: what the points are, such as `start`.
+        name: name of the points, such as `start`.
         points: (..., N, 3) m.
         radius: (N,) collision radii, m.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
         margin: distance to keep beyond the radius, m.
     """
     distance = obstacle_distances(obstacles, points)
-    meets = np.argwhere(distance < radius[:, None] + margin)
-    if not len(meets):
+    near = np.argwhere(distance < radius[:, None] + margin)
+    if not len(near):
         return ""
-    index = tuple(int(k) for k in meets[0])
+    index = tuple(int(k) for k in near[0])
     i, k = index[-2:]
     return (
         f"the {name} of drone {i} is {distance[index]:.3f} m from obstacle {k}, but must keep "
@@ -130,20 +133,20 @@ def draw_apart(
     margin: float = OBSTACLE_MARGIN,
     given: FloatArray | None = None,
 ) -> FloatArray:
-    """Draw n points (n, 3) in a box, all at least `distance` (m) apart, one after another.
+    """Sample points (n, 3) in a box one after another, all at least `distance` apart.
 
     Args:
-        rng: draws them.
+        rng: the random generator.
         low: lower corner of the box, m.
         high: upper corner of the box, m.
-        n: how many.
-        distance: smallest distance between two, m.
-        obstacles: (M, 7) rows of `swarm_envs.physics.contact`, to be kept away from.
-        margin: distance to keep from them, m.
-        given: (m, 3) the first m of the points, m, if they are not to be drawn.
+        n: number of points.
+        distance: smallest distance between two points, m.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
+        margin: least distance from obstacles, m.
+        given: (m, 3) the first m of the points, m, which are not sampled.
 
     Raises:
-        RuntimeError: the box is too full: no place was found in 10,000 draws.
+        RuntimeError: the points do not fit: 10,000 samples did not suffice.
     """
     rows = np.zeros((0, 0)) if obstacles is None else obstacles
     points = np.empty((n, 3))
@@ -152,7 +155,7 @@ def draw_apart(
         placed = len(given)
         points[:placed] = given
     while placed < n and drawn < 10_000:
-        missing = min(n - placed, 10_000 - drawn)  # all of them are drawn, whatever fits
+        missing = min(n - placed, 10_000 - drawn)
         drawn += missing
         candidates = np.add(low, size * rng.random((missing, 3)))
         if len(rows):
@@ -175,16 +178,16 @@ def _keep_apart(
     radius: FloatArray,
     arena: FloatArray,
 ) -> int:
-    """Add candidates (M, 3) that fit in the arena and touch none before; return how many there are.
+    """Append candidates in the arena that touch no earlier point; return the number of points.
 
-    What holds a NaN does not fit.
+    Candidates with a NaN are left out.
 
     Args:
         points: (N, 3) m, written from `placed` on.
-        placed: how many there are.
-        candidates: at most as many as are missing, m.
+        placed: number of points so far.
+        candidates: (M, 3) m, at most as many as are missing.
         gap: smallest distance between the spheres of two points, m.
-        radius: (N,) of these spheres, by place, m.
+        radius: (N,) radii of these spheres, m.
         arena: (2, 3) corners, m.
     """
     for c in range(len(candidates)):
@@ -202,15 +205,15 @@ def _keep_apart(
 
 
 def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
-    """A random permutation (n,), n >= 2, that leaves nothing in its place; each equally likely.
+    """Return a uniformly random permutation (n,), n >= 2, without fixed points.
 
-    Permutations are drawn until one fits, which takes e = 2.7 draws on average.
+    Permutations are sampled until one has no fixed point, which takes e = 2.7 samples on average.
 
     Raises:
-        RuntimeError: a thousand draws did not fit, which does not happen by chance.
+        RuntimeError: there was none in a thousand samples, as for n = 1.
     """
     for _ in range(1000):
         order = rng.permutation(n)
         if all(map(ne, order.tolist(), range(n))):
             return order
-    raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
+    raise RuntimeError(f"n is {n}, but must be at least 2: a single element has no derangement")

@@ -1,6 +1,6 @@
-"""What rewards are made of, and their weighted sum.
+"""Reward terms and their weighted sum.
 
-Terms are seconds, or events that count 1, so weights alone set the scale.
+Terms are in seconds, or 1 for an event, so that weights alone set their scale.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash
 def write_terms(drones: Records, environments: Records, settings: Records, out: FloatArray) -> None:
     """Write the reward terms (T, E, N), in the order of `REWARD_NAMES`.
 
-    Returns depend neither on the decision rate nor on the time limit:
+    The return of an episode depends neither on the decision rate nor on the time limit:
 
     - `progress`: decrease of the distance to the goal, over the speed limit, in seconds: a
       difference of potentials (Ng, Harada and Russell, 1999), so that closed paths sum to 0.
-    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); times seconds.
-    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); times seconds.
-    - `effort`: mean square action; times seconds.
-    - `proximity`: 1 where a drone touches a drone or an obstacle, falling to 0 at 2.5 times that
-      distance; times seconds.
+    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2), times the step in seconds.
+    - `tracking`: exp(-(distance to the reference / 0.10 m)^2), times the step in seconds.
+    - `effort`: mean square of the action, times the step in seconds.
+    - `proximity`: 1 at contact with a drone or an obstacle, falling linearly to 0 at 2.5 times
+      the distance of contact; times the step in seconds.
     - `crash`: 1 on the step on which the drone crashes.
     - `success`: 1 on the step on which the team succeeds, or one over the number of stages for
-      each stage, for the drones that still fly.
+      each stage, for the drones whose episodes have not ended.
 
     Args:
-        drones: (E, N) records, after a decision has been judged.
+        drones: (E, N) records, after the evaluation of a decision.
         environments: (E,) records.
         settings: (1,) record, with the time between decisions.
         out: (T, E, N), written.
@@ -62,18 +62,14 @@ def write_terms(drones: Records, environments: Records, settings: Records, out: 
 
 
 def reward_meanings(writer: Callable[..., None]) -> dict[str, str]:
-    """What each term is, as the docstrings of a task's kernel and of `write_terms` say."""
-    said = "\n\n".join(inspect.getdoc(source) or "" for source in (write_terms, writer))
-    found = re.findall(r"^- `(\w+)`: (.+(?:\n  .+)*)", said, re.MULTILINE)
+    """Return the meaning of each term, from the docstrings of `write_terms` and a task's kernel."""
+    text = "\n\n".join(inspect.getdoc(source) or "" for source in (write_terms, writer))
+    found = re.findall(r"^- `(\w+)`: (.+(?:\n  .+)*)", text, re.MULTILINE)
     return {name: " ".join(meaning.split()) for name, meaning in found}
 
 
 def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> None:
-    """Refuse weights of terms that are not among a task's names, or that are not finite.
-
-    Raises:
-        ValueError: naming the term, and the nearest that exists.
-    """
+    """Raise ValueError for weights of unknown terms and for weights that are not finite."""
     check_type("reward_weights", weights, Mapping)
     for term, weight in weights.items():
         check_name("reward term", term, names)
@@ -93,21 +89,21 @@ def weigh(
     active: BoolArray,
     ended: BoolArray,
 ) -> None:
-    """Sum weighted terms, in their order, and write who has flown and whose episode has ended.
+    """Write the weighted sums of reward terms, and the masks of a step's result.
 
-    Compiled, so that no batch changes the last bit.
+    Terms are summed in their order, so that rewards do not depend on the size of the batch.
 
     Args:
         terms: (T, E, N); set to 0 for drones that ended in an earlier decision.
         weights: (T,).
-        flown: (E,) environments that have made this decision; the others get nothing.
+        flown: (E,) environments that have made this decision; the rewards of others are 0.
         drones: (E, N) records.
         environments: (E,) records.
         rewards: (E, N), written.
         terminated: (E,) ended by a crash or by success, written.
         truncated: (E,) ended by the time limit, written.
-        active: (E, N) drones that have flown this decision, written.
-        ended: (E, N) those whose own episode was terminated in it, written.
+        active: (E, N) drones that took part in this decision, written.
+        ended: (E, N) drones whose episode was terminated in it, written.
     """
     for e in range(rewards.shape[0]):
         terminated[e], truncated[e] = environments[e].terminated, environments[e].truncated

@@ -1,18 +1,19 @@
 """Ring: intertwined circles and ellipses, as in Neural-Swarm2 (Sec. VII-E, Fig. 1 and 9).
 
-The rule, for any team:
+Teams are distributed over rings as follows:
 
 - The drones with the largest thrust-to-weight ratio, (6 n + 4) // 10 of n (3 of 5, 10 of 16), fly
-  on upright circles, since those pass through downwash; the others on one level ellipse.
-- Up to five of the former share one circle; more fly on two. Each circle's centre is a tip of the
-  ellipse, its plane holds the tip and the vertical axis, so that the rings are links of a chain.
-- Drones of one ring are evenly spaced. Where the radii are equal, so are the angular rates, and a
-  drone of the upright circle is at its lowest when one of the level ring is right above it.
-- Above 16 drones the team splits into groups of at most 16, in its order, each with rings of its
-  own, side by side and one above another.
+  on vertical circles, since these pass through downwash; the others on one horizontal ellipse.
+- Up to five of the former share one circle; more fly on two. The center of each circle is a vertex
+  of the ellipse, and its plane contains that vertex and the vertical axis of the ellipse, so that
+  the rings are linked like those of a chain.
+- Drones of one ring are evenly spaced. If the radii are equal, so are the angular rates, and a
+  drone of the vertical circle is at its lowest point when one of the horizontal ring is above it.
+- A team of more than 16 drones is split, in its order, into groups of at most 16. Each group has
+  its own rings, side by side and one above another.
 
-Rings of the shipped layouts stay apart whatever the phases: two drones could only meet if they
-shared a ring, where they keep their distance.
+Drones on different rings of the shipped layouts cannot collide, whatever their phases; drones on
+one ring keep their distance.
 """
 
 from __future__ import annotations
@@ -37,35 +38,35 @@ from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
 __all__ = ["CLOSE_FIVE", "CLOSE_SIXTEEN", "REWARD_WEIGHTS", "RingLayout", "RingTask", "ring_team"]
 
-GROUP_SIZE = 16  # The most drones that share one set of rings
-PER_CIRCLE = 5  # The most drones on one upright circle
+GROUP_SIZE = 16  # Largest number of drones on one set of rings
+PER_CIRCLE = 5  # Largest number of drones on one vertical circle
 GAP = 0.4  # Smallest distance between the rings of two groups, m
-_SPARE = 0.05  # Distance that drones keep on their rings beyond the sum of radii, m
+_SPARE = 0.05  # Smallest distance of drones on rings beyond the sum of radii, m
 
 
 @dataclass(frozen=True)
 class RingLayout:
-    """Sizes, speed and phases of one set of rings. Raises ValueError for what cannot be."""
+    """Sizes, speeds and phases of one set of rings. Raises ValueError for invalid values."""
 
     horizontal_m: tuple[float, float]
-    """Half axes of the level ellipse along x and y, m."""
+    """Half axes of the horizontal ellipse along x and y, m."""
     vertical_m: float
-    """Radius of the upright circles, m."""
+    """Radius of the vertical circles, m."""
     speed_m_s: float
     """Mean speed along every ring, m/s."""
     height_m: float = 1.2
-    """Height of the level ellipse, m; of the lowest one, if there are several groups."""
+    """Height of the horizontal ellipse, m; of the lowest one, if there are several groups."""
     phases_rad: tuple[float, float] = (0.0, 0.0)
-    """Angle at which the first drone of the level ellipse starts, from the tip on the side of x,
-    and that of the first drone of each upright circle, from its lowest point, rad."""
+    """Angles of the first drone of the horizontal ellipse, from the vertex in the direction of x,
+    and of the first drone of each vertical circle, from its lowest point, rad."""
     lead_s: tuple[float, float] = (0.0, 60.0)
-    """Range of flight time by which the start is ahead of those phases, drawn once an episode for
-    all drones together, so that phases stay locked, s; equal ends fix it."""
+    """Range of the flight time by which starts are ahead of these phases, s; sampled once per
+    episode for all drones, so that their relative phases do not change."""
     upright_speed_m_s: float | None = None
-    """Mean speed along the upright circles, m/s; None: `speed_m_s`."""
+    """Mean speed along the vertical circles, m/s; None: `speed_m_s`."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         check_numbers("horizontal_m", self.horizontal_m, 2, above=0.0)
         check_numbers("phases_rad", self.phases_rad, 2)
         for name in ("vertical_m", "height_m"):
@@ -77,41 +78,41 @@ class RingLayout:
 
 
 FIVE = RingLayout((0.55, 0.55), 0.55, 0.65)
-"""Two rings, up to 8 drones: Neural-Swarm2, Fig. 9, wider than there; see `CLOSE_FIVE`."""
+"""Two rings for up to 8 drones: Neural-Swarm2, Fig. 9, enlarged; see `CLOSE_FIVE`."""
 SIXTEEN = RingLayout((1.0, 0.6), 0.5, 0.5)
-"""Three rings, up to 16 drones: Neural-Swarm2, Fig. 1, wider than there; see `CLOSE_SIXTEEN`."""
+"""Three rings for up to 16 drones: Neural-Swarm2, Fig. 1, enlarged; see `CLOSE_SIXTEEN`."""
 CLOSE_SIXTEEN = RingLayout((0.5, 0.3), 0.3, 0.51, 0.7, (0.0, 0.32), upright_speed_m_s=0.377)
-"""Sizes, speeds and phases of Fig. 1 as the authors flew it: ellipse, circles and the five seconds
-of a turn are measured on the trajectories in their repository (aerorobotics/neural-swarm, commit
-48b1851, `three_rings16_pps`). References come within 0.26 m of each other, theirs within 0.25 m,
-and 0.24 m as they begin and end."""
+"""Sizes, speeds and phases of Fig. 1 in the authors' flights: the ellipse, the circles and the
+period of five seconds are measured on the trajectories in their repository
+(aerorobotics/neural-swarm, commit 48b1851, `three_rings16_pps`). References come within 0.26 m of
+each other; those of the authors within 0.25 m, and 0.24 m at the beginning and at the end."""
 CLOSE_FIVE = RingLayout((0.5, 0.5), 0.3, 0.628, 0.7, upright_speed_m_s=0.377)
 """Fig. 9 in the sizes of `CLOSE_SIXTEEN`; its own trajectories are not published."""
 
 
 def num_upright(n: int) -> int:
-    """How many of n drones fly on upright circles."""
+    """Return the number of drones, of n, on vertical circles."""
     return (6 * n + 4) // 10
 
 
 def layout_for(n: int) -> RingLayout:
-    """The shipped layout of a group of n drones."""
+    """Return the shipped layout for a group of n drones."""
     return FIVE if num_upright(n) <= PER_CIRCLE else SIXTEEN
 
 
 def perimeter(a: float, b: float) -> float:
-    """Length of an ellipse with half axes a and b, m, by Ramanujan's second formula."""
+    """Return the length of an ellipse with half axes a and b, by Ramanujan's second formula."""
     h = ((a - b) / (a + b)) ** 2
     return math.pi * (a + b) * (1.0 + 3.0 * h / (10.0 + math.sqrt(4.0 - 3.0 * h)))
 
 
 def rings_of_group(team: Team, layout: RingLayout, center: FloatArray) -> Orbit:
-    """The ring of each drone of a group of at most 16.
+    """Return the rings of the drones of a group of at most 16.
 
     Args:
         team: the group.
-        layout: sizes, speed, phases.
-        center: (3,) middle of the rings, at the height of the level ellipse, m.
+        layout: sizes, speeds and phases.
+        center: (3,) center of the rings, at the height of the horizontal ellipse, m.
 
     Raises:
         ValueError: drones would collide.
@@ -143,7 +144,7 @@ def _put(
     layout: RingLayout,
     kind: int,
 ) -> None:
-    """Space drones evenly on a ring, in place."""
+    """Write the orbits of drones that are evenly spaced on a ring."""
     a, b = float(np.linalg.norm(first)), float(np.linalg.norm(second))
     orbit.center[members], orbit.first[members], orbit.second[members] = center, first, second
     speed = (layout.upright_speed_m_s or layout.speed_m_s) if kind else layout.speed_m_s
@@ -153,7 +154,7 @@ def _put(
 
 
 def _check_apart(orbit: Orbit, least: float) -> None:
-    """Refuse rings on which two drones could meet, whatever the phases between rings."""
+    """Raise ValueError if drones could come closer than `least`, m, at any phases between rings."""
     angle = np.linspace(0.0, 2 * np.pi, 90, endpoint=False)
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     n = len(orbit.rate)
@@ -178,19 +179,23 @@ def _check_apart(orbit: Orbit, least: float) -> None:
 
 
 def check_speed(orbit: Orbit, team: Team) -> None:
-    """Refuse rings that ask for more than half of the thrust that a drone has beyond its weight."""
+    """Raise ValueError if rings need more than half of a drone's thrust beyond its weight."""
     reach = np.maximum(np.linalg.norm(orbit.first, axis=1), np.linalg.norm(orbit.second, axis=1))
-    for i, (asked, vehicle) in enumerate(zip(reach * orbit.rate**2, team, strict=True)):
+    for i, (needed, vehicle) in enumerate(zip(reach * orbit.rate**2, team, strict=True)):
         limit = 0.5 * GRAVITY * (vehicle.thrust_to_weight - 1.0)
-        if asked > limit:
+        if needed > limit:
             raise ValueError(
-                f"drone {i} would be accelerated at {asked:.2f} m/s^2 on its ring, but its thrust "
+                f"drone {i} would accelerate at {needed:.2f} m/s^2 on its ring, but its thrust "
                 f"allows {limit:.2f} m/s^2; use a lower speed_m_s or larger rings"
             )
 
 
 def group_centers(groups: int, layout: RingLayout, arena: FloatArray) -> FloatArray:
-    """Middles (groups, 3) of the rings of each group, m: side by side, then one above another."""
+    """Return the centers (groups, 3) of the groups' rings, m: side by side, then one above another.
+
+    Raises:
+        ValueError: the groups do not fit the arena.
+    """
     (a, b), r = layout.horizontal_m, layout.vertical_m
     size = np.array([2.0 * (a + r), 2.0 * b, 2.0 * r])
     lowest = layout.height_m - r
@@ -202,8 +207,8 @@ def group_centers(groups: int, layout: RingLayout, arena: FloatArray) -> FloatAr
             f"for {counts.prod()}; use fewer drones or smaller rings"
         )
     nx, ny, nz = counts.tolist()
-    places = [(i, j, k) for k in range(nz) for i in range(nx) for j in range(ny)]
-    used = np.array(places[:groups], dtype=np.float64)
+    cells = [(i, j, k) for k in range(nz) for i in range(nx) for j in range(ny)]
+    used = np.array(cells[:groups], dtype=np.float64)
     middle = np.ptp(used, axis=0) / 2
     middle[2] = 0.0
     return np.asarray((used - middle) * (size + GAP) + np.array([0.0, 0.0, layout.height_m]))
@@ -224,18 +229,18 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
 
 
 def ring_team(num_drones: int) -> Team:
-    """The team that flies if none is named: the paper's for 5 and 16 drones, else small ones."""
+    """Return the default team: the paper's for 5 and 16 drones, else small drones."""
     check_integer("num_drones", num_drones, at_least=1)
     teams = {5: "S*S*S*LL", 16: "LSSLSS" + 10 * "S*"}
     return parse_team(teams.get(num_drones, num_drones * "S"))
 
 
 LOST_M = 0.15
-"""Height error with which an episode counts that was lost: what ends a ring's success, m."""
+"""Value of `worst_height_error_m` for an episode without success, m."""
 
 
 def worst_height_error_m(metrics: Metrics) -> float:
-    """Return the largest vertical distance of any drone to its reference; `LOST_M` if lost."""
+    """Return the largest height error of any drone, m; `LOST_M` without success."""
     error = metrics["worst_height_error_m"]
     return LOST_M if error is None or not metrics["success"] else float(error)
 
@@ -253,18 +258,18 @@ class RingTask(Task):
     **Teams.** 5 drones (the default, `S*S*S*LL`): three small drones on a vertical circle and two
     large drones on a horizontal circle of the same radius, 0.55 m, at 0.65 m/s; a small drone is at
     its lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two
-    large and four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical
-    circles of 0.5 m at its tips, at 0.5 m/s. Other teams follow the same rule: see
-    `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds: `CLOSE_SIXTEEN` there
-    has those of Neural-Swarm2, Fig. 1, whose references come within 0.26 m, and `CLOSE_FIVE` is
-    alike for Fig. 9.
+    large and four small drones on a horizontal ellipse with half axes of 1.0 and 0.6 m, and two
+    times five drones on vertical circles of radius 0.5 m at its vertices, at 0.5 m/s. For other
+    teams see `swarm_envs.tasks.ring`. `rings=RingLayout(...)` changes sizes and speeds:
+    `CLOSE_SIXTEEN` of that module has those of Neural-Swarm2, Fig. 1, with references within 0.26 m
+    of each other, and `CLOSE_FIVE` those of Fig. 9.
 
-    **Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
-    ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`
-    sets other starts; the reference stays the same. Goals cannot be set.
+    **Start.** On the rings, at rest. Relative phases are fixed; the whole team starts at a random
+    point of its motion. The speed grows smoothly within 2 s. `reset(options={"start": ...})` sets
+    other starts; the reference stays the same. Goals cannot be set.
 
     **Success.** No collision until the time limit, and after the first 2 s every drone stays within
-    0.15 m of its reference. Success is known, and rewarded, at the time limit.
+    0.15 m of its reference. Success is determined, and rewarded, at the time limit.
 
     **Rewards** (`parallel_env` lists terms and weights): as in swap, with `tracking` in place of
     `progress` and `at_goal`.
@@ -276,16 +281,16 @@ class RingTask(Task):
     """
 
     rings: RingLayout | None = None
-    """Sizes, speed and phases; None: those of the paper for 5 or 16 drones, whichever fits."""
+    """Sizes, speeds and phases; None: a shipped layout for up to 8 or up to 16 drones."""
     success: TrackingSuccess = TrackingSuccess()
-    """When the team has done its task. Its `settle_s` is also the time of the smooth start-up."""
+    """The criterion of success. Its `settle_s` is also the duration of the smooth start-up."""
     scored_s: float = 10.0
-    """Seconds flown after the start-up."""
+    """Time after the start-up, s."""
 
     name = "ring_v1"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 5}
     default_weights = REWARD_WEIGHTS
-    goals_are = "where the reference is"
+    goals_are = "the positions of the reference"
     learning = Learning(
         layouts={"rings": {}},
         horizon_s=5.0,
@@ -295,7 +300,7 @@ class RingTask(Task):
     )
 
     def __post_init__(self) -> None:
-        """Refuse rings that do not fit, on which drones would collide, or that are too fast."""
+        """Raise ValueError for invalid values, and for rings too large, too close or too fast."""
         check_type("rings", self.rings, RingLayout | None)
         check_type("success", self.success, TrackingSuccess)
         check_number("scored_s", self.scored_s, above=0.0, unit="s")
@@ -306,17 +311,17 @@ class RingTask(Task):
 
     @classmethod
     def default_team(cls, options: Any) -> Team:
-        """Return the paper's team for 5 and 16 drones, else small ones."""
+        """Return the paper's team for 5 and 16 drones, else small drones."""
         return ring_team(options.num_drones)
 
     @property
     def layout(self) -> RingLayout:
-        """Sizes, speed and phases that are flown."""
+        """The sizes, speeds and phases."""
         return self.rings or layout_for(min(len(self.team), GROUP_SIZE))
 
     @cached_property
     def orbit(self) -> Orbit:
-        """The ring of each drone; its phase is that of a start with no lead."""
+        """The rings of the drones, with the phases of a start without lead."""
         n, layout = len(self.team), self.layout
         groups = np.array_split(np.arange(n), -(-n // GROUP_SIZE))
         centers = group_centers(len(groups), layout, self.arena)
@@ -328,16 +333,16 @@ class RingTask(Task):
 
     @property
     def motion(self) -> Motion:
-        """On the rings, from rest to full rate within the start-up."""
+        """Motion on the rings, which starts from rest."""
         return Motion(ORBITS, float(self.success.settle_s))
 
     @property
     def episode_s(self) -> float:
-        """Start-up and scored flight, s."""
+        """The time of start-up and scored flight, s."""
         return self.success.settle_s + self.scored_s
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw how far the team is ahead; a start that is given is flown from to the rings."""
+        """Sample the lead; a given start does not change the reference."""
         lead = rng.uniform(*self.layout.lead_s)
         orbit = self.orbit._replace(phase=self.orbit.phase + self.orbit.rate * lead)
         on_ring = orbit.at(orbit.phase)
@@ -349,6 +354,6 @@ class RingTask(Task):
             low, high = points - self.radius[:, None], points + self.radius[:, None]
             if (low < self.arena[0]).any() or (high > self.arena[1]).any():
                 raise ValueError(
-                    f"rings of {self.layout} reach out of the arena of {self.arena[1]} m; make "
-                    "them smaller or change height_m"
+                    f"rings of {self.layout} leave the arena, which ends at {self.arena[1]} m; use "
+                    "smaller rings or another height_m"
                 )

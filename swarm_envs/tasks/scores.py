@@ -1,4 +1,4 @@
-"""What tasks share whose goals go on and that are judged by a score."""
+"""Functions of tasks with successive goals, which are evaluated by a score."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ SCORED_WEIGHTS: Mapping[str, float] = MappingProxyType(
         "success": 0.0,
     }
 )
-"""Default weight of each reward term: none depends on the time limit."""
+"""Default weights of the reward terms, which do not depend on the time limit."""
 
 
 @part
 def send_to(d: Record, goal: FloatArray) -> None:
-    """Give a drone that has been judged another goal (3,), m.
+    """Give a drone a new goal (3,), m, after the evaluation of a decision.
 
-    Its last distance is set as if it had come from there: the reward term `progress` of this
-    decision stays what it covered to the goal that it had.
+    Its last distance is set so that the reward term `progress` of this decision still counts the
+    motion toward the previous goal.
     """
     covered, square = d.last_distance - d.distance, 0.0
     for k in range(3):
@@ -42,10 +42,7 @@ def send_to(d: Record, goal: FloatArray) -> None:
 
 @part
 def end_by_score(environment: Record, drones: Records, rules: Record) -> None:
-    """Mark episodes that ended at the time limit as successes.
-
-    Its score is high enough, and nothing has ever happened to any of its drones (N,).
-    """
+    """Mark an episode as a success at its time limit, by its score and if no drone (N,) crashed."""
     won = environment.truncated and environment.score >= rules.least_score
     for i in range(drones.shape[0]):
         won = won and drones[i].hurt == 0.0

@@ -1,7 +1,7 @@
-"""Shapes of formations: each a function of n and a smallest distance, giving n points.
+"""Shapes of formations: functions from a number n and a spacing to n points.
 
-Points are centred: the middle of their bounding box is the origin. They are the same at every call,
-and no two are nearer than the distance asked for. Letters are lines on a grid of 5 x 7 points.
+The center of the points' bounding box is the origin, and the spacing is their smallest distance.
+Points are deterministic. Letters consist of lines on a grid of 5 x 7 points.
 """
 
 from __future__ import annotations
@@ -60,17 +60,17 @@ _LINES: dict[str, str] = {
 }
 """Strokes of each character; two digits are x and y of a point, hyphens join points."""
 CHARACTERS = tuple(_LINES)
-"""Everything that can be written."""
+"""The available characters."""
 THIN_UP_TO = 24
-"""Characters of more drones than this are drawn with broad strokes."""
+"""Largest number of drones of a character with thin strokes; strokes of larger ones are broad."""
 _STEP, _BROAD, _SWEEPS = 0.05, 0.5, 15
 
 
 def strokes(character: str) -> list[tuple[FloatArray, FloatArray]]:
-    """The straight pieces of a character: pairs of points (2,) with x in 0-4, y in 0-6.
+    """Return the line segments of a character: pairs of points (2,) with x in 0-4, y in 0-6.
 
     Raises:
-        ValueError: it is not among `CHARACTERS`.
+        ValueError: the character is not among `CHARACTERS`.
     """
     check_name("character", character, CHARACTERS)
     pieces = []
@@ -81,10 +81,10 @@ def strokes(character: str) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def written(character: str, n: int) -> FloatArray:
-    """Points (n, 2) that spread evenly over a character.
+    """Return points (n, 2) spread evenly over a character.
 
-    Each next point is the one farthest from those before; then all move to the middle of the part
-    of the character that is nearest to them (Lloyd's method), as long as that spreads them.
+    Points are chosen one after another, each farthest from those before, and then spread by
+    Lloyd's method.
 
     Raises:
         ValueError: the character is not among `CHARACTERS`.
@@ -99,7 +99,7 @@ def written(character: str, n: int) -> FloatArray:
 
 
 def _spread(points: FloatArray, candidates: FloatArray) -> FloatArray:
-    """The most even of the point sets (n, 2) that Lloyd's method goes through on candidates."""
+    """Return the most even point set (n, 2) of the iterations of Lloyd's method on candidates."""
     best, n = points, len(points)
     for _ in range(_SWEEPS):
         owner = _squares(candidates, points).argmin(axis=1)
@@ -115,19 +115,19 @@ def _spread(points: FloatArray, candidates: FloatArray) -> FloatArray:
 
 
 def _squares(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Squared distances (A, B) between points (A, 2) and (B, 2)."""
+    """Return the squared distances (A, B) between points (A, 2) and (B, 2)."""
     return np.asarray(
         np.square(a).sum(axis=1)[:, None] - 2.0 * a @ b.T + np.square(b).sum(axis=1)[None]
     )
 
 
 def _evenness(points: FloatArray) -> float:
-    """Smallest squared distance between two of the points (n, 2)."""
+    """Return the smallest squared distance between two of the points (n, 2)."""
     return float((_squares(points, points) + np.diag(np.full(len(points), np.inf))).min())
 
 
 def _dense(character: str, broad: bool) -> FloatArray:
-    """Points all over a character: along its lines, or in a band around them."""
+    """Return dense points of a character: on its lines or, if broad, in a band around them."""
     pieces = strokes(character)
     if not broad:
         rows = []
@@ -146,10 +146,10 @@ def _dense(character: str, broad: bool) -> FloatArray:
 
 
 LETTER = "letter:"
-"""What names of letters begin with, as in `letter:A`."""
+"""Prefix of the names of letters, as in `letter:A`."""
 LETTER_TILT = math.radians(30.0)
-"""Angle between a letter and the floor, rad: it leans back, so that drones do not fly in the
-downwash of those above them."""
+"""Angle between a letter and the floor, rad: it is tilted, so that drones are not in the downwash
+of those above them."""
 _BLOCKS = 9
 
 
@@ -159,14 +159,14 @@ def _centered(points: FloatArray) -> FloatArray:
 
 
 def _lattice(counts: tuple[int, int, int]) -> FloatArray:
-    """Points (., 3) of a lattice of unit spacing, layer by layer, row by row."""
+    """Return the points (., 3) of a lattice of unit spacing, layer by layer, row by row."""
     nx, ny, nz = counts
     z, y, x = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
     return np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float64)
 
 
 def plane(n: int, spacing: float) -> FloatArray:
-    """A level square grid, its last row perhaps shorter: points (n, 3), m."""
+    """Return points (n, 3), m, of a horizontal square grid, whose last row may be shorter."""
     side = math.ceil(math.sqrt(n))
     points = _lattice((side, side, 1))[:n]
     last = points[:, 1] == points[-1, 1]
@@ -175,7 +175,7 @@ def plane(n: int, spacing: float) -> FloatArray:
 
 
 def pyramid(n: int, spacing: float) -> FloatArray:
-    """Square layers of 1, 4, 9, ... from the top; the lowest has what remains, outermost first."""
+    """Return square layers of 1, 4, 9, ... points from the top; the last is filled from outside."""
     layers, left, size = [], n, 1
     while left > 0:
         layer = plane(size * size, 1.0)
@@ -187,7 +187,7 @@ def pyramid(n: int, spacing: float) -> FloatArray:
 
 
 def cube(n: int, spacing: float) -> FloatArray:
-    """A cubic lattice, of which corners, then edges, then faces are taken first."""
+    """Return points of a cubic lattice, chosen from outside: corners first, then edges, faces."""
     side = max(k for k in range(1, n + 2) if (k - 1) ** 3 < n)
     points = _lattice((side, side, side)) - (side - 1) / 2
     outermost = np.argsort(-np.square(points).sum(axis=1), kind="stable")
@@ -195,7 +195,7 @@ def cube(n: int, spacing: float) -> FloatArray:
 
 
 def sphere(n: int, spacing: float) -> FloatArray:
-    """A Fibonacci spiral on a sphere that is just large enough."""
+    """Return points of a Fibonacci spiral on a sphere."""
     k = np.arange(n) + 0.5
     height, turn = 1.0 - 2.0 * k / n, math.pi * (3.0 - math.sqrt(5.0)) * k
     out = np.sqrt(1.0 - height**2)
@@ -204,7 +204,7 @@ def sphere(n: int, spacing: float) -> FloatArray:
 
 
 def rings(n: int, spacing: float) -> FloatArray:
-    """Concentric square rings in level planes, as in Fig. 9 of the RTH3D paper.
+    """Return concentric square rings in horizontal planes, as in Fig. 9 of the RTH3D paper.
 
     Rings have half sides of 1, 3, 5, ... spacings; drones are spread evenly over the planes.
     """
@@ -220,7 +220,7 @@ def rings(n: int, spacing: float) -> FloatArray:
 
 
 def _square_ring(half: int) -> FloatArray:
-    """Lattice points (8 half, 2) on a square of side 2 half, one after another."""
+    """Return the lattice points (8 half, 2) on the edges of a square of side 2 half, in order."""
     along = np.arange(-half, half, dtype=np.float64)
     edge = np.column_stack([along, np.full(2 * half, -float(half))])
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -231,13 +231,13 @@ def _square_ring(half: int) -> FloatArray:
 
 
 def block_of(n: int) -> IntArray:
-    """(n,) the block of each point of `blocks`."""
+    """Return the index (n,) of the block of each point of `blocks`."""
     sizes = [len(part) for part in np.array_split(np.arange(n), min(n, _BLOCKS))]
     return np.repeat(np.arange(len(sizes)), sizes)
 
 
 def blocks(n: int, spacing: float) -> FloatArray:
-    """Nine small blocks in a cube of 27, none above another, as in Fig. 9 of the RTH3D paper."""
+    """Return nine blocks in a cube of 27, none above another, as in Fig. 9 of the RTH3D paper."""
     owner = block_of(n)
     largest = int(np.bincount(owner).max())
     x = next(k for k in range(1, n + 1) if k**3 >= largest)
@@ -246,12 +246,12 @@ def blocks(n: int, spacing: float) -> FloatArray:
     inside = _lattice((x, y, z))
     pitch = np.array([x, y, z]) + 0.5
     cells = np.array([(i, j, (i + j) % 3) for i in range(3) for j in range(3)], dtype=np.float64)
-    place = np.concatenate([np.arange(size) for size in np.bincount(owner)])
-    return _centered((cells[owner] * pitch + inside[place]) * spacing)
+    member = np.concatenate([np.arange(size) for size in np.bincount(owner)])
+    return _centered((cells[owner] * pitch + inside[member]) * spacing)
 
 
 def letter(character: str, n: int, spacing: float) -> FloatArray:
-    """A capital letter or digit that leans back; upright as seen against y.
+    """Return points of a tilted capital letter or digit, upright for a viewer who looks along y.
 
     Raises:
         ValueError: there is no such character.
@@ -264,7 +264,7 @@ def letter(character: str, n: int, spacing: float) -> FloatArray:
 
 
 def _smallest_distance(points: FloatArray) -> float:
-    """Smallest distance between two points; 1 if there is only one."""
+    """Return the smallest distance between two points; 1 if there is only one."""
     if len(points) < 2:
         return 1.0
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
@@ -274,21 +274,21 @@ def _smallest_distance(points: FloatArray) -> float:
 SHAPES: dict[str, Callable[[int, float], FloatArray]] = {
     shape.__name__: shape for shape in (plane, pyramid, cube, sphere, rings, blocks)
 }
-"""Every shape by name, letters apart."""
+"""The shapes by name, without letters."""
 SHAPE_NAMES = (*SHAPES, *(LETTER + character for character in CHARACTERS))
-"""Every shape and letter by name."""
+"""The names of all shapes and letters."""
 
 
 @cache
 def _unit(name: str, n: int) -> FloatArray:
-    """Points (n, 3) of a shape whose smallest distance is 1."""
+    """Return points (n, 3) of a shape with spacing 1."""
     if name.startswith(LETTER):
         return letter(name.removeprefix(LETTER), n, 1.0)
     return SHAPES[name](n, 1.0)
 
 
 def shape_points(name: str, n: int, spacing: float) -> FloatArray:
-    """Points (n, 3) of a shape, m, about the origin, no two nearer than `spacing`.
+    """Return the points (n, 3) of a shape about the origin, m, with smallest distance `spacing`.
 
     Raises:
         ValueError: there is no such shape; the message names the nearest.

@@ -1,4 +1,4 @@
-"""Swap: drones change places, through each other's downwash."""
+"""Swap: drones exchange positions through each other's downwash."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTas
 Layout = Literal["stacked", "circle", "random"]
 """The name of a layout."""
 LAYOUTS: tuple[str, ...] = get_args(Layout)
-"""Every layout by name."""
+"""The names of the layouts."""
 _RAMP = 0.2  # Share of a stacked swap in which the speed grows, and in which it falls
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
@@ -45,28 +45,28 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
         "success": 3.0,
     }
 )
-"""Default weight of each reward term; see `write_terms`. Success is worth 30 s at the goal, or a
-stage of a formation more than its 6 s there, so that lingering does not pay."""
+"""Default weight of each reward term; see `write_terms`. Success is worth as much as 30 s at the
+goal, so that delaying it does not pay."""
 
 
 @dataclass(frozen=True)
 class StackedLayout:
-    """Ranges from which a stacked swap is drawn; equal ends fix a value.
+    """Ranges of a stacked swap; equal ends fix a value.
 
-    Drones stand in horizontal planes on a cylinder, as in Neural-Swarm2 (Sec. VII-B, Fig. 8).
+    Drones start in horizontal planes on a cylinder, as in Neural-Swarm2 (Sec. VII-B, Fig. 8).
     """
 
     radius_m: tuple[float, float] = (0.5, 0.75)
-    """Radius of the circle on which drones stand, seen from above, m."""
+    """Range of the radius of the cylinder, m."""
     gap_m: tuple[float, float] = (0.2, 0.3)
-    """Vertical distance between neighbouring planes, m."""
+    """Range of the vertical distance between adjacent planes, m."""
     lowest_m: float = 0.8
     """Height of the lowest plane, m."""
     duration_s: tuple[float, float] = (3.0, 4.0)
-    """Time from one side to the other, s."""
+    """Range of the time from one side to the other, s."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         for name in ("radius_m", "gap_m"):
             check_interval(name, getattr(self, name), above=0.0, unit="m")
         check_number("lowest_m", self.lowest_m, above=0.0, unit="m")
@@ -75,36 +75,36 @@ class StackedLayout:
 
 @dataclass(frozen=True)
 class CircleLayout:
-    """What the circle layout is made of; its turn about the vertical is drawn."""
+    """Size of the circle layout, whose rotation about the vertical is random."""
 
     radius_m: float = 1.5
-    """Radius of the circle, m; it grows where neighbours would stand closer than `spacing_m`."""
+    """Radius of the circle, m; larger if neighbors would be closer than `spacing_m`."""
     spacing_m: float = 0.3
-    """Smallest distance between neighbours on the circle, m."""
+    """Smallest distance between neighbors on the circle, m."""
     height_m: float = 1.0
     """Height of starts and goals, m."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError for invalid values."""
         for name in ("radius_m", "spacing_m", "height_m"):
             check_number(name, getattr(self, name), above=0.0, unit="m")
 
     def radius_for(self, num_drones: int) -> float:
-        """Radius at which that many drones keep their spacing, m."""
+        """Return the radius for a number of drones, m."""
         if num_drones < 2:
             return self.radius_m
         return max(self.radius_m, self.spacing_m / (2.0 * math.sin(math.pi / num_drones)))
 
 
 CIRCLE_SHARE, CROWDED_SHARE = 0.25, 0.5
-"""Shares of episodes on a circle, and in a small cube; the rest are those of the random layout."""
+"""Shares of episodes on a circle, and in a small cube; the others have the random layout."""
 CROWDED_SIDE_M = (0.9, 1.6)
-"""Side of the cube for four drones, m, from which it is drawn; it grows with N^(1/3)."""
-PAIRS_SHARE = 0.5  # Share of crowded episodes in which drones change places in pairs
+"""Range of the side of the cube for four drones, m; it grows with N^(1/3)."""
+PAIRS_SHARE = 0.5  # Share of crowded episodes in which drones exchange positions in pairs
 
 
 def hard_swaps(task: SwapTask, layout: str) -> SwapTask:
-    """Return the task in which a swap is learned: in the layout `random`, with hard starts."""
+    """Return the task of training: in the layout `random`, a curriculum with hard starts."""
     if layout != "random":
         return task
     return SwapCurriculum(
@@ -113,7 +113,7 @@ def hard_swaps(task: SwapTask, layout: str) -> SwapTask:
 
 
 def kinds_of_swaps(task: SwapTask, layout: str) -> Parts:
-    """Return random swaps, crowded ones and circles apart: a teacher may be for one alone."""
+    """Return random swaps, crowded swaps and circles as parts, for different teachers."""
     if not isinstance(task, SwapCurriculum):
         return {layout: (1.0, task)}
     return {
@@ -125,14 +125,14 @@ def kinds_of_swaps(task: SwapTask, layout: str) -> Parts:
 
 @dataclass(frozen=True)
 class SwapTask(Task):
-    """Swap, version 1: drones swap places through each other's downwash.
+    """Swap, version 1: drones exchange positions through each other's downwash.
 
         from swarm_envs import swap_v1
         env = swap_v1.parallel_env(team="LS", layout="stacked", action="setpoint")
 
     | | |
     |---|---|
-    | Agents | `drone_0` ... `drone_{N-1}`, in the team's order; `on_contact` says when they end |
+    | Agents | `drone_0` ... `drone_{N-1}`, in the team's order |
     | `acceleration` | 3 in [-1, 1]: a set-point's acceleration along x, y, z, times 5 m/s^2 |
     | `velocity` | 3 in [-1, 1]: a set-point's velocity along x, y, z, times 2 m/s |
     | `ctbr` | 4 in [-1, 1]: collective thrust, zero to maximum; body rates times 8, 8, 4 rad/s |
@@ -141,11 +141,11 @@ class SwapTask(Task):
     | Observations | float32 row; `env.observation_layout`: names, slices, units and scales |
     | Arena | 4 x 4 x 2.5 m, grown with (N / 16)^(1/3) above 16 drones |
 
-    World frame: x and y are horizontal, z points up, metres. In `acceleration` and `velocity` the
-    drone tracks a set-point, whose acceleration follows the action with a lag of 0.1 s and whose
-    speed is at most 2 m/s. Rotors: front right, back right, back left, front left; the first and
-    the third turn counter-clockwise. Yaw in rad. An observed quantity is the number in the row
-    times its field's scale.
+    World frame: x and y are horizontal, z points up, in meters. In `acceleration` and `velocity`
+    the drone tracks a set-point, whose acceleration follows the action with a lag of 0.1 s and
+    whose speed is at most 2 m/s. Rotors: front right, back right, back left, front left; the first
+    and the third turn counterclockwise. Yaw is in rad. An observed quantity is the number in the
+    row times its field's scale.
 
     **Start.**
 
@@ -154,8 +154,9 @@ class SwapTask(Task):
     - `circle`: evenly spaced on a circle of radius 1.5 m (larger where neighbors would be less than
       0.3 m apart), 1.0 m high. Each goal is the opposite point.
     - `stacked`, the flight test of Neural-Swarm2 (Sec. VII-E): on a circle of radius 0.5-0.75 m, in
-      planes 0.2-0.3 m apart, the lowest at 0.8 m, the first drone of the team on top. The reference
-      leads straight to the opposite side in 3-4 s, so that drones are above each other half way.
+      planes 0.2-0.3 m apart, the lowest at 0.8 m, with the first drone of the team on top. The
+      reference leads straight to the opposite side in 3-4 s, so that drones are above each other
+      half way.
 
     **Success.** Every drone stays within 0.10 m of its goal for 0.5 s, without a collision.
 
@@ -170,7 +171,7 @@ class SwapTask(Task):
     """
 
     layout: Layout = "random"
-    """Where drones start: `random`, `stacked` or `circle`."""
+    """The layout of starts: `random`, `stacked` or `circle`."""
     stacked: StackedLayout = StackedLayout()
     """Ranges of the stacked layout."""
     circle: CircleLayout = CircleLayout()
@@ -178,9 +179,9 @@ class SwapTask(Task):
     spacing_m: float = 0.5
     """Smallest distance between starts in the random layout, m."""
     heights_m: tuple[float, float] = (0.5, 2.0)
-    """Lowest and highest start in the random layout, m; the highest grows with the arena."""
+    """Range of the height of starts in the random layout, m; its upper end grows with the arena."""
     success: Success = Success()
-    """When the team has swapped."""
+    """The criterion of success."""
 
     name = "swap_v1"
     layouts = LAYOUTS
@@ -194,7 +195,7 @@ class SwapTask(Task):
     )
 
     def __post_init__(self) -> None:
-        """Refuse layouts that do not fit the team, and weights of unknown terms."""
+        """Raise ValueError for invalid values, and for layouts that do not fit the team."""
         check_name("layout", self.layout, LAYOUTS)
         check_type("stacked", self.stacked, StackedLayout)
         check_type("circle", self.circle, CircleLayout)
@@ -213,7 +214,7 @@ class SwapTask(Task):
         if ranges.gap_m[0] <= touching:
             raise ValueError(
                 f"StackedLayout.gap_m begins at {ranges.gap_m[0]} m, but these drones touch at "
-                f"{touching:.3f} m, and would collide half way; use a larger gap"
+                f"{touching:.3f} m, and would collide half way; use a larger gap_m"
             )
         top = ranges.lowest_m + ranges.gap_m[1] * (len(self.team) - 1)
         if top > ceiling:
@@ -237,19 +238,19 @@ class SwapTask(Task):
         if n > 1 and self.circle.spacing_m <= touching:
             raise ValueError(
                 f"CircleLayout.spacing_m is {self.circle.spacing_m} m, but these drones touch at "
-                f"{touching:.3f} m; use a larger spacing"
+                f"{touching:.3f} m; use a larger spacing_m"
             )
 
     @property
     def motion(self) -> Motion:
-        """Straight lines at constant speed with smooth ramps if `stacked`; else rest at goals."""
+        """Straight lines at constant speed with smooth ramps in `stacked`; else rest at goals."""
         return Motion(LINES if self.layout == "stacked" else REST, _RAMP)
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
-        """Draw an episode; what is given is kept, and goals follow from a start that is given.
+        """Sample an episode; a given start or goal is used as it is, and goals follow from starts.
 
         Raises:
-            RuntimeError: no room for the drones was found within a bounded number of draws.
+            RuntimeError: no room for the drones was found in a bounded number of samples.
         """
         drawers = {
             "stacked": self._draw_stacked,
@@ -285,14 +286,14 @@ class SwapTask(Task):
 
     @cached_property
     def _box(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-        """Corners of the box of random starts, m; the obstacles, how far to keep from them, m."""
+        """The corners of the box of random starts, m; obstacles, and the distance from them, m."""
         rows, radius, arena = self._kept
         box = drawing_box(arena, *self.heights_m)
         return *box, rows, OBSTACLE_MARGIN + float(radius.max())
 
 
 def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -> FloatArray:
-    """Points (n, 3) evenly spaced on a circle about the vertical axis, the first at `turn`, rad."""
+    """Return points (n, 3) evenly spaced on a circle about the z axis, the first at `turn`, rad."""
     angle = turn + 2 * np.pi * np.arange(n) / n
     points = np.empty((n, 3))
     points[:, 0], points[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
@@ -301,37 +302,32 @@ def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -
 
 
 def _opposite(points: FloatArray) -> FloatArray:
-    """The points (n, 3) on the other side of the vertical axis."""
+    """Return the points (n, 3) opposite with respect to the z axis."""
     return points * np.array([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class SwapCurriculum(SwapTask):
-    """A random swap whose episodes are at times on a circle, and at times crowded.
+    """Random swaps, of which some are on a circle and some are crowded.
 
-    Nearly all failures of a policy that swaps are collisions soon after the start, mostly with a
-    drone that heads for the other's place. Starts drawn in a small cube, half of them as pairs that
-    change places, have many of these.
+    Nearly all failures of policies are collisions soon after the start, mostly of two drones that
+    exchange positions. Starts in a small cube, half of them in pairs that exchange positions, make
+    such situations frequent.
     """
 
-    circle_share: float = CIRCLE_SHARE  # Of the episodes on a circle
-    crowded_share: float = CROWDED_SHARE  # Of the episodes in a small cube
+    circle_share: float = CIRCLE_SHARE  # Share of episodes on a circle
+    crowded_share: float = CROWDED_SHARE  # Share of episodes in a small cube
 
     @cached_property
     def _circle(self) -> SwapTask:
         options = {field.name: getattr(self, field.name) for field in fields(SwapTask)}
         return SwapTask(**{**options, "layout": "circle"})
 
-    def draw(
-        self,
-        rng: np.random.Generator,
-        start: FloatArray | None = None,
-        goal: FloatArray | None = None,
-    ) -> Placement:
-        """Draw an episode; a start or goal that is given makes it one of the random layout.
+    def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
+        """Sample an episode; with a given start or goal, it has the random layout.
 
         Raises:
-            RuntimeError: no room for the drones was found within a bounded number of draws.
+            RuntimeError: no room for the drones was found in a bounded number of samples.
         """
         kind = rng.random()
         if start is not None or goal is not None or len(self.team) < 2:
@@ -355,7 +351,7 @@ class SwapCurriculum(SwapTask):
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """A permutation (n,), n even, in which each changes places with one other."""
+    """Return a random permutation (n,), n even, that exchanges elements in pairs."""
     order, shuffled = np.empty(n, dtype=np.int64), rng.permutation(n)
     order[shuffled[0::2]], order[shuffled[1::2]] = shuffled[1::2], shuffled[0::2]
     return order

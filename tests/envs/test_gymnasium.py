@@ -140,7 +140,7 @@ def test_options_of_a_batch_and_of_a_team_in_one_box():
         make_vector("swap_v1", num_envs=2, autoreset_mode="Same", **QUICK)
     with pytest.raises(ValueError, match="unknown render_mode 'rgb'"):
         make_vector("swap_v1", num_envs=2, render_mode="rgb", **QUICK)
-    with pytest.raises(ValueError, match="but a team in one Box has 'flat' rows"):
+    with pytest.raises(ValueError, match="but must be 'flat' for a team in one Box"):
         make_joint("swap_v1", observation="dict", **QUICK)
 
 

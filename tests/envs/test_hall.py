@@ -361,7 +361,7 @@ def test_the_option_is_read_by_name_and_by_numbers():
         env.close()
     with pytest.raises(ValueError, match="world"):
         swap_v1.parallel_env(world="attic")
-    with pytest.raises(ValueError, match="in the hall the state is estimated"):
+    with pytest.raises(ValueError, match="but the hall has its own noise"):
         EnvConfig(world="hall", randomization=Randomization(position_noise_m=0.01))
 
 
@@ -502,5 +502,5 @@ def test_what_could_not_fly_is_refused():
     weak = Randomization(thrust=(0.5, 1.0), mass=(1.0, 1.2))
     with pytest.raises(ValueError, match=r"can leave 'S' with a thrust-to-weight ratio of 0.8\d"):
         swap_v1.parallel_env(num_drones=2, physics="batch", randomization=weak)
-    with pytest.raises(ValueError, match="these batteries never empty; give battery="):
+    with pytest.raises(ValueError, match="ideal batteries never empty; give battery="):
         swap_v1.parallel_env(physics="batch", randomization=Randomization(battery=(0.5, 1.0)))

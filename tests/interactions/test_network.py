@@ -131,9 +131,9 @@ def test_an_anchor_above_what_was_measured_is_brought_to_its_edge() -> None:
 
 
 def test_more_types_than_there_is_room_for_are_refused() -> None:
-    with pytest.raises(ValueError, match="has 9 interaction types, but at most 8"):
+    with pytest.raises(ValueError, match="has 9 interaction types, but must have at most 8"):
         packed(empty_field(MOST_TYPES + 1))
-    with pytest.raises(ValueError, match="more than 128 drones"):
+    with pytest.raises(ValueError, match="must be at most 128"):
         scratch_for(packed(empty_field(1)), 40, 4)
 
 

@@ -49,8 +49,8 @@ def test_bad_commands_change_nothing(engine, commands, complaint):
     ("field", "value", "complaint"),
     [
         ("position", np.nan, "state.position is nan"),
-        ("quaternion", 0.9, "unit quaternions"),
-        ("rotor_thrust", -0.1, "rotors only push"),
+        ("quaternion", 0.9, "unit quaternion"),
+        ("rotor_thrust", -0.1, "must not be negative"),
         ("battery", 1.5, "between 0"),
     ],
 )

@@ -176,11 +176,11 @@ def test_a_missed_shape_is_no_success():
     ("options", "message"),
     [
         ({"shapes": ("plane", "sfere")}, r"unknown shape 'sfere'; did you mean 'sphere'"),
-        ({"shapes": ("plane",)}, r"shapes are \('plane',\), but must be at least 2"),
-        ({"letters": "AB", "shapes": ("plane",)}, r"letters='AB' says what is flown, but shapes"),
-        ({"labels": "blocks"}, r"labels='blocks' needs shapes=\('blocks', ...\)"),
+        ({"shapes": ("plane",)}, r"shapes are \('plane',\), but .* there must be at least 2"),
+        ({"letters": "AB", "shapes": ("plane",)}, r"letters='AB' and shapes are given, but each"),
+        ({"labels": "blocks"}, r"with labels='blocks' all must be 'blocks'; give shapes="),
         ({"travel_s": 7.0}, r"travel_s is 7.0, but must not exceed shape_s, 6.0"),
-        ({"spacing_m": 0.1}, r"places are 0.100 m apart, but must be 0.170 m apart"),
+        ({"spacing_m": 0.1}, r"slots are 0.100 m apart, but must be at least 0.170 m"),
         ({"spacing_m": 2.0}, r"shape 'pyramid' of 9 drones 2.0 m apart does not fit .* spacing_m"),
     ],
 )
@@ -355,8 +355,8 @@ def test_success_comes_with_the_clock_and_needs_the_tracking():
             RingLayout((0.05, 0.05), 0.5, 0.5),
             r"drones \d and \d of a group come within",
         ),
-        ("SSSSS", RingLayout((0.6, 0.6), 0.3, 0.5, height_m=0.3), r"reach out of the arena"),
-        ("SSSSS", RingLayout((0.6, 0.6), 0.6, 3.0), r"drone 0 would be accelerated at 15.00"),
+        ("SSSSS", RingLayout((0.6, 0.6), 0.3, 0.5, height_m=0.3), r"leave the arena"),
+        ("SSSSS", RingLayout((0.6, 0.6), 0.6, 3.0), r"drone 0 would accelerate at 15.00"),
         ("S" * 200, RingLayout((1.5, 1.5), 0.5, 0.5), r"13 groups of up to 16 drones do not fit"),
     ],
 )
@@ -370,7 +370,7 @@ def test_a_goal_is_refused_and_changes_nothing():
     env.reset(seed=1)
     state = env.core.generators[0].bit_generator.state
     goal = env.view.state.position + 0.0
-    with pytest.raises(ValueError, match=r"in ring goals are where the reference is; leave it out"):
+    with pytest.raises(ValueError, match="in ring goals are the positions of the reference; leave"):
         env.reset(options={"goal": goal})
     assert env.core.generators[0].bit_generator.state == state
 

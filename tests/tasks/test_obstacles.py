@@ -212,7 +212,7 @@ def test_buildings_stand_on_a_grid():
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: Box((0, 0, 0), (1, 0, 1)), ValueError, r"Box.low is .* each coordinate must grow"),
+        (lambda: Box((0, 0, 0), (1, 0, 1)), ValueError, r"Box.low is .* of low must be smaller"),
         (lambda: Box((0, 0), (1, 1)), ValueError, r"Box.low has shape \(2,\)"),  # type: ignore[arg-type]
         (lambda: Column((0, np.nan), 0.1), ValueError, r"Column.center is nan"),
         (lambda: buildings(0, 2), ValueError, r"columns is 0, but must be an integer"),

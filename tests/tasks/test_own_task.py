@@ -185,7 +185,7 @@ def test_a_task_has_defaults_and_a_team_of_its_own():
     with pytest.raises(ValueError, match="defaults of Wrong 'wrld'; did you mean 'world'"):
         swarm_envs.make(wrong)
     taken: Any = make_dataclass("Taken", [("hall", float, 1.0)], bases=(Endless,), frozen=True)
-    with pytest.raises(ValueError, match="Taken has a field 'hall', which means something else"):
+    with pytest.raises(ValueError, match="Taken has a field 'hall', but environments already have"):
         swarm_envs.make(taken)
 
 

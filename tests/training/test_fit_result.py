@@ -185,8 +185,8 @@ def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
     assert force / 0.00980665 == pytest.approx(-4.0, abs=0.8)
     content = json.loads(path.read_text())
     for change, reason in (
-        ({"format": "wake-0"}, "its format is another"),
-        ({"advection_velocity": "relative"}, "only 'neighbor'"),
+        ({"format": "wake-0"}, "it has another format"),
+        ({"advection_velocity": "relative"}, "must be 'neighbor'"),
         ({"pair": {}}, "'S>S'"),
         ({"combine_q": "two"}, "could not convert"),
         ({"combine_q": 0.0}, "combine_q is 0, .* must be at least 1"),

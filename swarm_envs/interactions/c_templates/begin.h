@@ -3,8 +3,8 @@
 @provenance@
  *
  * Call it with the drone's own type, its position (m, world frame, z up from the ground) and
- * velocity (m/s), and for each neighbour its type, offset (its position minus the drone's) and
- * relative velocity (its velocity minus the drone's): six numbers a neighbour, one after the
+ * velocity (m/s), and for each neighbor its type, offset (its position minus the drone's) and
+ * relative velocity (its velocity minus the drone's): six numbers a neighbor, one after the
  * other. Neighbours beyond @lateral@ m in x or y or @vertical@ m in z cost nothing. Forces are in
  * newton, world frame, and include drag. Inputs beyond the measured range are clamped to it.
  *

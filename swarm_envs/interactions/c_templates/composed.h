@@ -1,5 +1,5 @@
 static const struct @name@_network @name@_pair[@NAME@_TYPES][@NAME@_TYPES] = {
-    @pair@}; /* [neighbour][drone] */
+    @pair@}; /* [neighbor][drone] */
 static const struct @name@_network @name@_own[@NAME@_TYPES] = {
     @own@};
 
@@ -15,7 +15,7 @@ static inline float @name@_alone(int own_type, float height, const float velocit
     return @name@_apply(&@name@_own[own_type], values)[0] * @gram@;
 }
 
-/* What one neighbour does: its push (N), times the way towards the axis of its wake, and down. */
+/* What one neighbor does: its push (N), times the way towards the axis of its wake, and down. */
 static inline void @name@_push(int own_type, int type, const float velocity[3],
                                const float relative[6], float weight, float push[3])
 {
@@ -50,7 +50,7 @@ static inline void @name@_push(int own_type, int type, const float velocity[3],
 
 /* Force, N: interaction and drag. Types are those of the enumeration above. */
 static inline void @name@_force(int own_type, const float position[3], const float velocity[3],
-                                int neighbours, const int *types, const float *relative,
+                                int neighbors, const int *types, const float *relative,
                                 float force[3])
 {
     const float anchor = @anchor@; /* m; a lone drone feels nothing from there up; 0 if unused */
@@ -62,7 +62,7 @@ static inline void @name@_force(int own_type, const float position[3], const flo
         force[2] += @name@_alone(own_type, position[2], velocity);
         if (anchor > 0.0f) force[2] -= @name@_alone(own_type, anchor, velocity);
     }
-    for (j = 0; j < neighbours; j++, relative += 6) {
+    for (j = 0; j < neighbors; j++, relative += 6) {
         const float *f = @name@_window;
         const float beside = sqrtf(relative[0] * relative[0] + relative[1] * relative[1]);
         const float weight = @name@_fade(beside, f[0], f[1], f[2]) *
@@ -82,10 +82,10 @@ static inline void @name@_force(int own_type, const float position[3], const flo
 
 /* The vertical component of it, N. */
 static inline float @name@_force_z(int own_type, const float position[3], const float velocity[3],
-                                   int neighbours, const int *types, const float *relative)
+                                   int neighbors, const int *types, const float *relative)
 {
     float force[3];
-    @name@_force(own_type, position, velocity, neighbours, types, relative, force);
+    @name@_force(own_type, position, velocity, neighbors, types, relative, force);
     return force[2];
 }
 

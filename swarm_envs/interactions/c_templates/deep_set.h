@@ -26,13 +26,13 @@ static inline float @name@_output(int own_type, const float code[@hidden@])
     return @name@_apply(&@name@_rho[own_type], values)[0] * @gram@;
 }
 
-/* Add the codes of the neighbours in the volume; whether there are any. */
-static inline int @name@_neighbours(int neighbours, const int *types, const float *relative,
+/* Add the codes of the neighbors in the volume; whether there are any. */
+static inline int @name@_neighbors(int neighbors, const int *types, const float *relative,
                                     float code[@hidden@])
 {
     float values[2][@widest@];
     int any = 0, j, k;
-    for (j = 0; j < neighbours; j++, relative += 6) {
+    for (j = 0; j < neighbors; j++, relative += 6) {
         const float *f = @name@_window;
         const float weight = @name@_fade(relative[0], f[0], f[1], f[2]) *
                              @name@_fade(relative[1], f[0], f[1], f[2]) *
@@ -51,13 +51,13 @@ static inline int @name@_neighbours(int neighbours, const int *types, const floa
 
 /* Vertical force, N: interaction and drag. Types are those of the enumeration above. */
 static inline float @name@_force_z(int own_type, const float position[3], const float velocity[3],
-                                   int neighbours, const int *types, const float *relative)
+                                   int neighbors, const int *types, const float *relative)
 {
     const float anchor = @anchor@; /* m; a lone drone feels nothing from there up; 0 if unused */
     float code[@hidden@] = {0.0f}, alone[@hidden@] = {0.0f};
     float force = -@name@_drag[own_type][2] * velocity[2];
     const int low = anchor <= 0.0f || position[2] < anchor;
-    if (!@name@_neighbours(neighbours, types, relative, code) && !low) return force;
+    if (!@name@_neighbors(neighbors, types, relative, code) && !low) return force;
     @name@_environment(low ? position[2] : anchor, velocity, code);
     force += @name@_output(own_type, code);
     if (anchor > 0.0f) {
@@ -69,11 +69,11 @@ static inline float @name@_force_z(int own_type, const float position[3], const 
 
 /* All three components, N: drag alone acts in x and y. */
 static inline void @name@_force(int own_type, const float position[3], const float velocity[3],
-                                int neighbours, const int *types, const float *relative,
+                                int neighbors, const int *types, const float *relative,
                                 float force[3])
 {
     force[0] = -@name@_drag[own_type][0] * velocity[0];
     force[1] = -@name@_drag[own_type][1] * velocity[1];
-    force[2] = @name@_force_z(own_type, position, velocity, neighbours, types, relative);
+    force[2] = @name@_force_z(own_type, position, velocity, neighbors, types, relative);
 }
 
