@@ -301,3 +301,37 @@ def test_an_equation_becomes_part_of_the_loop_that_calls_it(monkeypatch, tmp_pat
     code = "".join(inspected.inspect_asm().values())
     if "vsqrtsd" in code:  # this processor works on lanes, and so does the loop
         assert "vsqrtpd" in code
+
+
+def _cached(folder: Path) -> dict[str, bytes]:
+    """The files of machine code in a cache, with their bytes."""
+    return {str(file): file.read_bytes() for file in kernels(folder)}
+
+
+@pytest.mark.slow
+@compiled_only
+def test_after_compile_a_flight_compiles_nothing(tmp_path: Path) -> None:
+    """`swarm-envs compile` into an empty cache: minutes; what is refused compiles nothing."""
+    cache, out = tmp_path / "cache", str(tmp_path / "out")
+
+    def command(*words: str) -> str:
+        script = [sys.executable, "-m", "swarm_envs", *words]
+        paths = {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(PACKAGE.parent)}
+        done = subprocess.run(script, capture_output=True, text=True, env={**os.environ, **paths})
+        assert done.returncode == (2 if "error:" in done.stderr else 0), done.stderr
+        return done.stderr
+
+    unfit = "--agent", "swap-ppo", "--drones", "7", "--out", out
+    for name in ("fly", "evaluate"):
+        said = command(name, *unfit)
+        assert "trained for teams of 4 drones" in said
+        assert MESSAGE not in said
+        assert not _cached(cache)
+
+    assert MESSAGE in command("compile", "--no-progress")
+    compiled = _cached(cache)
+    assert compiled
+    flights = ("fly", "fly --task gates --world hall", "fly --agent swap-ppo --physics batch")
+    for words in flights:
+        assert MESSAGE not in command(*words.split(), "--out", out)
+        assert _cached(cache) == compiled
