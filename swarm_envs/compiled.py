@@ -49,7 +49,6 @@ _UNSAFE = re.compile(r"[^\w.]")  # in the name of a file
 _NO_BRACKETS = re.compile("[<>]")
 _KERNELS = "*/*.nb[ci]"  # numba's files of machine code, and their indexes
 _DIGESTS = "digests.json"
-_EMPTY = hashlib.sha256().hexdigest()
 _DAY = 86400.0  # s
 _PATIENCE_S = 120.0
 _folders: set[Path] = set()  # Folders of the kernels of this process's modules
@@ -281,9 +280,9 @@ def _module(name: str) -> Path | None:
 def _check(folder: Path) -> None:
     """Remove the kernels that are not as they were recorded, so that numba compiles them again.
 
-    What is not recorded is trusted unless it is empty: a running process has just written it, or
-    has been killed since. What another process has just written once more is removed as well; that
-    costs a compilation.
+    What is not recorded is trusted unless it is cut short, as by a loss of power: a running process
+    has just written it, or has been killed since. What another process has just written once more
+    is removed as well; that costs a compilation.
     """
     recorded: dict[str, str] = {}
     with suppress(OSError, ValueError):
@@ -291,11 +290,16 @@ def _check(folder: Path) -> None:
     for file in folder.glob(_KERNELS):
         with suppress(OSError):
             digest = _digest(file)
-            if digest == _EMPTY or recorded.get(file.name, digest) != digest:
+            if not _whole(file) or recorded.get(file.name, digest) != digest:
                 index = file.with_suffix("").with_suffix(".nbi") if file.suffix == ".nbc" else file
                 index.unlink(missing_ok=True)  # so that the compilation is announced
                 file.unlink(missing_ok=True)
     _record(folder)
+
+
+def _whole(file: Path) -> bool:
+    """Whether a file ends as numba's do, which are pickles: an empty one, or zeros, do not."""
+    return file.read_bytes()[-1:] == b"."  # the opcode STOP
 
 
 def _record(folder: Path) -> None:

@@ -233,6 +233,21 @@ def test_kernels_of_a_process_that_was_killed_are_kept(package: Path) -> None:
     assert run(package)[0] == "8 8 0"
 
 
+@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
+@pytest.mark.parametrize("zeros", [False, True])
+def test_what_was_cut_short_before_it_was_recorded_is_compiled_again(package, suffix, zeros):
+    """As by a loss of power: a file may be shorter than was written, or hold zeros."""
+    run(package)
+    for record in package.rglob("digests.json"):
+        record.unlink()
+    for file in kernels(package, suffix):
+        file.write_bytes(file.read_bytes()[:100] + bytes(100 * zeros))
+    result, said = run(package)
+    assert result == "8 8 0"
+    assert said.count(MESSAGE) == said.count("\n") == 1
+    assert run(package) == ("8 8 1", "")
+
+
 def test_damaged_digests_are_written_again(package: Path) -> None:
     run(package)
     digests = sorted(package.rglob("digests.json"))
