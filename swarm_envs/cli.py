@@ -79,6 +79,7 @@ COMMANDS: Mapping[str, Command] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code."""
+    _print_every_name()
     try:
         return _run(list(sys.argv[1:] if arguments is None else arguments))
     except BrokenPipeError:
@@ -124,6 +125,15 @@ def _run(given: Sequence[str]) -> int:
         if place is None:
             raise
         return _complain(where, f"{place} raises {type(error).__name__}: {error}", FAILED)
+
+
+def _print_every_name() -> None:
+    """Let the output escape what its encoding lacks, as stderr does: paths and names hold anything.
+
+    Else a command would fail by its last line, as in a file of Windows' cp1252, with its work done.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 @contextmanager

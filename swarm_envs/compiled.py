@@ -49,7 +49,6 @@ _UNSAFE = re.compile(r"[^\w.]")  # Characters that are not used in file names
 _NO_BRACKETS = re.compile("[<>]")
 _KERNELS = "*/*.nb[ci]"  # Numba's files of machine code, and their indexes
 _DIGESTS = "digests.json"
-_EMPTY = hashlib.sha256().hexdigest()
 _DAY = 86400.0  # s
 _PATIENCE_S = 120.0
 _folders: set[Path] = set()  # Folders of the kernels of this process's modules
@@ -278,9 +277,9 @@ def _module(name: str) -> Path | None:
 def _check(folder: Path) -> None:
     """Remove kernels whose digests differ from the recorded ones, so that they are compiled again.
 
-    Files without a record are kept unless they are empty: a running process has just written them,
-    or was killed. Files that another process has just rewritten are removed too, at the cost of a
-    compilation.
+    Files without a record are kept unless they are cut short, as by a loss of power: a running
+    process has just written them, or was killed. Files that another process has just rewritten are
+    removed too, at the cost of a compilation.
     """
     recorded: dict[str, str] = {}
     with suppress(OSError, ValueError):
@@ -288,11 +287,16 @@ def _check(folder: Path) -> None:
     for file in folder.glob(_KERNELS):
         with suppress(OSError):
             digest = _digest(file)
-            if digest == _EMPTY or recorded.get(file.name, digest) != digest:
+            if not _whole(file) or recorded.get(file.name, digest) != digest:
                 index = file.with_suffix("").with_suffix(".nbi") if file.suffix == ".nbc" else file
                 index.unlink(missing_ok=True)  # so that the compilation is announced
                 file.unlink(missing_ok=True)
     _record(folder)
+
+
+def _whole(file: Path) -> bool:
+    """Return True if a file ends as a pickle does, which numba's files are."""
+    return file.read_bytes()[-1:] == b"."  # the opcode STOP
 
 
 def _record(folder: Path) -> None:

@@ -42,6 +42,24 @@ def test_of_an_output_the_head_alone_may_be_read(words):
     assert running.returncode == 0
 
 
+@pytest.mark.parametrize(
+    ("encoding", "printed"),
+    [
+        ("ascii", b"\\xdcbung-\\u8702"),
+        ("cp1252", b"\xdcbung-\\u8702"),
+        ("utf-8", "Übung-蜂".encode()),
+    ],
+)
+def test_names_that_the_output_s_encoding_lacks_are_escaped(encoding, printed, tmp_path):
+    folder = tmp_path / "Übung-蜂"
+    script = [sys.executable, "-m", "swarm_envs", "assignment", "start", "controller", str(folder)]
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run(script, capture_output=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert printed + b": read " in done.stdout
+    assert (folder / "README.md").exists()
+
+
 @pytest.mark.parametrize("words", [["--out", ""], ["--out="], ["--agent"]])
 def test_a_value_that_is_empty_is_refused(words, capsys):
     """`--out ""` is no name for the current folder, as of a variable that is not set."""

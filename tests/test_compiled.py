@@ -233,6 +233,21 @@ def test_kernels_of_a_process_that_was_killed_are_kept(package: Path) -> None:
     assert run(package)[0] == "8 8 0"
 
 
+@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
+@pytest.mark.parametrize("zeros", [False, True])
+def test_what_was_cut_short_before_it_was_recorded_is_compiled_again(package, suffix, zeros):
+    """As by a loss of power: a file may be shorter than was written, or hold zeros."""
+    run(package)
+    for record in package.rglob("digests.json"):
+        record.unlink()
+    for file in kernels(package, suffix):
+        file.write_bytes(file.read_bytes()[:100] + bytes(100 * zeros))
+    result, said = run(package)
+    assert result == "8 8 0"
+    assert said.count(MESSAGE) == said.count("\n") == 1
+    assert run(package) == ("8 8 1", "")
+
+
 def test_damaged_digests_are_written_again(package: Path) -> None:
     run(package)
     digests = sorted(package.rglob("digests.json"))
@@ -301,3 +316,37 @@ def test_an_equation_becomes_part_of_the_loop_that_calls_it(monkeypatch, tmp_pat
     code = "".join(inspected.inspect_asm().values())
     if "vsqrtsd" in code:  # this processor works on lanes, and so does the loop
         assert "vsqrtpd" in code
+
+
+def _cached(folder: Path) -> dict[str, bytes]:
+    """The files of machine code in a cache, with their bytes."""
+    return {str(file): file.read_bytes() for file in kernels(folder)}
+
+
+@pytest.mark.slow
+@compiled_only
+def test_after_compile_a_flight_compiles_nothing(tmp_path: Path) -> None:
+    """`swarm-envs compile` into an empty cache: minutes; what is refused compiles nothing."""
+    cache, out = tmp_path / "cache", str(tmp_path / "out")
+
+    def command(*words: str) -> str:
+        script = [sys.executable, "-m", "swarm_envs", *words]
+        paths = {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(PACKAGE.parent)}
+        done = subprocess.run(script, capture_output=True, text=True, env={**os.environ, **paths})
+        assert done.returncode == (2 if "error:" in done.stderr else 0), done.stderr
+        return done.stderr
+
+    unfit = "--agent", "swap-ppo", "--drones", "7", "--out", out
+    for name in ("fly", "evaluate"):
+        said = command(name, *unfit)
+        assert "trained for teams of 4 drones" in said
+        assert MESSAGE not in said
+        assert not _cached(cache)
+
+    assert MESSAGE in command("compile", "--no-progress")
+    compiled = _cached(cache)
+    assert compiled
+    flights = ("fly", "fly --task gates --world hall", "fly --agent swap-ppo --physics batch")
+    for words in flights:
+        assert MESSAGE not in command(*words.split(), "--out", out)
+        assert _cached(cache) == compiled

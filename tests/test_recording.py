@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import sys
 from dataclasses import replace
@@ -90,6 +91,18 @@ def test_a_file_gives_back_what_it_was_given(flight, tmp_path, suffix):
     for name, term in given.reward_terms.items():
         np.testing.assert_array_equal(again.reward_terms[name], term)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are Unicode there")
+def test_a_folder_whose_name_is_no_unicode_is_written_and_read(flight, tmp_path):
+    """As one that was named in Latin-1."""
+    pytest.importorskip("pyarrow")
+    folder = tmp_path / os.fsdecode(b"\xdcbung")
+    folder.mkdir()
+    for name in ("a.parquet", "a.npz"):
+        write_trajectory(folder / name, flight)
+        np.testing.assert_array_equal(read_trajectory(folder / name).time, flight.time)
+    assert sorted(file.name for file in folder.iterdir()) == ["a.npz", "a.parquet"]
 
 
 def test_the_table_has_a_row_for_each_drone_at_each_time(flight, tmp_path):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarm_envs import __version__, make
+from swarm_envs import __version__
 from swarm_envs.commands.checks import (
     Misuse,
     as_misuse,
@@ -26,8 +26,11 @@ from swarm_envs.commands.fly import (
     prepare,
     team_text,
 )
+from swarm_envs.envs.options import Blueprint, blueprint_of
+from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_divisor, check_integer
 from swarm_envs.files import claimed, write_json
+from swarm_envs.physics.bullet import import_bullet
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.scale_out import ScaleOptions
 from swarm_envs.user_files import file_digest
@@ -35,7 +38,6 @@ from swarm_envs.user_files import file_digest
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
     from swarm_envs.agents.evaluation import EpisodeFile
-    from swarm_envs.envs.parallel import SwarmParallelEnv
     from swarm_envs.training.flights import Flight
 
     Made = tuple[Agent, SwarmParallelEnv] | BaseException
@@ -90,7 +92,9 @@ def run_evaluate(options: EvaluateOptions) -> int:
         check_file("--json", path, (".json",))
     with as_misuse(TypeError, ImportError):
         task = find_task(options.task)
-        make(task, **options.setting()).close()
+        blueprint_of(task, **options.setting())
+        if options.physics == "bullet":
+            import_bullet()
         options = replace(options, agent=options.agent or [best_agent(options, task)])
     folder = _kept(options) if options.out is None else options.out
     with ExitStack() as opened:
@@ -104,18 +108,32 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
     from swarm_envs.agents.evaluation import frozen_seeds
 
     found: dict[str, Made] = {}
-    for name in options.agent or ():
-        try:
-            agent, env = prepare(name, options, task)
-        except (ValueError, TypeError, FileNotFoundError) as error:
-            raise Misuse(cannot_fly(name, error)) from error
-        except (Exception, SystemExit) as error:
-            found[name] = error
+    prepared = {name: _prepared(name, options, task) for name in options.agent or ()}
+    for name, given in prepared.items():  # only when none is refused: here kernels are compiled
+        if isinstance(given, BaseException):
+            found[name] = given
             continue
+        agent, wanted = given
+        try:
+            env = SwarmParallelEnv(*wanted)
+        except (ValueError, TypeError) as error:
+            raise Misuse(cannot_fly(name, error)) from error
         opened.callback(env.close)
         check_flies(name, agent, env, options, frozen_seeds(options.seed, 1)[0])
         found[name] = agent, env
     return found
+
+
+def _prepared(
+    name: str, options: EvaluateOptions, task: str
+) -> tuple[Agent, Blueprint] | BaseException:
+    """What `prepare` makes, or what an agent's own file raises."""
+    try:
+        return prepare(name, options, task)
+    except (ValueError, TypeError, FileNotFoundError) as error:
+        raise Misuse(cannot_fly(name, error)) from error
+    except (Exception, SystemExit) as error:
+        return error
 
 
 def _evaluate(

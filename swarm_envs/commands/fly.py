@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from swarm_envs import TASKS, __version__, make, task_family
+from swarm_envs import TASKS, __version__, task_family
 from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
@@ -29,6 +29,7 @@ from swarm_envs.vehicles import Team, parse_team, team_string
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
+    from swarm_envs.envs.options import Blueprint
     from swarm_envs.envs.parallel import SwarmParallelEnv
     from swarm_envs.viewing.record import Recording
 
@@ -153,6 +154,7 @@ class FlyOptions(EpisodeOptions):
 def run_fly(options: FlyOptions) -> None:
     """Fly, print and write."""
     from swarm_envs.agents.recommendation import avoids_obstacles
+    from swarm_envs.envs.parallel import SwarmParallelEnv
 
     files = output_files(options, _FILES)
     if options.trajectory is None and "trajectory" in files and find_spec("pyarrow") is None:
@@ -162,7 +164,8 @@ def run_fly(options: FlyOptions) -> None:
         task = find_task(options.task)
         name = best_agent(options, task) if options.agent is None else options.agent
         try:
-            agent, env = prepare(name, options, task)
+            agent, wanted = prepare(name, options, task)
+            env = SwarmParallelEnv(*wanted)
         except ValueError as error:
             raise ValueError(cannot_fly(name, error)) from error
     with closing(env):
@@ -185,14 +188,25 @@ def _check_writers(files: Mapping[str, Path]) -> None:
         find_ffmpeg()
 
 
-def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
-    """The agent of a name, and the environment as it requires it."""
+def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, Blueprint]:
+    """The agent of a name, and what the environment that it requires is made from.
+
+    The task or team that an agent which ships says it cannot fly is refused here: there is no
+    environment yet, so nothing is compiled.
+    """
     from swarm_envs.agents import load
-    from swarm_envs.agents.protocol import check_options_agree
+    from swarm_envs.agents.protocol import check_options_agree, check_task
+    from swarm_envs.envs.options import blueprint_of
 
     agent, given = load(name), options.setting()
     check_options_agree(agent, given)
-    return agent, make(task, **{**given, **agent.requires})
+    wanted = blueprint_of(task, **{**given, **agent.requires})
+    try:
+        if ":" not in name:
+            check_task(agent, wanted.task)
+    except ValueError as error:
+        raise Misuse(_refusal(name, error, options, wanted.task.name)) from error
+    return agent, wanted
 
 
 def check_flies(
@@ -245,10 +259,10 @@ def check_layout(task: str, layout: str) -> None:
 def best_agent(options: EpisodeOptions, task: str) -> str:
     """The best agent for a task, as it was asked for."""
     from swarm_envs.agents import recommended
+    from swarm_envs.envs.options import blueprint_of
 
     setting = options.setting()
-    with closing(make(task, **setting)) as env:
-        drones = len(env.possible_agents)
+    drones = len(blueprint_of(task, **setting).task.team)
     try:
         return recommended(
             task,

@@ -37,7 +37,7 @@ from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["WORLDS", "EnvConfig", "check_num_envs"]
+__all__ = ["RESET_OPTIONS", "WORLDS", "EnvConfig", "check_num_envs"]
 
 ENGINES = ("bullet", "batch")  # Names of the physics engines
 WORLDS = ("ideal", "hall")
@@ -256,7 +256,8 @@ class EnvConfig:
         return 1.0 / self.decision_rate
 
 
-_RESET_OPTIONS = ("start", "goal", "team")
+RESET_OPTIONS = ("start", "goal", "team")
+"""What `reset(options=...)` takes of every interface."""
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
@@ -306,7 +307,7 @@ def check_reset_options(
     check_type("options", options, Mapping)
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:
-        check_name("reset option", name, _RESET_OPTIONS)
+        check_name("reset option", name, RESET_OPTIONS)
     team = given.pop("team", None)
     placement = {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()}
     return None if team is None else parse_team(team), placement

@@ -11,7 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from swarm_envs.envs.config import EnvConfig, check_num_envs
+from swarm_envs.envs.config import RESET_OPTIONS, EnvConfig, check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, limited, split_teams
 from swarm_envs.envs.observation import Float32Array
@@ -138,6 +138,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         given = {} if options is None else options
         check_type("options", given, Mapping)
         given = dict(given)
+        for name in given:
+            check_name("reset option", name, (*RESET_OPTIONS, "reset_mask"))
         mask = given.pop("reset_mask", None)
         mask = None if mask is None else self._by_team("reset_mask", mask)
         self.core.reset(self._seeds(seed), mask, given)

@@ -175,7 +175,8 @@ def _write_parquet(path: Path, recording: Recording) -> None:
     arrow, parquet = _arrow()
     table = arrow.table({name: arrow.array(c) for name, c in columns(recording).items()})
     table = table.replace_schema_metadata({_KEY: _about_json(recording).encode()})
-    parquet.write_table(table, path, compression="zstd")
+    with path.open("wb") as file:  # pyarrow takes no path that is not Unicode
+        parquet.write_table(table, file, compression="zstd")
 
 
 def _read_parquet(path: Path) -> tuple[Arrays, dict[str, Any]]:

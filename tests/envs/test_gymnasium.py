@@ -304,3 +304,5 @@ def test_masks_and_seeds_of_rows_are_those_of_their_teams(wrapped, by_row):
     np.testing.assert_array_equal(again, first)
     with pytest.raises(ValueError, match="rows of a team are reset together"):
         made.reset(options={"reset_mask": np.array([1, 0, 1, 1, 0, 0], np.bool_)})
+    with pytest.raises(ValueError, match=r"unknown reset option 'mask'; valid: .*'reset_mask'"):
+        made.reset(options={"mask": mask})

@@ -247,14 +247,15 @@ def _number(text: str, name: str, line: int) -> float:
 def _read_parquet(path: Path) -> tuple[Columns, IntArray]:
     arrow, parquet = pyarrow(path.name, "write the table as CSV")
     try:
-        file = parquet.ParquetFile(path)
-        names, rows = file.schema_arrow.names, file.metadata.num_rows
-        check_names(names)
-        if not rows:
-            raise ValueError("it has no row; log at least a second of flight")
-        for name in names:
-            _check_kind(arrow, name, file.schema_arrow.field(name).type)
-        table = file.read(columns=[name for name in names if name in COLUMNS])
+        with path.open("rb") as opened:  # pyarrow takes no path that is not Unicode
+            file = parquet.ParquetFile(opened)
+            names, rows = file.schema_arrow.names, file.metadata.num_rows
+            check_names(names)
+            if not rows:
+                raise ValueError("it has no row; log at least a second of flight")
+            for name in names:
+                _check_kind(arrow, name, file.schema_arrow.field(name).type)
+            table = file.read(columns=[name for name in names if name in COLUMNS])
     except (arrow.ArrowException, OSError) as error:
         raise ValueError(f"it cannot be read ({error}); copy it again or delete it") from error
     found: dict[str, npt.NDArray[Any]] = {name: np.zeros(0) for name in names}
