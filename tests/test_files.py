@@ -125,7 +125,7 @@ NO_FOLDERS = ["collect --out", "fit --data rows.npz --out", "demo --out"]
         ("/proc/sub/out.json", "cannot be written"),  # root may, says its permission, and cannot
         ("file/out.json", "is a file; name a folder"),
         ("folder.json", "is a folder; name a file"),
-        ("a" * 300 + ".json", "cannot be reached"),
+        ("a" * 300 + ".json", "cannot be accessed"),
     ],
 )
 def test_refused_before_the_work(command, path, said, tmp_path, monkeypatch, capsys):

@@ -109,7 +109,7 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
     names = [f"{work}:Fine", f"{missing}:Agent"]
     assert main([*GRADE, "--assignment", "swap", "--out", str(table), "--agent", *names]) == 2
     error = capsys.readouterr().err
-    assert f"--agent names what is not there: {missing}; nothing was graded" in error
+    assert f"--agent names no existing file: {missing}; nothing was graded" in error
     assert str(work) not in error
     assert not table.exists()
 
@@ -181,7 +181,7 @@ def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
         watch.join()
         signal.signal(signal.SIGINT, before)
     shown = capsys.readouterr()
-    assert "interrupted: 1 of 3 are graded" in shown.err
+    assert "interrupted: 1 of 3 submissions are graded" in shown.err
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["work"] for row in rows] == names[:1]
@@ -203,7 +203,7 @@ def test_a_grading_that_was_halted_goes_on_with_its_seed(work, tmp_path, capsys)
     progress_file(table).write_text(kept.replace('"points": 0.0', '"points": 12.5'))
     words = ["grade", "--assignment", "swap", "--episodes", "1", "--unprotected"]
     assert main([*words, "--out", str(table), "--agent", *names]) == 1
-    assert f"the same marks again: --seed {1 << 128}" in capsys.readouterr().out
+    assert f"to reproduce the grades: --seed {1 << 128}" in capsys.readouterr().out
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["points"] for row in rows] == ["12.5", "0.0"]  # the first was not graded again
@@ -296,7 +296,7 @@ def test_one_s_own_assignment_does_not_import_submissions(tmp_path, work, capsys
     rings = tmp_path / "my.py"
     rings.write_text(own_assignment(), encoding="utf-8")
     assert main([*GRADE, "--assignment", str(rings), "--agent", f"{work}:Fine"]) == 2
-    assert "submissions lie beside it" in capsys.readouterr().err
+    assert "submissions are in the same folder" in capsys.readouterr().err
 
 
 def test_a_number_that_a_work_has_not_is_said(tmp_path):
@@ -369,7 +369,7 @@ def test_a_pattern_names_the_whole_class(tmp_path, capsys):
     assert said.count("unknown class or function 'Agent'") == 2
     assert "ann/swap.py:Agent" in said and "bob/swap.py:Agent" in said
     assert main([*GRADE, "--assignment", "swap", "--agent", f"{tmp_path}/x*/swap.py:Agent"]) == 2
-    assert "no file's name matches" in capsys.readouterr().err
+    assert "no file matches" in capsys.readouterr().err
 
 
 def force_scores(work: str) -> dict[str, float]:

@@ -40,10 +40,10 @@ class ScaleOptions:
     """Options for parallel evaluation; the results are the same."""
 
     workers: int = 1
-    """number of local processes"""
+    """Number of local processes."""
     ray: str | None = None
-    """run on a Ray cluster: `auto` for the running one, `local` for a new one on this machine (with
-    --workers processors, if more than 1), or an address, such as 10.0.0.1:6379"""
+    """Run on a Ray cluster: `auto` is the running cluster, `local` starts one on this machine (with
+    --workers processors if that is more than 1), and an address is such as 10.0.0.1:6379."""
 
     def __post_init__(self) -> None:
         """Refuse addresses that are none, and workers that the cluster counts."""

@@ -15,18 +15,20 @@ MOST_OBSERVED = 10_000
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions:
-    """Options of the world; those that are not given are the task's."""
+    """Options of the world. An option that is None has the task's default."""
 
     world: Literal["ideal", "hall"] | None = None
-    """`ideal`, or `hall`: with random forces and a state estimate"""
+    """World: `ideal`, or `hall`, a motion-capture hall with random forces and state estimation
+    errors. If None, the task's default."""
     randomization: str | None = None
-    """domain randomization, such as `mass=0.9:1.1,gust_acceleration=1`: fields of
-    `swarm_envs.envs.randomization.Randomization`"""
+    """Domain randomization, such as `mass=0.9:1.1,gust_acceleration=1`; the names are fields of
+    `swarm_envs.envs.randomization.Randomization`. If None, the task's default."""
     obstacles: str | None = None
-    """obstacles, such as `buildings=2:2,column=1:1:0.15` (x, y, radius, m) or
-    `box=0:0:0:1:1:2` (two corners, m)"""
+    """Obstacles, such as `buildings=2:2,column=1:1:0.15` (x, y and radius, m) or
+    `box=0:0:0:1:1:2` (two corners, m). If None, the task's default."""
     on_contact: Literal["end_team", "end_pair", "bounce"] | None = None
-    """effect of a contact: ends the episode of the team or of the pair, or drones bounce off"""
+    """Effect of a contact: `end_team` ends the episode of the whole team, `end_pair` that of the
+    drones in contact; with `bounce`, they bounce off and continue. If None, the task's default."""
 
     def world_options(self) -> dict[str, Any]:
         """Those options of the environment that were given, ready for JSON."""

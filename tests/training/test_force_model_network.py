@@ -324,7 +324,7 @@ def test_a_table_without_torque_is_refused_where_it_is_wanted(tmp_path: Path) ->
 
 
 def test_what_gives_no_torque_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--model composed gives no torque"):
+    with pytest.raises(ValueError, match="--model composed has no torque"):
         FitConfig(data=tmp_path, out=tmp_path, model="composed", torque=True)
     made = DeepSet(DeepSetSpec(("S",), OUTER_FADE, RANGE, 0.6), torch.float64)
     save_network(tmp_path / "a.safetensors", made)

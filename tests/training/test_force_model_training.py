@@ -135,5 +135,5 @@ def test_labels_that_are_too_large_end_a_training_that_diverges() -> None:
 
 
 def test_a_composed_model_is_not_fitted_to_labels_as_measured(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="fit it in anchored mode"):
+    with pytest.raises(ValueError, match="use it with --mode anchored"):
         FitConfig(data=tmp_path, out=tmp_path, model="composed", mode="measured")

@@ -124,7 +124,7 @@ def test_a_finished_run_stays_as_it_is(algo, whole, capsys):
     out = whole[algo]
     before = {file.name: file.read_bytes() for file in out.iterdir() if file.is_file()}
     assert main(command(algo, out)) == 0
-    assert "was finished before" in capsys.readouterr().out
+    assert "is already complete" in capsys.readouterr().out
     assert main(command(algo, out, "--seed", "6")) == 1
     assert "seed is 5 there, 6 here" in capsys.readouterr().err
     assert {f.name: f.read_bytes() for f in out.iterdir() if f.is_file()} == before
@@ -170,8 +170,8 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--algo dagger --set gamma=0.9", "--set was given, but --algo dagger has no such"),
         ("--task crowd", "together are learned by --algo dagger alone; name one by --layout: "),
         ("--controller hover", "controller is 'hover', but must be a shipped agent with a con"),
-        ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
-        ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
+        ("--drones 4 4", "--drones is (4, 4) and --team is (), but they must name one or more"),
+        ("--drones 2 4 --environments 3", "must be a multiple of 2, the number of teams"),
         ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),
         ("--drones 4 0", "--drones is 0"),
         ("--algo pop", "unknown --algo 'pop'; did you mean 'ppo'?"),

@@ -64,7 +64,7 @@ def test_processes_give_the_report_of_one(tmp_path, mine, capfd):
     assert "ValueError" in capfd.readouterr().err
     assert all(len(seeds) == len(set(seeds)) for seeds in kept_seeds(outs[1]))
     assert main(["evaluate", *QUICK, "--agent", *names[:2], "--out", str(outs[1])]) == 0
-    assert f"{names[1]}: 20 of 20 episodes were flown before" in capfd.readouterr().out
+    assert f"{names[1]}: resumes after 20 of 20 episodes" in capfd.readouterr().out
 
 
 def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
