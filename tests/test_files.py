@@ -166,7 +166,7 @@ def test_a_folder_into_which_another_process_writes_is_refused(words, tmp_path, 
     with claimed(tmp_path):
         assert main([*words, "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err.splitlines()[-1]
-    assert f"process {os.getpid()} writes into {str(tmp_path)!r}; wait for its end" in said
+    assert f"process {os.getpid()} writes into {str(tmp_path)!r}; wait for it, end it" in said
     assert [file.name for file in tmp_path.iterdir()] == [LOCK]
 
 

@@ -213,7 +213,7 @@ def rewrite(path: Path, **changes: object) -> None:
         ({"num_neighbors": 10**9}, "num_neighbors is 1000000000"),
         ({"provenance": "deep"}, "is damaged"),
         ({"safety": {"margin_m": -1}}, "margin_m is -1, but must be"),
-        ({"weights_sha256": "0" * 64}, "are not those that were written"),
+        ({"weights_sha256": "0" * 64}, "differ from their checksum"),
     ],
 )
 def test_a_note_that_does_not_hold_is_refused(tmp_path, changes, why):
@@ -254,10 +254,10 @@ def test_pickles_and_missing_files_are_refused(tmp_path):
         load(str(tmp_path))
     with pytest.raises(FileNotFoundError, match="train a policy"):
         load(str(tmp_path / "runs" / "a.safetensors"))
-    with pytest.raises(FileNotFoundError, match=r"there is no '.*none' to take an agent from"):
+    with pytest.raises(FileNotFoundError, match=r"there is no '.*none'; a trained policy is given"):
         load(str(tmp_path / "none"))
     (tmp_path / "checkpoint.safetensors").touch()
-    with pytest.raises(FileNotFoundError, match="has kept no policy yet; the same `swarm-envs tra"):
+    with pytest.raises(FileNotFoundError, match="has saved no policy yet; continue it with"):
         load(str(tmp_path))
 
 

@@ -171,7 +171,7 @@ def test_what_cannot_be_filtered_is_refused():
     with pytest.raises(ValueError, match=r"needs action='acceleration', but DetourAgent requires"):
         load("detour+filter")
     assert isinstance(load("orca"), SafetyFilter)
-    with pytest.raises(ValueError, match="'orca' flies behind a filter already"):
+    with pytest.raises(ValueError, match="'orca' already has a filter"):
         load("orca+filter")
     with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
         load("straight-line+filter+filter")

@@ -139,7 +139,7 @@ def exchanged(rows: InteractionRows, rng: np.random.Generator) -> InteractionRow
 
 
 def _of_large(rows: InteractionRows) -> InteractionRows:
-    """Return rows whose neighbours are large drones, of which there are none in the flights."""
+    """Return rows whose neighbors are large drones, of which there are none in the flights."""
     large = np.where(rows.has_neighbor, len(rows.types) - 1, rows.neighbor_type)
     return dataclasses.replace(rows, neighbor_type=large)
 

@@ -173,7 +173,7 @@ class DistributedMpc(Assignment):
 
 
 def _recorded(flight: dict[str, Any], recorder: Recorder) -> Recording:
-    """A flight of points as one of level drones, a metre and a half above the ground."""
+    """A flight of points as one of level drones, a meter and a half above the ground."""
     env = make("swap_v1", num_drones=DRONES, physics="batch", layout="random")
     drones, environments, _ = env.core.world
     env.reset(seed=0)

@@ -242,7 +242,7 @@ def _loaded(name: str) -> Any:
 def _observed(
     rows: Float32Array, env: SwarmParallelEnv, layout: Sequence[ObservationField]
 ) -> Float32Array:
-    """Return rows (..., width) as another layout has them, without neighbours that nobody saw."""
+    """Return rows (..., width) as another layout has them, without neighbors that nobody saw."""
     places = {field.name: field.where for field in env.observation_layout}
     found = np.zeros((*rows.shape[:-1], layout[-1].where.stop), np.float32)
     for field in layout:

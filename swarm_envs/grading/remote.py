@@ -27,9 +27,9 @@ OPTIONS = (
 )
 """Options that a work may require. All others say what is flown and when it is a success."""
 SEEN = 8
-"""Neighbours that the grader observes, with loads and set-points, whatever a work asks for."""
+"""Neighbors that the grader observes, with loads and set-points, whatever a work asks for."""
 MOST_SEEN = 64
-"""Neighbours, or obstacles, that it may ask to observe."""
+"""Neighbors, or obstacles, that it may ask to observe."""
 KEPT = 512
 """Decisions of a work that are kept, to be compared with those of others."""
 

@@ -1,4 +1,4 @@
-"""The looks of the drones: a dark body on two bars, and four coloured rotors."""
+"""The looks of the drones: a dark body on two bars, and four colored rotors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROTOR_M = (0.0105, 0.0135)  # Heights of a rotor's lower and upper side
 _RIM = 20  # Corners of a rotor
 _AMBIENT, _DIFFUSE = 0.8, 0.2
 
-Face = tuple[list[float], tuple[int, int, int]]  # x, y, x, y, ... of its corners; its colour
+Face = tuple[list[float], tuple[int, int, int]]  # x, y, x, y, ... of its corners; its color
 
 
 class Airframes:
@@ -48,7 +48,7 @@ class Airframes:
             lens: of the canvas.
             position: (N, 3) m.
             quaternion: (N, 4) attitudes, body to world.
-            inks: N colours of the rotors: red, green, blue, 0 to 255.
+            inks: N colors of the rotors: red, green, blue, 0 to 255.
         """
         n = len(position)
         turn = Rotation.from_quat(quaternion).as_matrix()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["COMPENSATED_COLOR", "WITHOUT_COLOR", "Comparison", "SideBySide", "plot_comparisons"]
 
 WITHOUT_COLOR = "#D55E00"
-"""Vermilion of Okabe and Ito's palette, which colour-blind readers can tell from the blue."""
+"""Vermilion of Okabe and Ito's palette, which color-blind readers can tell from the blue."""
 COMPENSATED_COLOR = "#0072B2"
 """Blue of the same."""
 

@@ -56,7 +56,7 @@ class Lens:
         return np.asarray(before & inside)
 
     def rays(self) -> FloatArray:
-        """Direction (height, width, 3) of the ray through the centre of each pixel."""
+        """Direction (height, width, 3) of the ray through the center of each pixel."""
         size = 2.0 * self.tangent / self.height
         columns = (np.arange(self.width) + 0.5 - self.width / 2) * size
         rows = (self.height / 2 - np.arange(self.height) - 0.5) * size

@@ -116,7 +116,7 @@ class LiveViewer:
 
 
 def _look(team: Team) -> list[tuple[float, str]]:
-    """Radius, m, and colour of each drone."""
+    """Radius, m, and color of each drone."""
     sizes = [vehicle.diameter / 2.0 for vehicle in team]
     return [*zip(sizes, drone_colors(team), strict=True)]
 

@@ -1,4 +1,4 @@
-"""One look for every picture: figures without a display, colours, the font, drones from the side.
+"""One look for every picture: figures without a display, colors, the font, drones from the side.
 
 A type of vehicle has one hue, and each of its drones a shade. The font is DejaVu Sans, which
 matplotlib carries, so that it is everywhere.
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 __all__ = ["GREY", "INK", "draw_drone", "draw_ground", "drone_colors", "force_colors", "picture"]
 
 INK = "#202428"
-"""Colour of text and axes."""
+"""Color of text and axes."""
 GREY = "#60656B"
-"""Colour of what stands back."""
+"""Color of what stands back."""
 
 _STYLE: Any = {
     "font.size": 10,
@@ -67,7 +67,7 @@ def picture(path: Path, width: float, height: float, headline: str) -> Iterator[
 def force_colors(lowest: float, highest: float) -> Colormap:
     """Red where the air pushes down, blue where it lifts, white where it does nothing.
 
-    Equal forces of either sign are equally strong colours; the map covers lowest to highest only.
+    Equal forces of either sign are equally strong colors; the map covers lowest to highest only.
     """
     import matplotlib as mpl
     from matplotlib.colors import ListedColormap
@@ -114,12 +114,12 @@ _TYPICAL = 0.52
 
 
 def type_color(token: str) -> str:
-    """The colour, `#rrggbb`, of a type of vehicle."""
+    """The color, `#rrggbb`, of a type of vehicle."""
     return _hex(token, _TYPICAL)
 
 
 def drone_colors(team: Sequence[Vehicle]) -> list[str]:
-    """A colour, `#rrggbb`, for each drone: shades of its type's, from dark to pale."""
+    """A color, `#rrggbb`, for each drone: shades of its type's, from dark to pale."""
     tokens = [vehicle.token for vehicle in team]
     colors = []
     for i, token in enumerate(tokens):

@@ -90,7 +90,7 @@ def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     met = (rows.neighbor_type[:, 0] == 0) | (rows.ego_type == 1)  # L is never over S
     report = fit(config_of(rows.select(met), tmp_path, model=model, steps=20))
     (note,) = [n for n in report.notes if "in no training row" in n]
-    assert note.startswith("type 'L' is a neighbour of type 'S' in no training row: ")
+    assert note.startswith("type 'L' is a neighbor of type 'S' in no training row: ")
     found = load(str(tmp_path / "out" / WEIGHTS[model]))
     stack, still = [[[0.0, 0.0, 0.8], [0.0, 0.0, 1.2]]], np.zeros((1, 2, 3))
     assert found.forces(stack, still, "SS")[0, 0, 2] != 0.0
@@ -156,7 +156,7 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
 @pytest.mark.parametrize("model", ["deep-set", "composed"])
 @pytest.mark.parametrize(
     ("shown", "said", "felt"),
-    [("neighbor_type", "'L' is a neighbour", "LS"), ("ego_type", "'L' is the drone of no", "SL")],
+    [("neighbor_type", "'L' is a neighbor", "LS"), ("ego_type", "'L' is the drone of no", "SL")],
 )
 def test_a_type_that_never_pushed_or_never_felt_goes_on_so(model, shown, said, felt, tmp_path):
     rows = rows_of_types()

@@ -169,7 +169,7 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--start swap-dagger", "--start was given, but --algo ppo has no such option"),
         ("--algo dagger --set gamma=0.9", "--set was given, but --algo dagger has no such"),
         ("--task crowd", "together are learned by --algo dagger alone; name one by --layout: "),
-        ("--controller hover", "controller is 'hover', but must be a shipped agent with a con"),
+        ("--controller hover", "controller is 'hover', but must be an included agent with its"),
         ("--drones 4 4", "--drones is (4, 4) and --team is (), but they must name one or more"),
         ("--drones 2 4 --environments 3", "must be a multiple of 2, the number of teams"),
         ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),

@@ -37,7 +37,7 @@ __all__ = ["SwapTrial", "fly_swaps", "simulated_fit_config"]
 
 @dataclass(frozen=True)
 class SwapTrial:
-    """Randomised stacked swaps of one team."""
+    """Randomized stacked swaps of one team."""
 
     team: str
     """The vehicles, the lowest last."""

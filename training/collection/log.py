@@ -89,8 +89,8 @@ class SensorNoise:
     """
 
     position_m: float = 2e-4
-    """of a motion-capture system, m: makers and users state tenths of a millimetre for markers in
-    a room of some metres"""
+    """of a motion-capture system, m: makers and users state tenths of a millimeter for markers in
+    a room of some meters"""
     velocity: float = 0.01
     """of the state estimator, m/s: positions of 0.2 mm at 100 Hz, filtered over a few samples"""
     attitude_rad: float = 3e-3
@@ -141,7 +141,7 @@ def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
 
 SMOOTHING_S = 0.1
 """Width of the window that labels of differentiated velocity are averaged over: a drone moves some
-centimetres meanwhile."""
+centimeters meanwhile."""
 
 Label = Literal["differentiated", "imu"]
 """Where the acceleration of a label comes from."""

@@ -3,7 +3,7 @@
 Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
 attractive potential draws to a goal in a small box; goals are sampled again at a fixed frequency.
 Half of the time all goals are on one vertical line, so that drones pass over and under each
-other. Neighbours and the floor repel with an artificial potential (Khatib, 1986) of the
+other. Neighbors and the floor repel with an artificial potential (Khatib, 1986) of the
 clearance c, U(c) = strength / 2 (1/c - 1/reach)^2 below the reach and 0 above it, whose slope at
 the *measured* positions accelerates the set-point. The constants are not from the paper.
 """
@@ -60,14 +60,14 @@ class MotionRanges:
     floor_strength: float = 1e-5
     """strength of the floor's repulsion, m^4/s^2"""
     repulsion_limit: float = 8.0
-    """largest acceleration by repulsion from one neighbour or the floor, m/s^2"""
+    """largest acceleration by repulsion from one neighbor or the floor, m/s^2"""
     radius_m: Pair = (0.35, 0.75)
     """radius of the circle of a swap"""
     gap_m: Pair = (0.15, 0.45)
-    """distance of neighbouring planes of a swap; more where spheres would come within
+    """distance of neighboring planes of a swap; more where spheres would come within
     `clearance_m`"""
     clearance_m: float = 0.015
-    """least clearance of the spheres of drones in neighbouring planes of a swap"""
+    """least clearance of the spheres of drones in neighboring planes of a swap"""
     crossing_s: Pair = (2.0, 5.0)
     """time of one crossing"""
     pause_s: Pair = (0.2, 0.8)

@@ -72,7 +72,7 @@ def interaction_rows(
 ) -> InteractionRows:
     """Rows of every drone of every flight, labels from `interaction_force`.
 
-    Of drones in company those rows stay that have a neighbour in the interaction volume, as in
+    Of drones in company those rows stay that have a neighbor in the interaction volume, as in
     the paper; of lone drones every row.
 
     Raises:

@@ -173,7 +173,7 @@ def kept_entries(
     rules: dict[str, Any] = {
         "between kept entries": np.arange(len(label)) % keep_every == 0,
         "force unknown": np.isfinite(force_g[:, i]).all(axis=-1),
-        "no neighbour in the volume": company,
+        "no neighbor in the volume": company,
         "too low": height > LOWEST_M[flight.team[i].interaction_type],
         "force over 50 g": np.abs(label) <= LARGEST_G,
         "upward force over 35 g aloft": (label <= LARGEST_UPWARD_G) | (height <= ALOFT_M),

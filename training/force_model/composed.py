@@ -67,7 +67,7 @@ class Composed(ForceNetwork):
         return torch.cat([raw[:3].exp(), HIGHEST_DECAY * torch.sigmoid(raw[3:])])
 
     def delay(self) -> Tensor:
-        """Seconds per metre by which the wake of each type trails behind it, (T,)."""
+        """Seconds per meter by which the wake of each type trails behind it, (T,)."""
         return self.delays.exp()
 
     def joined_by(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -143,7 +143,7 @@ class Composed(ForceNetwork):
         return weight.clamp(min=0.0)  # rounding at the edge
 
     def _pairs(self, batch: Batch, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Sums over each row's neighbours: of push^q (R,), and of x, y, down (R, 3)."""
+        """Sums over each row's neighbors: of push^q (R,), and of x, y, down (R, 3)."""
         pair, weight, kind, row = self.slots(batch)
         rows, count = len(batch.ego_type), len(self.types)
         powers, sums = pair.new_zeros(rows), pair.new_zeros(rows, 3)

@@ -4,7 +4,7 @@ The target of Neural-Swarm2's eq. (8) and (10) is the vector [f_a; tau_a]. The a
 alone, since they found tau_a small (Sec. VII-B). A torque head gives four numbers: f_a,z, and the
 three components of tau_a *in the world frame*, since the network's inputs are of that frame and
 attitude is none of them; in the body frame of eq. (1b) it is R^T tau_a. Labels and tables hold N m;
-inside, torques are counted in gram-force centimetres, of the size of forces in gram-force.
+inside, torques are counted in gram-force centimeters, of the size of forces in gram-force.
 """
 
 from __future__ import annotations
@@ -81,10 +81,10 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
 def axis_bins(
     model: InteractionModel, predicted_g: FloatArray, rows: InteractionRows
 ) -> list[dict[str, Any]]:
-    """Mean force under one neighbour by types and vertical distance, within 5 cm of its axis, g.
+    """Mean force under one neighbor by types and vertical distance, within 5 cm of its axis, g.
 
     `measured_g` are the labels, `model_g` the model on the same rows, `model_on_axis_g` the model
-    in the middle of the bin, both drones at rest. Empty if no row has a neighbour.
+    in the middle of the bin, both drones at rest. Empty if no row has a neighbor.
     """
     if not rows.has_neighbor.any():
         return []
@@ -169,9 +169,9 @@ class Findings:
     errors: Errors  # Against labels treated as in training
     errors_raw: Errors  # Against labels as measured
     lipschitz_measured: dict[str, dict[str, float]]
-    """Of a network, by number of neighbours; empty of the closed form."""
+    """Of a network, by number of neighbors; empty of the closed form."""
     axis_bins: list[dict[str, Any]]
-    """Measured and modelled force under one neighbour; labels treated as in training."""
+    """Measured and modeled force under one neighbor; labels treated as in training."""
     extremes: list[dict[str, Any]]  # Largest forces in random swarms by number of drones
 
 

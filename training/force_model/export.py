@@ -55,7 +55,7 @@ def save_network(
     Tensors of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`,
     `phi.environment.<layer>...`, `rho.<type>.<layer>...`, of a torque head also
     `torque.<type>.weight` (3, width) and `.bias`, which take the place of rho's last layer and
-    give gram-force centimetres. Of a composed model: `pair.<neighbor>.<drone>.<layer>...`,
+    give gram-force centimeters. Of a composed model: `pair.<neighbor>.<drone>.<layer>...`,
     `environment.<type>.<layer>...`, and the numbers that `swarm_envs.interactions.weights_file`
     lists. Of both: `drag.<type>` (3,) in N s/m.
 

@@ -2,7 +2,7 @@
 
 Linear body drag is fitted per type and axis to the same rows as the network. A network of a type
 that no training row shows holds the random numbers that it started with: it is set to zero, and
-the report says so. A type that was never a neighbour pushes none, one that never was the drone
+the report says so. A type that was never a neighbor pushes none, one that never was the drone
 of a row feels nothing.
 """
 
@@ -178,13 +178,13 @@ def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
 
 
 def _silence_neighbors(network: DeepSet, pairs: BoolArray, felt: BoolArray) -> list[str]:
-    """Silence the types that are no neighbour; what happens to pairs that never met is a guess."""
+    """Silence the types that are no neighbor; what happens to pairs that never met is a guess."""
     said = []
     for name, row in zip(network.types, pairs, strict=True):
         if not row.any():
             silence(network.phi[name])
             said.append(
-                f"type {name!r} is a neighbour in no training row: the model says it pushes nobody"
+                f"type {name!r} is a neighbor in no training row: the model says it pushes nobody"
             )
     for upper, lower in np.argwhere(~pairs).tolist():
         if felt[lower] and pairs[upper].any():
@@ -194,11 +194,11 @@ def _silence_neighbors(network: DeepSet, pairs: BoolArray, felt: BoolArray) -> l
 
 
 def _never_together(types: Sequence[str], upper: int, lower: int) -> str:
-    return f"type {types[upper]!r} is a neighbour of type {types[lower]!r} in no training row: "
+    return f"type {types[upper]!r} is a neighbor of type {types[lower]!r} in no training row: "
 
 
 def shown_pairs(rows: InteractionRows) -> BoolArray:
-    """Which of T types is a neighbour (first axis) of which (second) in some row, (T, T)."""
+    """Which of T types is a neighbor (first axis) of which (second) in some row, (T, T)."""
     pairs = np.zeros((len(rows.types), len(rows.types)), dtype=np.bool_)
     egos = np.repeat(rows.ego_type[:, None], rows.neighbor_type.shape[1], axis=1)
     pairs[rows.neighbor_type[rows.has_neighbor], egos[rows.has_neighbor]] = True

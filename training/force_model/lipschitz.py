@@ -19,9 +19,9 @@ SAMPLES = 20_000
 def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generator) -> Batch:
     """Draw float64 inputs that cover the volume and the places where the force changes most.
 
-    Neighbours stand uniformly in the interaction volume; for a third they stand within some
+    Neighbors stand uniformly in the interaction volume; for a third they stand within some
     8 cm of the axis, for a tenth on it, for a tenth at rest. Heights lie from 7 cm to 1.5 m, half
-    of them below 0.6 m. Types are drawn uniformly for the drone and its neighbours.
+    of them below 0.6 m. Types are drawn uniformly for the drone and its neighbors.
     """
     speed = np.array([0.7, 0.7, 1.0])
     pair = rng.uniform(-1.0, 1.0, (count, neighbors, 6)) * [0.36, 0.36, 1.12, 1.1, 1.1, 1.2]

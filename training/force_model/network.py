@@ -42,7 +42,7 @@ class FadeWindow(NamedTuple):
 
 
 EVERYWHERE = FadeWindow((1e3, 1.001e3), (1e3, 1.001e3))
-"""A window so wide that every neighbour counts fully."""
+"""A window so wide that every neighbor counts fully."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class DeepSetSpec:
     layers: int = 4
     """L, the number of layers of every phi and rho; 40-wide ones come or go (Sec. VII-C)."""
     kind: NetworkKind = "deep-set"
-    """Which function of the neighbours it is."""
+    """Which function of the neighbors it is."""
     torque: bool = False
     """True if rho gives the torque too; of a deep set alone."""
 
@@ -118,7 +118,7 @@ def _check_types(types: tuple[str, ...]) -> None:
 def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
     """The same function, blind to velocities: the range they are clamped to is the point 0.
 
-    The environment is a neighbour at rest, so its relative velocity goes too. Being a clamp, the
+    The environment is a neighbor at rest, so its relative velocity goes too. Being a clamp, the
     blindness is part of the weights file, and every reader of it is as blind.
     """
     limits = spec.input_range or UNLIMITED
@@ -128,7 +128,7 @@ def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
     return replace(spec, input_range=InputRange(pair, environment))
 
 
-TORQUES = 3  # Numbers of a torque head: the components in the world frame, gram-force centimetre
+TORQUES = 3  # Numbers of a torque head: the components in the world frame, gram-force centimeter
 
 
 class Batch(NamedTuple):
@@ -137,7 +137,7 @@ class Batch(NamedTuple):
     ego_type: Tensor  # (R,) index of the drone's type
     environment: Tensor  # (R, 4) -z_i (m), -v_i (m/s)
     pair: Tensor  # (R, K, 6) p_ij (m), v_ij (m/s)
-    pair_type: Tensor  # (R, K) type of each neighbour, -1 for none
+    pair_type: Tensor  # (R, K) type of each neighbor, -1 for none
 
 
 def perceptron(widths: Sequence[int], dtype: torch.dtype = torch.float32) -> nn.Sequential:
@@ -227,7 +227,7 @@ class ForceNetwork(nn.Module, ABC):
         return pair, weight, kind, torch.arange(rows).repeat_interleave(count)
 
     def pair_kinds(self, batch: Batch, kind: Tensor, row: Tensor) -> Iterator[tuple[int, Tensor]]:
-        """Pairs of types, numbered [neighbour, drone] in rows, and the slots that have them."""
+        """Pairs of types, numbered [neighbor, drone] in rows, and the slots that have them."""
         count = len(self.types)
         both = torch.where(kind < 0, -1, kind * count + batch.ego_type[row])
         return of_types(both, count * count)
@@ -251,7 +251,7 @@ class DeepSet(ForceNetwork):
     """phi per type, phi of the environment, rho per type; see the module's docstring."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Make a network with torch's default initialisation."""
+        """Make a network with torch's default initialization."""
         super().__init__(spec, dtype)
         phi = {name: perceptron((6, *spec.phi_widths), dtype) for name in spec.types}
         self.phi = nn.ModuleDict(phi)

@@ -1,6 +1,6 @@
 """The force that a model leaves over, as a random process: `swarm-envs fit --residual`.
 
-The vertical label of drone i at time t, less the modelled force f, is taken as
+The vertical label of drone i at time t, less the modeled force f, is taken as
 
     offset_i + s(|f|) x(t) + white noise,  s(|f|) / W = quiet + (wake - quiet) |f| / (|f| + half W),
 
@@ -129,7 +129,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
 
 
 def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
-    """(R, 3) modelled force, drag included, gram-force."""
+    """(R, 3) modeled force, drag included, gram-force."""
     if config.force not in FITTED:
         return modelled_force_g(rows, config.force)
     model: Any = config.force

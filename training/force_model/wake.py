@@ -5,9 +5,9 @@ The vertical force on a drone, gram-force, downwash positive inside:
     pair_k = A (w0/w)^p exp(-(r/w)^2 / 2) s(dz / 0.03 m),    w = w0 + S max(dz, 0)
     f_z = G exp(-(z - 0.07 m)/h) - (1 - M exp(-z/hm)) (sum_k pair_k^q)^(1/q)
 
-s is the logistic function, dz the height of neighbour k over the drone, and r the lateral
-distance from the wake's axis, which a moving neighbour leaves behind: at depth dz it is shifted
-by -v dz / U, U being one advection speed per type of the neighbour. A pair fades over the edge
+s is the logistic function, dz the height of neighbor k over the drone, and r the lateral
+distance from the wake's axis, which a moving neighbor leaves behind: at depth dz it is shifted
+by -v dz / U, U being one advection speed per type of the neighbor. A pair fades over the edge
 of the interaction volume as in the learned model.
 """
 
@@ -79,13 +79,13 @@ class Wake(ForceNetwork):
         return (ground - down * (1.0 - lost))[:, None]
 
     def _pairs(self, batch: Batch) -> Tensor:
-        """Sum of the powers q of the downwash of every row's neighbours, (R,)."""
+        """Sum of the powers q of the downwash of every row's neighbors, (R,)."""
         pair, weight, kind, row = self.slots(batch)
         near = torch.nonzero(kind >= 0).squeeze(1)
         pair, weight, upper, row = pair[near], weight[near], kind[near], row[near]
         lower, dz = batch.ego_type[row], pair[:, 2]
         depth = dz.clamp(min=0.0)
-        wind = pair[:, 3:5] - batch.environment[row, 1:3]  # of the neighbour, in the world
+        wind = pair[:, 3:5] - batch.environment[row, 1:3]  # of the neighbor, in the world
         lag = depth / self.value("advection_speed")[upper]
         axis = pair[:, :2] - wind * lag[:, None]
         start = self.value("width_m")[upper, lower]

@@ -1,6 +1,6 @@
 """Calibration offsets: the constant force that a vehicle seems to feel far from everything.
 
-The label is mass times acceleration minus modelled thrust, so a wrong mass, thrust curve or
+The label is mass times acceleration minus modeled thrust, so a wrong mass, thrust curve or
 battery reading gives a bias (small drones about -1 g, large ones about +2 g). It is no
 aerodynamics, and the force model of an environment must not carry it.
 
@@ -25,8 +25,8 @@ __all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "s
 
 QUIET_HEIGHT_M = 0.3  # A row below this height is not quiet, m
 QUIET_SPEED = 0.5  # Nor is one at this speed or above, m/s
-QUIET_LATERAL_M = 0.25  # Nor one with a neighbour laterally nearer than this, m
-QUIET_BELOW_M = 0.2  # Unless the neighbour is farther below than this, m
+QUIET_LATERAL_M = 0.25  # Nor one with a neighbor laterally nearer than this, m
+QUIET_BELOW_M = 0.2  # Unless the neighbor is farther below than this, m
 LEAST_ROWS = 30
 """Quiet rows that a vehicle's offset needs."""
 PLAUSIBLE_SHARE = 0.15
@@ -35,7 +35,7 @@ PRIOR_ROWS = 100.0  # Weight of the vehicle's offset in a flight's, in rows
 
 RULE = (
     f"a row is quiet where height > {QUIET_HEIGHT_M} m, speed < {QUIET_SPEED} m/s and every "
-    f"neighbour is > {QUIET_LATERAL_M} m away laterally or > {QUIET_BELOW_M} m below; a vehicle's "
+    f"neighbor is > {QUIET_LATERAL_M} m away laterally or > {QUIET_BELOW_M} m below; a vehicle's "
     "offset is the median vertical label of its quiet training rows; a flight's offset is the "
     "median of its n quiet training rows, weighted n to the vehicle's offset weighted "
     f"{PRIOR_ROWS:g}"
@@ -70,7 +70,7 @@ def quiet_rows(rows: InteractionRows, max_speed: float = QUIET_SPEED) -> BoolArr
     """Rows in which nothing aerodynamic should act but drag: (R,) mask.
 
     The rule: height above 0.3 m (the ground effect of both types has ended), speed below
-    `max_speed`, and every neighbour either more than 0.25 m away laterally (outside the measured
+    `max_speed`, and every neighbor either more than 0.25 m away laterally (outside the measured
     wakes) or more than 0.2 m below.
     """
     lateral = np.linalg.norm(rows.neighbor[..., :2], axis=-1)

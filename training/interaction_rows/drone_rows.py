@@ -19,13 +19,13 @@ TYPES = ("S", "L")
 
 
 def scenario_name(ego: str, neighbors: Sequence[str]) -> str:
-    """Name such as `SL2S` (neighbours S and L, drone S), or `Ge2S` for a lone drone."""
+    """Name such as `SL2S` (neighbors S and L, drone S), or `Ge2S` for a lone drone."""
     above = "".join(sorted(neighbors, key=TYPES.index)) or "Ge"
     return f"{above}2{ego}"
 
 
 def near_any(position: FloatArray) -> BoolArray:
-    """Which of the drones (T, N, 3) have a neighbour in their interaction volume, (T, N)."""
+    """Which of the drones (T, N, 3) have a neighbor in their interaction volume, (T, N)."""
     apart = np.abs(position[:, :, None] - position[:, None])
     inside = (apart <= INTERACTION_VOLUME).all(axis=-1)
     return np.asarray(inside.sum(axis=-1) > 1)  # each is in its own
@@ -40,7 +40,7 @@ def rows_of_drone(
     keep: BoolArray,
     **numbers: int,
 ) -> InteractionRows:
-    """Entries of drone i of a flight as rows, with N - 1 neighbour slots.
+    """Entries of drone i of a flight as rows, with N - 1 neighbor slots.
 
     Args:
         i: the drone that feels the force.
@@ -73,7 +73,7 @@ def rows_of_drone(
 def join_rows(parts: Sequence[InteractionRows], names: Mapping[int, str]) -> InteractionRows:
     """Return the rows of drones as one table, with the names of vehicles by their number.
 
-    There is room for as many neighbours as any part has; parts without rows give no scenario.
+    There is room for as many neighbors as any part has; parts without rows give no scenario.
     """
     slots = max(part.neighbor_type.shape[1] for part in parts)
     some = [part for part in parts if len(part)] or list(parts[:1])

@@ -1,4 +1,4 @@
-"""Blocks of time that are held out: whole ones, since neighbouring rows are near copies."""
+"""Blocks of time that are held out: whole ones, since neighboring rows are near copies."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ __all__ = ["check_row_table", "vehicle_name", "with_present_types"]
 
 
 def with_present_types(rows: InteractionRows) -> InteractionRows:
-    """Return the rows with only those types that some drone or neighbour has."""
+    """Return the rows with only those types that some drone or neighbor has."""
     used = sorted({*np.unique(rows.ego_type).tolist(), *np.unique(rows.neighbor_type).tolist()})
     used = [index for index in used if index != NO_NEIGHBOR]
     place = np.full(len(rows.types) + 1, NO_NEIGHBOR)  # the last entry serves empty slots

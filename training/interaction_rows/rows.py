@@ -1,4 +1,4 @@
-"""Rows of measured interaction force: one drone at one time, its neighbours, and the label.
+"""Rows of measured interaction force: one drone at one time, its neighbors, and the label.
 
 The table is the one interface between flights (measured or simulated) and everything that is
 fitted to them. World frame, z up; SI, but labels in gram-force, as Neural-Swarm2 gives them.
@@ -22,7 +22,7 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 __all__ = ["ROW_ARRAYS", "InteractionRows", "read_rows"]
 
 NO_NEIGHBOR = -1
-"""Type of a neighbour slot that is empty."""
+"""Type of a neighbor slot that is empty."""
 
 FORMAT = "interaction-rows-1"  # What a table of rows says it is
 _LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the published flights
@@ -35,7 +35,7 @@ Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name, as a file holds them
 
 @dataclass(frozen=True)
 class InteractionRows:
-    """R rows with up to K neighbours each; the arrays share their first axis."""
+    """R rows with up to K neighbors each; the arrays share their first axis."""
 
     types: tuple[str, ...]
     """Names of the vehicle types that `ego_type` and `neighbor_type` index."""
@@ -46,9 +46,9 @@ class InteractionRows:
     velocity: FloatArray
     """(R, 3) its velocity v_i, m/s."""
     neighbor: FloatArray
-    """(R, K, 6) p_j - p_i (m) and v_j - v_i (m/s) of each neighbour; zeros in empty slots."""
+    """(R, K, 6) p_j - p_i (m) and v_j - v_i (m/s) of each neighbor; zeros in empty slots."""
     neighbor_type: IntArray
-    """(R, K) type of each neighbour, -1 where there is none."""
+    """(R, K) type of each neighbor, -1 where there is none."""
     force_g: FloatArray
     """(R, 3) measured interaction force f_a in gram-force: x, y, z."""
     flight: IntArray
@@ -60,7 +60,7 @@ class InteractionRows:
     scenario: IntArray
     """(R,) index into `scenario_names`."""
     validation: BoolArray
-    """(R,) held out of training. Whole blocks of time, since neighbouring rows are near copies."""
+    """(R,) held out of training. Whole blocks of time, since neighboring rows are near copies."""
     scenario_names: tuple[str, ...]
     """Names of the scenarios: `SL2S` is a small drone under a small and a large one."""
     torque: FloatArray | None = None
@@ -72,7 +72,7 @@ class InteractionRows:
         if self.neighbor_type.ndim != 2:
             raise ValueError(
                 f"neighbor_type has shape {self.neighbor_type.shape}, but must have (R, K): a row "
-                "per drone and time, an entry per neighbour"
+                "per drone and time, an entry per neighbor"
             )
         count, slots = self.neighbor_type.shape
         shapes = {
@@ -95,7 +95,7 @@ class InteractionRows:
 
     @property
     def has_neighbor(self) -> BoolArray:
-        """(R, K) whether the slot holds a neighbour."""
+        """(R, K) whether the slot holds a neighbor."""
         return np.not_equal(self.neighbor_type, NO_NEIGHBOR)
 
     def select(self, rows: BoolArray | IntArray) -> InteractionRows:
@@ -209,10 +209,10 @@ def _numbers(arrays: Arrays, name: str) -> npt.NDArray[Any]:
 def _published_rows(arrays: Arrays) -> InteractionRows:
     """Read the table of the Neural-Swarm authors' flights.
 
-    Columns of `x`: -p and -v of the drone (the environment as a neighbour at the origin), then
-    p_j - p_i, v_j - v_i of two neighbours, zeros where there is none. A scenario's name gives the
-    types: `SL2S` is neighbours S and L (in this order), drone S; `Ge` means no neighbour.
-    The label is `fa[:, 0:3]`. A row was kept if *any* neighbour is near, so some neighbours stand
+    Columns of `x`: -p and -v of the drone (the environment as a neighbor at the origin), then
+    p_j - p_i, v_j - v_i of two neighbors, zeros where there is none. A scenario's name gives the
+    types: `SL2S` is neighbors S and L (in this order), drone S; `Ge` means no neighbor.
+    The label is `fa[:, 0:3]`. A row was kept if *any* neighbor is near, so some neighbors stand
     outside the interaction volume: they stay in the table, and the models' window masks them.
     """
     x, fa = _numbers(arrays, "x"), _numbers(arrays, "fa")
@@ -226,7 +226,7 @@ def _published_rows(arrays: Arrays) -> InteractionRows:
     if scenario.size and not 0 <= scenario.min() <= scenario.max() < len(names):
         raise ValueError(f"scenario goes to {scenario.max()}, but there are {len(names)} names")
     vehicle = arrays["cf"].astype(np.int64)
-    table = np.array([_neighbours(name) for name in names]).reshape(-1, 2)
+    table = np.array([_neighbors(name) for name in names]).reshape(-1, 2)
     return InteractionRows(
         types=("S", "L"),
         ego_type=(vehicle > _LARGE_VEHICLES).astype(np.int64),
@@ -244,8 +244,8 @@ def _published_rows(arrays: Arrays) -> InteractionRows:
     )
 
 
-def _neighbours(scenario: str) -> list[int]:
-    """Types of the two neighbours of a scenario such as `SL2S`."""
+def _neighbors(scenario: str) -> list[int]:
+    """Types of the two neighbors of a scenario such as `SL2S`."""
     above, _, ego = scenario.partition("2")
     above = "" if above == "Ge" else above
     for letter in (*above, ego):
@@ -253,5 +253,5 @@ def _neighbours(scenario: str) -> list[int]:
             where = f"in the scenario {scenario!r}"
             raise ValueError(unknown_name("vehicle type", letter, ("S", "L"), where))
     if len(above) > 2:
-        raise ValueError(f"scenario {scenario!r} has {len(above)} neighbours, but x holds two")
+        raise ValueError(f"scenario {scenario!r} has {len(above)} neighbors, but x holds two")
     return [*(("S", "L").index(letter) for letter in above), *[NO_NEIGHBOR] * (2 - len(above))]

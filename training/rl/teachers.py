@@ -80,7 +80,7 @@ class SetpointTeacher(CoreAgent):
     compensates = False
     """Whether set-points are moved by what the true force would displace the drones."""
     slope, braking_mps2, speed_mps = 6.0, 3.0, 1.9
-    approach = 5.0  # Velocity for each metre to a reference that moves, 1/s
+    approach = 5.0  # Velocity for each meter to a reference that moves, 1/s
 
     def __init__(self) -> None:
         flown = controller_of(self.controller)

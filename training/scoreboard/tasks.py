@@ -160,7 +160,7 @@ _CLASSIC_ROWS = (
     _classic("swap", "random", "SSLL"),
     _classic("swap", "random", 8),
     _classic("swap", "random", 16),
-    # Antipodal goals on a level circle: every way crosses the centre.
+    # Antipodal goals on a level circle: every way crosses the center.
     _classic("swap", "circle", 2),
     _classic("swap", "circle", 4),
     _classic("swap", "circle", 8),

@@ -134,8 +134,8 @@ def test_the_authors_filter():
     cases = [  # height, force, shift, reason
         (1.0, -5.0, near, None),
         (1.0, -5.0, (0.35, -0.35, 1.1), None),
-        (1.0, -5.0, (0.36, 0.0, 0.3), "no neighbour in the volume"),
-        (1.0, -5.0, (0.0, 0.0, -1.2), "no neighbour in the volume"),
+        (1.0, -5.0, (0.36, 0.0, 0.3), "no neighbor in the volume"),
+        (1.0, -5.0, (0.0, 0.0, -1.2), "no neighbor in the volume"),
         (0.07, -5.0, near, "too low"),
         (0.071, -5.0, near, None),
         (1.0, -50.1, near, "force over 50 g"),

@@ -180,7 +180,7 @@ def test_the_published_format_names_its_types_by_scenario(tmp_path: Path) -> Non
     with pytest.raises(ValueError, match=r"unknown vehicle type 'M' in the scenario 'SM2S'; .*'S'"):
         read_rows(path)
     np.savez(path, **published(("Ge2S", "SLL2S", "L2L")))
-    with pytest.raises(ValueError, match="has 3 neighbours, but x holds two"):
+    with pytest.raises(ValueError, match="has 3 neighbors, but x holds two"):
         read_rows(path)
     np.savez(path, **edited("x", lambda x: x[:, :12])(published(("Ge2S", "L2L"))))
     with pytest.raises(ValueError, match=r"x has shape \(900, 12\) and fa"):
