@@ -33,7 +33,7 @@ APART = 2.0  # Length to which the vector between two goals is clipped, m
 BESIDE = 0.2  # Horizontal distance over which the feature of downwash falls by a factor of e, m
 ABOVE = 0.5  # Height at which a neighbor counts as fully above or below, m
 OWN_WIDTH, NEIGHBOR_WIDTH, OBSTACLE_WIDTH = 31, 25, 5
-"""Number of features of a drone, of each neighbor and of each obstacle, without loads and forces."""
+"""Numbers of features of a drone, a neighbor and an obstacle, without loads and forces."""
 LOAD_WIDTH, FORCE_WIDTH, SETPOINT_WIDTH = 3, 3, 6
 """Number of further features of loads, predicted forces and derivatives of set-points."""
 MASK = 16  # Index of a neighbor's mask among its features

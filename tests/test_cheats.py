@@ -697,7 +697,7 @@ def test_all_cpu_time_of_a_learner_counts(tmp_path, monkeypatch, name):
         pytest.skip("no control groups: children that nobody awaits are not counted")
     honest, cheat = graded(kind, f"{file}:Learner", f"{file}:{name}", episodes=1)
     assert honest.error == ""
-    assert "of CPU time in all, but may use" in cheat.error or "longer than" in cheat.error
+    assert "of CPU time, but may use at most" in cheat.error or "longer than" in cheat.error
 
 
 MODELS = """

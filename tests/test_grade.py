@@ -125,9 +125,9 @@ def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
     works = [f"{file}:Fine" for file in (link, large, pipe)]
     assert main([*GRADE, "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
     said = capsys.readouterr().out
-    assert "FAILED: it or its folder is a link to another; hand in the file itself" in said
-    assert "FAILED: it is no plain file" in said
-    assert "bytes, but may have 1048576" in said
+    assert "FAILED: it or its folder is a symbolic link; submit the file itself" in said
+    assert "FAILED: it is no regular file or folder" in said
+    assert "bytes, but may have at most 1048576" in said
 
 
 def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, work):
@@ -288,7 +288,7 @@ def test_a_mistake_in_a_method_of_one_s_own_assignment_is_not_the_work_s(tmp_pat
     work.write_text(OWN, encoding="utf-8")
     words = ["--assignment", str(rings), "--episodes", "1", "--agent", f"{work}:MyAgent"]
     assert main([*GRADE, *words]) == 1
-    assert "a mistake of the assignment, not of the work (line " in capsys.readouterr().out
+    assert "error of the assignment, not of the submission (line " in capsys.readouterr().out
 
 
 def test_one_s_own_assignment_does_not_import_submissions(tmp_path, work, capsys):
@@ -501,7 +501,7 @@ def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
     (page,) = tmp_path.rglob("failure.html")  # of who flew
     assert "No success: the time limit was reached" in page.read_text("utf-8")
     assert re.search(r"planner.py:Still +0.0 +[0-9]+%  0\n", said)  # who stands still never arrives
-    assert "accelerates by 6 m/s^2 on one axis, but may by at most 5" in said
+    assert "accelerates by 6 m/s^2 on one axis, but must not exceed 5" in said
 
 
 def test_announced_plans_are_those_of_a_double_integrator():
@@ -550,7 +550,7 @@ def test_the_feedback_says_where_the_class_stands(tmp_path):
     write_feedback(tmp_path, ASSIGNMENTS["swap"], grades)
     for place in tmp_path.iterdir():
         said = json.loads((place / "results.json").read_text())["output"]
-        assert "quartiles of the 3 works so far: 0.15, 0.2, 0.25" in said
+        assert "quartiles of the 3 submissions so far: 0.15, 0.2, 0.25" in said
 
 
 def test_assignments_are_listed_and_begun(tmp_path, capsys):

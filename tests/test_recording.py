@@ -172,7 +172,7 @@ def test_tables_of_other_things_are_refused(flight, tmp_path):
     for wrong, why in (
         (arrow.table({"x": [1.0]}), "holds no episode"),
         (table.drop_columns(["z"]), "lacks z"),
-        (table.slice(0, 4), "4 rows, no multiple of its 3 drones"),
+        (table.slice(0, 4), "4 rows, but must have a positive multiple of 3"),
     ):
         parquet.write_table(wrong, path)
         with pytest.raises(ValueError, match=why):
