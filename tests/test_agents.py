@@ -294,5 +294,5 @@ def test_what_it_refuses():
         DetourAgent().act({}, None)
     agent = DetourAgent()
     env = swarm_envs.make("crowd_v0", physics="batch", num_drones=2, **agent.requires)
-    with pytest.raises(ValueError, match="in crowd_v0 each drone is given another goal"):
+    with pytest.raises(ValueError, match="in crowd_v0 each drone receives a new goal"):
         fly_episode(env, agent, seed=0)

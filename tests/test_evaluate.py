@@ -192,10 +192,10 @@ def test_an_edited_function_or_module_beside_is_another_agent(tmp_path, capsys, 
     arguments = ["evaluate", *QUICK, "--agent", f"{policy}:act", "--out", str(tmp_path / "run")]
     for expected in (False, True):
         assert main(arguments) == 0
-        assert ("flown before" in capsys.readouterr().out) is expected
+        assert ("resumes after" in capsys.readouterr().out) is expected
     (tmp_path / edited).write_text((tmp_path / edited).read_text() + "# edited\n")
     assert main(arguments) == 0
-    assert "flown before" not in capsys.readouterr().out
+    assert "resumes after" not in capsys.readouterr().out
 
 
 def test_an_agent_that_flies_many_at_once_is_asked_for_each_episode():
@@ -219,10 +219,10 @@ def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
     arguments = ["evaluate", *QUICK, "--agent", f"{mine}:Fine", "--out", str(tmp_path / "run")]
     for expected in (False, True):
         assert main(arguments) == 0
-        assert ("flown before" in capsys.readouterr().out) is expected
+        assert ("resumes after" in capsys.readouterr().out) is expected
     mine.write_text(MINE.replace("zeros", "ones"), encoding="utf-8")
     assert main(arguments) == 0
-    assert "flown before" not in capsys.readouterr().out
+    assert "resumes after" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["straight-line", "swap-dagger"])

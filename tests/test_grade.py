@@ -501,7 +501,7 @@ def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
     (page,) = tmp_path.rglob("failure.html")  # of who flew
     assert "No success: the time limit was reached" in page.read_text("utf-8")
     assert re.search(r"planner.py:Still +0.0 +[0-9]+%  0\n", said)  # who stands still never arrives
-    assert "accelerates by 6 m/s^2 on one axis, but must not exceed 5" in said
+    assert "accelerates by 6 m/s^2 on an axis, but must not exceed 5" in said
 
 
 def test_announced_plans_are_those_of_a_double_integrator():

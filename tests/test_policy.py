@@ -172,7 +172,11 @@ def test_actions_stay_within_their_bounds():
     [
         ("swap_v1", {"num_drones": 4}, r"teams of 2 to 3 drones, .* 4; set 2 to 3 \(--drones"),
         ("swap_v1", {"num_drones": 1}, r"teams of 2 to 3 drones, .* 1; set 2 to 3 \(--drones"),
-        ("formation_v1", {"num_drones": 3}, "flies swap, but the environment's task is formation"),
+        (
+            "formation_v1",
+            {"num_drones": 3},
+            "supports swap, but the environment's task is formation",
+        ),
         ("swap_v1", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
         ("swap_v1", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),
         ("swap_v1", {"num_drones": 3, "num_neighbors": 3}, "requires num_neighbors=2"),

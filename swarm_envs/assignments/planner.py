@@ -117,7 +117,7 @@ def _plan(planner: RemoteWork, *given: FloatArray) -> FloatArray:
         raise WorkFailed(str(error)) from error
     if np.abs(plan).max() > MAX_ACCELERATION + 1e-6:
         raise WorkFailed(
-            f"plan() accelerates by {np.abs(plan).max():.3g} m/s^2 on one axis, but must not exceed "
+            f"plan() accelerates by {np.abs(plan).max():.3g} m/s^2 on an axis, but must not exceed "
             f"{MAX_ACCELERATION:g}"
         )
     return plan

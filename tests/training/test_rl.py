@@ -168,7 +168,7 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--dagger.train-freq 2", "--dagger.* was given, but --algo ppo has no such option"),
         ("--start swap-dagger", "--start was given, but --algo ppo has no such option"),
         ("--algo dagger --set gamma=0.9", "--set was given, but --algo dagger has no such"),
-        ("--task crowd", "together are learned by --algo dagger alone; name one by --layout: "),
+        ("--task crowd", "needs --algo dagger; use it, or choose one --layout: "),
         ("--controller hover", "controller is 'hover', but must be an included agent with its"),
         ("--drones 4 4", "--drones is (4, 4) and --team is (), but they must name one or more"),
         ("--drones 2 4 --environments 3", "must be a multiple of 2, the number of teams"),
@@ -191,7 +191,7 @@ def test_what_cannot_be_trained_is_refused(options, why, tmp_path, refused):
         ("--set n_steps", "--set has 'n_steps', but must have NAME=VALUE"),
         ("--set n_stops=8", "--algo ppo refuses its arguments: "),
         ("--algo stable_baselines3.DQN", "DQN refuses its arguments: The algorithm only supports"),
-        ("--algo sac --set policy_kwargs={'net_arch':[8]}", "not followed by tanh"),
+        ("--algo sac --set policy_kwargs={'net_arch':[8]}", "is not tanh"),
     ],
 )
 def test_an_algorithm_that_does_not_exist_is_refused(options, why, tmp_path, capsys):
