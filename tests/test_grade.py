@@ -391,7 +391,7 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(work):
     assert nothing["explained"] == 0.0
     assert nothing["error_g"] == nothing["baseline_g"]
     assert score(truth, truth)["explained"] == 1.0
-    with pytest.raises(WorkFailed, match="must give 200 finite numbers"):
+    with pytest.raises(WorkFailed, match="must return 200 finite numbers"):
         force_scores(f"{work}:Short")
     with pytest.raises(WorkFailed, match="AttributeError"):
         force_scores(f"{work}:Fine")

@@ -117,7 +117,7 @@ def test_a_model_that_is_no_better_than_nothing_says_so(tmp_path):
     assert f"note: {note}" in report.lines()
     good = Errors(1.0, 3.0, 2.0, {}, {}, {})
     assert worth(good) == []
-    assert "that of the scenario mean (2.00); fly more" in worth(replace(good, overall=2.0))[0]
+    assert "that of the scenario's mean (2.00); fly longer" in worth(replace(good, overall=2.0))[0]
     assert "nothing (3.00) nor that of" in worth(replace(good, overall=4.0))[0]
 
 
@@ -125,7 +125,7 @@ def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
     report = fit(
         config_of(rows_of_types(count=800), tmp_path, mode="measured", offsets="estimated")
     )
-    assert "calibration offsets are not subtracted: labels are as measured" in report.lines()
+    assert "calibration offsets are not subtracted from the labels" in report.lines()
 
 
 STRONG = replace(SMALL_STRONG, interaction_type="S*")
@@ -366,7 +366,7 @@ def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert difference["mean"] == pytest.approx(expected)
     assert difference["low"] <= difference["mean"] <= difference["high"]
     assert json.loads((tmp_path / "said.json").read_text())["errors"] == found.errors
-    assert any("composed less wake, all rows" in line for line in found.lines())
+    assert any("composed minus wake, all rows" in line for line in found.lines())
     kept = tmp_path / "out" / "wake-0.npy"
     before = kept.stat().st_mtime_ns
     (tmp_path / "out" / "composed-1.npy").unlink()

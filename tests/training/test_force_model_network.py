@@ -220,7 +220,7 @@ def test_a_lone_drone_aloft_feels_drag_alone(model: InteractionModel) -> None:
 
 @pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])
 def test_a_type_that_cannot_be_filed_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match="cannot name a vehicle type"):
+    with pytest.raises(ValueError, match="cannot be the name of a vehicle type"):
         DeepSetSpec(("S", name))
 
 

@@ -112,7 +112,9 @@ def test_only_common_time_counts(flown, as_table, tmp_path):
     assert report[0].seconds == pytest.approx(4.0, abs=0.05)
     late = dataclasses.replace(table, time=table.time + np.where(table.drone == "cf0", 50.0, 0.0))
     write_table(tmp_path / "b.csv", late)
-    with pytest.raises(ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one flight a file"):
+    with pytest.raises(
+        ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one file per flight"
+    ):
         read_data(tmp_path / "b.csv", EXACT)
 
 
