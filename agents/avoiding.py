@@ -116,11 +116,11 @@ class CruiseAgent(RowAgent):
         wanted = self.wanted(rows, rows[..., at.goal : at.goal + 3])
         return steer(kd * (self._around(rows, wanted) - velocity))
 
-    def wanted(self, rows: Float32Array, way: Float32Array) -> Float32Array:
+    def wanted(self, rows: Float32Array, offset: Float32Array) -> Float32Array:
         """Return desired velocities (..., 3), m/s, for displacements (..., 3) to the goals, m."""
-        distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
+        distance = np.sqrt(np.square(offset).sum(axis=-1, keepdims=True))
         slope = self.cruise.position_gain / self.cruise.velocity_gain
-        wanted: Float32Array = way * np.minimum(
+        wanted: Float32Array = offset * np.minimum(
             slope, self.cruise.speed_mps / np.maximum(distance, 1e-6)
         )
         return wanted
@@ -156,26 +156,26 @@ class RoundaboutAgent(CruiseAgent):
         super().__init__(cruise)
         self.rule = rule or Roundabout()
 
-    def wanted(self, rows: Float32Array, way: Float32Array) -> Float32Array:
+    def wanted(self, rows: Float32Array, offset: Float32Array) -> Float32Array:
         """Return desired velocities (..., 3), m/s, with the evasion of converging neighbors."""
-        rule, share = self.rule, self._crowding(rows, way)
-        wanted = super().wanted(rows, way) * (1.0 - rule.slower * share)[..., None]
+        rule, share = self.rule, self._crowding(rows, offset)
+        wanted = super().wanted(rows, offset) * (1.0 - rule.slower * share)[..., None]
         turn = -rule.turn_rad * share
         cos, sin = np.cos(turn), np.sin(turn)
         x, y, z = np.moveaxis(wanted, -1, 0)
-        heading = np.arctan2(way[..., 1], way[..., 0])
+        heading = np.arctan2(offset[..., 1], offset[..., 0])
         slope = self.cruise.position_gain / self.cruise.velocity_gain
         rise = slope * rule.climb_m * share * np.cos(heading)
         turned: Float32Array = np.stack([cos * x - sin * y, sin * x + cos * y, z + rise], axis=-1)
         return turned
 
-    def _crowding(self, rows: Float32Array, way: Float32Array) -> Float32Array:
+    def _crowding(self, rows: Float32Array, offset: Float32Array) -> Float32Array:
         """Return the strength (...) of the evasion in [0, 1], by the number that converge."""
         at, rule = self._at, self.rule
         end = at.neighbors + at.num_neighbors * at.neighbor_width
         seen = rows[..., at.neighbors : end].reshape(*rows.shape[:-1], at.num_neighbors, -1)
         # Prediction: both fly straight to their goals at the cruise speed.
-        mine = super().wanted(rows, way)[..., None, :]
+        mine = super().wanted(rows, offset)[..., None, :]
         theirs = super().wanted(rows, seen[..., 6:9])
         place, rate = seen[..., 0:3], theirs - mine
         square = np.square(rate).sum(axis=-1)

@@ -166,14 +166,14 @@ def features_of(
         ValueError: rows have another width.
     """
     form = num_neighbors, num_obstacles, load, force, setpoint
-    wanted, sizes = observation_width(*form), feature_sizes(*form)
-    if rows.shape[-1] != wanted:
+    expected, sizes = observation_width(*form), feature_sizes(*form)
+    if rows.shape[-1] != expected:
         raise ValueError(
             f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
             f"{num_neighbors}, num_obstacles={num_obstacles}, observe_load={bool(load)}, "
-            f"observe_force={bool(force)} and observe_setpoint={bool(setpoint)} have {wanted}"
+            f"observe_force={bool(force)} and observe_setpoint={bool(setpoint)} have {expected}"
         )
-    flat = np.ascontiguousarray(rows, np.float32).reshape(-1, wanted)
+    flat = np.ascontiguousarray(rows, np.float32).reshape(-1, expected)
     made: Float32Array = np.zeros((len(flat), sizes.width), np.float32)
     _write(flat, _columns(*form), sizes, made)
     return made.reshape(*rows.shape[:-1], sizes.width)
@@ -211,11 +211,11 @@ def _length(x: float, y: float, z: float) -> float:
 
 @part
 def _from_setpoint(
-    way: Float32Array, row: Float32Array, at: ObservationColumns
+    vector: Float32Array, row: Float32Array, at: ObservationColumns
 ) -> tuple[float, float, float]:
     """Convert a vector (3,) from the drone to a vector from its set-point, m."""
     offset = row[at.setpoint_offset :]
-    return way[0] - offset[0], way[1] - offset[1], way[2] - offset[2]
+    return vector[0] - offset[0], vector[1] - offset[1], vector[2] - offset[2]
 
 
 @part

@@ -117,18 +117,18 @@ def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], 
 
 def _observed_by(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Float32Array]:
     """Return the function that maps rows to the observations of a Stable-Baselines3 model."""
-    form, wanted = env.core.form[1:], model.observation_space.shape
-    if wanted is None:
+    form, expected = env.core.form[1:], model.observation_space.shape
+    if expected is None:
         raise ValueError(
             "the model observes dictionaries, but agents of models need flat rows; train it on "
             "SharedPolicyVecEnv with observation='flat'"
         )
-    if wanted == (observation_width(*form),):
+    if expected == (observation_width(*form),):
         return lambda rows: rows
-    if wanted == (feature_sizes(*form).width,):
+    if expected == (feature_sizes(*form).width,):
         return lambda rows: features_of(rows, *form)
     raise ValueError(
-        f"the model observes {wanted}, but rows of this environment have "
+        f"the model observes {expected}, but rows of this environment have "
         f"{observation_width(*form)} numbers and {feature_sizes(*form).width} features; make the "
         "environment with the options of its training, such as num_neighbors"
     )

@@ -149,7 +149,7 @@ class PolicyNote:
         network = Network(layers, phi, self.activation)
         extra = set(tensors) - set(to_tensors(network))
         if extra:
-            raise ValueError(f"it holds tensors that no network has: {', '.join(sorted(extra))}")
+            raise ValueError(f"it has tensors that no network has: {', '.join(sorted(extra))}")
         return network
 
     def check(self) -> None:
@@ -231,13 +231,13 @@ def read_policy(path: Path) -> Policy:
         )
     if not path.is_file():
         raise FileNotFoundError(
-            f"there is no {str(path)!r}; train a policy by `swarm-envs train`, or name an agent's "
+            f"there is no {str(path)!r}; train a policy with `swarm-envs train`, or give a "
             "class, path/to/file.py:Class"
         )
     if path.suffix != ".safetensors":
         raise ValueError(
             f"policy {str(path)!r} is no .safetensors file: a pickle, such as .pt, can "
-            "run any code when it is read, and is refused; write it by `swarm-envs train`"
+            "run any code when it is read, and is refused; write it with `swarm-envs train`"
         )
     try:
         tensors, note = _read(path)
@@ -363,12 +363,7 @@ class PolicyAgent(RowAgent):
         self.check(env.core.task)
 
     def check(self, task: Task) -> None:
-        """Raise ValueError if the policy does not support a task.
-
-        Raises:
-            ValueError: it was not trained for the task, the number of drones, their types, or
-                obstacles.
-        """
+        """Raise ValueError if the policy does not support a task, its team, or its obstacles."""
         note, num_drones = self.policy.note, len(task.team)
         if task_family(task.name) not in note.families:
             raise ValueError(

@@ -55,27 +55,27 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
             f"agent is {agent!r:.80}, but must be an object with `requires`, `privileged`, "
             "`reset(env, seed)` and `act(observations, view)`; give an instance, not a class"
         )
-    for name, wanted in agent.requires.items():
+    for name, required in agent.requires.items():
         if not hasattr(env.core.config, name):
             valid = [field.name for field in fields(env.core.config)]
             raise ValueError(unknown_name("option", name, valid, f"required by {agent!r:.60}"))
         have = getattr(env.core.config, name)
-        if have is not wanted and have != wanted:
-            place, mine, theirs = _difference(name, wanted, have)
+        if have is not required and have != required:
+            place, mine, theirs = _difference(name, required, have)
             raise ValueError(
                 f"{type(agent).__name__} requires {place}={mine!r:.80}, but the environment has "
                 f"{theirs!r:.80}; make it with parallel_env(..., **agent.requires)"
             )
 
 
-def _difference(name: str, wanted: Any, have: Any) -> tuple[str, Any, Any]:
+def _difference(name: str, required: Any, have: Any) -> tuple[str, Any, Any]:
     """Return name and values of the first field in which two options differ, or of the options."""
-    if is_dataclass(wanted) and type(have) is type(wanted):
-        for field in fields(wanted):
-            mine, theirs = getattr(wanted, field.name), getattr(have, field.name)
+    if is_dataclass(required) and type(have) is type(required):
+        for field in fields(required):
+            mine, theirs = getattr(required, field.name), getattr(have, field.name)
             if mine != theirs:
                 return f"{name}.{field.name}", mine, theirs
-    return name, wanted, have
+    return name, required, have
 
 
 def check_task(agent: Agent, task: Task) -> None:
@@ -83,9 +83,6 @@ def check_task(agent: Agent, task: Task) -> None:
 
     An agent may have a method `check(task)`, which its `reset` calls too; an agent without it
     supports every task.
-
-    Raises:
-        ValueError: the agent's `check` raised it.
     """
     check = getattr(agent, "check", None)
     if check is not None:
@@ -98,14 +95,11 @@ def check_options_agree(agent: Agent, given: Mapping[str, Any]) -> None:
     Args:
         agent: the agent.
         given: the requested options of the environment.
-
-    Raises:
-        ValueError: the agent requires another value of an option; the message names it.
     """
-    for option, wanted in agent.requires.items():
-        if option in given and given[option] != wanted:
+    for option, required in agent.requires.items():
+        if option in given and given[option] != required:
             raise ValueError(
-                f"it requires {option}={wanted!r}, not {given[option]!r}; leave that option out"
+                f"it requires {option}={required!r}, not {given[option]!r}; leave that option out"
             )
 
 
@@ -277,10 +271,10 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
 
 def _asked(act: ActBatch, rows: Float32Array, width: int) -> Float32Array:
     """Return an agent's actions after a check of their shape, as numpy would broadcast others."""
-    given, wanted = act(rows), (*rows.shape[:-1], width)
-    if np.shape(given) != wanted:
+    given, required = act(rows), (*rows.shape[:-1], width)
+    if np.shape(given) != required:
         raise ValueError(
             f"act_batch returned actions of shape {np.shape(given)} for rows of shape "
-            f"{rows.shape}, but must return {wanted}: {width} numbers for every drone of every team"
+            f"{rows.shape}, but must return {required}: {width} numbers for each drone of each team"
         )
     return given

@@ -52,11 +52,7 @@ ACTED = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Safety:
-    """The parameters of a safety filter.
-
-    Raises:
-        ValueError: a parameter is invalid.
-    """
+    """The parameters of a safety filter; an invalid one raises ValueError."""
 
     margin_m: float = 0.12
     """The clearance between drones and to obstacles, m; half of it to walls."""

@@ -56,11 +56,7 @@ class RandomAgent:
         self._width = 0
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Seed the generator.
-
-        Raises:
-            ValueError: the action space is not bounded.
-        """
+        """Seed the generator; raise ValueError if the action space is not bounded."""
         space = env.action_space(env.possible_agents[0])
         if not space.is_bounded():
             raise ValueError(
@@ -242,15 +238,15 @@ def bumps(start: FloatArray, goal: FloatArray) -> FloatArray:
         start: (N, 3) m.
         goal: (N, 3) m.
     """
-    way = goal - start
-    level = np.stack([-way[:, 1], way[:, 0], np.zeros(len(way))], axis=1)
+    delta = goal - start
+    level = np.stack([-delta[:, 1], delta[:, 0], np.zeros(len(delta))], axis=1)
     size = np.linalg.norm(level, axis=1, keepdims=True)
     side = np.where(size > 1e-6, level / np.maximum(size, 1e-6), [1.0, 0.0, 0.0])
     angle = 2 * np.pi * np.arange(_TURNS) / _TURNS
     sideways = side[:, None] * np.cos(angle)[:, None]
     upwards = np.array([0.0, 0.0, 1.0]) * np.sin(angle)[:, None]
     turned = [amplitude * (sideways + upwards) for amplitude in _AMPLITUDES]
-    return np.concatenate([np.zeros((len(way), 1, 3)), *turned], axis=1)
+    return np.concatenate([np.zeros((len(delta), 1, 3)), *turned], axis=1)
 
 
 def along(
@@ -285,29 +281,31 @@ def choose_bumps(
         rng: the generator of the order of choices.
     """
     family, times = bumps(start, goal), np.linspace(0.0, 1.0, SAMPLES)
-    ways = along(
+    paths = along(
         start[:, None, None], goal[:, None, None], family[:, :, None], 1.0, times
     ).position  # (N, M, T, 3)
-    own = _LENGTH * np.linalg.norm(family, axis=-1) + _obstacle_cost(ways, radius, arena, obstacles)
+    own = _LENGTH * np.linalg.norm(family, axis=-1) + _obstacle_cost(
+        paths, radius, arena, obstacles
+    )
     chosen = np.zeros(len(start), dtype=np.int64)
     for _ in range(SWEEPS):
         before = chosen.copy()
         for i in rng.permutation(len(start)).tolist():
             others = np.delete(np.arange(len(start)), i)
-            met = ways[others, chosen[others]]
+            met = paths[others, chosen[others]]
             chosen[i] = (
-                own[i] + _proximity_cost(ways[i], met, radius[i] + radius[others])
+                own[i] + _proximity_cost(paths[i], met, radius[i] + radius[others])
             ).argmin()
         if (chosen == before).all():
             break
     return family[np.arange(len(start)), chosen]
 
 
-def _proximity_cost(ways: FloatArray, others: FloatArray, touching: FloatArray) -> FloatArray:
+def _proximity_cost(paths: FloatArray, others: FloatArray, touching: FloatArray) -> FloatArray:
     """Return the cost (M,) of paths (M, T, 3) near others (K, T, 3) with contact distances (K,)."""
-    cost = np.zeros(len(ways))
+    cost = np.zeros(len(paths))
     for other, contact in zip(others, touching, strict=True):
-        square = np.square(ways - other)
+        square = np.square(paths - other)
         level, height = square[..., 0] + square[..., 1], square[..., 2]
         for beside, below, weight in (
             (BESIDE_M, BELOW_M, 1.0),
@@ -319,14 +317,14 @@ def _proximity_cost(ways: FloatArray, others: FloatArray, touching: FloatArray) 
 
 
 def _obstacle_cost(
-    ways: FloatArray, radius: FloatArray, arena: FloatArray, obstacles: FloatArray
+    paths: FloatArray, radius: FloatArray, arena: FloatArray, obstacles: FloatArray
 ) -> FloatArray:
     """Return the cost (N, M) of paths (N, M, T, 3) that leave the arena or are near obstacles."""
     margin = (radius + TOUCHING_M)[:, None, None]
-    inside = np.minimum(ways - arena[0], arena[1] - ways).min(axis=-1)
+    inside = np.minimum(paths - arena[0], arena[1] - paths).min(axis=-1)
     cost = np.square(np.maximum(1.0 - inside / margin, 0.0)).mean(axis=-1)
     if len(obstacles):
-        near = obstacle_distances(obstacles, ways).min(axis=-1)
+        near = obstacle_distances(obstacles, paths).min(axis=-1)
         cost += np.square(np.maximum(1.0 - near / margin, 0.0)).mean(axis=-1)
     return np.asarray(_HARD * cost)
 

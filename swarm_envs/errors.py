@@ -90,7 +90,7 @@ def check_number(
     below: float | None = None,
     unit: str = "",
 ) -> None:
-    """Raise ValueError unless `value` is a finite number, of Python or NumPy, in a range.
+    """Raise ValueError unless `value` is a finite number in a range; booleans are no numbers.
 
     Args:
         name: the name of the option or argument.
@@ -100,9 +100,6 @@ def check_number(
         at_most: the greatest number that is allowed.
         below: the exclusive upper bound.
         unit: the unit, for the message.
-
-    Raises:
-        ValueError: it is not; booleans are not numbers here.
     """
     if not _in_range(value, at_least, above, at_most, below):
         rule = _range_in_words(at_least, above, at_most, below)
@@ -118,11 +115,7 @@ def check_interval(
     at_most: float | None = None,
     unit: str = "",
 ) -> None:
-    """Raise ValueError unless `value` is `(low, high)`, two finite ascending numbers in a range.
-
-    Raises:
-        ValueError: it is not; the message gives the range.
-    """
+    """Raise ValueError unless `value` is `(low, high)`, two finite ascending numbers in a range."""
     pair: Any = value if isinstance(value, tuple | list) and len(value) == 2 else None
     inside = pair and all(_in_range(end, at_least, above, at_most, None) for end in pair)
     if inside and pair[0] <= pair[1]:
@@ -143,11 +136,7 @@ def check_numbers(
     above: float | None = None,
     at_most: float | None = None,
 ) -> None:
-    """Raise ValueError unless `value` has `count` finite numbers in a range.
-
-    Raises:
-        ValueError: `value` is no tuple or list of them.
-    """
+    """Raise ValueError unless `value` is a tuple or list of `count` finite numbers in a range."""
     if (
         not isinstance(value, tuple | list)
         or len(value) != count
@@ -158,21 +147,13 @@ def check_numbers(
 
 
 def check_bool(name: str, value: object) -> None:
-    """Raise ValueError unless `value` is True or False, of Python or NumPy.
-
-    Raises:
-        ValueError: it is another value, such as 1.
-    """
+    """Raise ValueError unless `value` is True or False, of Python or NumPy."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(_refusal(name, value, "True or False"))
 
 
 def check_divisor(name: str, value: object, whole: int) -> None:
-    """Raise ValueError unless `value` is a positive divisor of `whole`.
-
-    Raises:
-        ValueError: it is not; the message lists some divisors.
-    """
+    """Raise ValueError unless `value` is a positive divisor of `whole`."""
     if _is_a(Integral, value) and cast(int, value) > 0 and whole % cast(int, value) == 0:
         return
     some = ", ".join(str(whole // k) for k in (1, 2, 5, 10))
@@ -181,16 +162,7 @@ def check_divisor(name: str, value: object, whole: int) -> None:
 
 
 def check_type(name: str, value: object, kind: Any) -> None:
-    """Raise ValueError unless `value` has a type.
-
-    Args:
-        name: the name of the option or argument.
-        value: its value.
-        kind: a type, or several such as `Hall | str | None`.
-
-    Raises:
-        ValueError: `value` is no instance of it.
-    """
+    """Raise ValueError unless `value` has the type `kind`, such as `Hall | str | None`."""
     if not isinstance(value, kind):
         kinds = typing.get_args(kind) or (kind,)
         words = [f"{'an' if k.__name__[0] in 'AEIOU' else 'a'} {k.__name__}" for k in kinds]

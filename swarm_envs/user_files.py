@@ -112,12 +112,7 @@ def file_digest(name: str) -> str:
 
 
 def find_in(name: str, module: ModuleType, path: str) -> Any:
-    """Return the attribute of a user's module at a path such as `Class.method`.
-
-    Args:
-        name: its name in messages.
-        module: the module.
-        path: names separated by dots.
+    """Return the attribute of a user's module at a path such as `Class`, called `name` in messages.
 
     Raises:
         ValueError: it does not exist; the message names the most similar.

@@ -148,10 +148,7 @@ def _sandbox(options: GradeOptions, works: list[str]) -> Sandbox:
 
 
 def _expanded(works: list[str]) -> list[str]:
-    """Return the submissions that names and patterns match.
-
-    Shells do not expand a pattern that is followed by a class.
-    """
+    """Return the submissions that match names and patterns (shells expand none before `:Class`)."""
     found = []
     for work in works:
         path, colon, name = work.rpartition(":") if ".py:" in work else (work, "", "")

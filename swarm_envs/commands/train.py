@@ -47,8 +47,8 @@ def check_algorithm(config: RlConfig, task: str) -> None:
         taken = [name for name in found if name not in ("self", "policy", "env")]
         for name in arguments_of(make_setting(config, task)):
             if name not in taken and "kwargs" not in taken:
-                said = unknown_name("argument", name, taken)
-                raise ValueError(f"--algo {config.algo} refuses its arguments: {said}")
+                why = unknown_name("argument", name, taken)
+                raise ValueError(f"--algo {config.algo} refuses its arguments: {why}")
 
 
 def run_train(config: RlConfig) -> None:
@@ -110,5 +110,5 @@ def _summary(report: dict[str, Any]) -> str:
             shown = f"{value:.1%}"
         lines.append(f"  {name}: {shown}")
     if suggested := report.get("next"):
-        lines += ["to try next:", *(f"- {said}" for said in suggested)]
+        lines += ["suggestions:", *(f"- {each}" for each in suggested)]
     return "\n".join(lines)

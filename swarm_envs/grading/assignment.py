@@ -56,7 +56,7 @@ class Assignment:
     """The duration of the submission's `train`, s; 0 for no training."""
 
     def check(self) -> None:
-        """Raise an exception if the assignment itself is invalid.
+        """Check the assignment itself.
 
         Raises:
             ValueError: an attribute is missing or invalid, or an option of the environment.

@@ -202,11 +202,7 @@ class Recorder:
         self._rows.append(row)
 
     def record(self) -> Recording:
-        """Return the recording of all samples.
-
-        Raises:
-            RuntimeError: there is no sample.
-        """
+        """Return the recording of all samples; raise RuntimeError if there is none."""
         if self._about is None:
             raise RuntimeError("nothing was recorded; call the recorder after reset and each step")
         columns: dict[str, Any] = {

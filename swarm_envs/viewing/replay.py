@@ -157,10 +157,7 @@ def _moves(points: FloatArray) -> bool:
 
 
 def _separation(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest distance (T,) of two drones and their contact distance, m.
-
-    Both are empty for a single drone.
-    """
+    """Return smallest distance (T,) and contact distance of two drones, m; empty for one drone."""
     drones = len(recording.team)
     if drones < 2:
         return np.empty(0), np.empty(0)

@@ -116,7 +116,7 @@ def read_trajectory(path: Path) -> Recording:
         _check_arrays(path, len(team), fields, terms)
         return Recording(team=team, reward_terms=terms, about=About(**about), **fields)
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} holds no episode, or is damaged: {error!r}") from error
+        raise ValueError(f"{path} has no episode, or is damaged: {error!r}") from error
 
 
 def _check_arrays(path: Path, drones: int, fields: Arrays, terms: Arrays) -> None:
@@ -124,11 +124,11 @@ def _check_arrays(path: Path, drones: int, fields: Arrays, terms: Arrays) -> Non
     steps = len(fields["time"])
     shapes = {name: (len(group),) if len(group) > 1 else () for name, group in GROUPS.items()}
     for name, array in {**fields, **terms}.items():
-        wanted = (steps,) if name == "time" else (steps, drones, *shapes.get(name, ()))
-        if array.shape != wanted or array.dtype.kind not in "biuf":
+        expected = (steps,) if name == "time" else (steps, drones, *shapes.get(name, ()))
+        if array.shape != expected or array.dtype.kind not in "biuf":
             raise ValueError(
                 f"{name} in {path} is {array.dtype} of shape {array.shape}, but must be numbers of "
-                f"shape {wanted}"
+                f"shape {expected}"
             )
     for name in ("time", "position", "velocity", "quaternion"):
         if not np.isfinite(fields[name]).all():
@@ -186,7 +186,7 @@ def _read_parquet(path: Path) -> tuple[Arrays, dict[str, Any]]:
             raise ValueError(f"{path} is not a Parquet file: {error}") from error
     metadata = table.schema.metadata or {}
     if _KEY not in metadata:
-        raise ValueError(f"{path} holds no episode: its metadata lack {_KEY.decode()!r}")
+        raise ValueError(f"{path} has no episode: its metadata lack {_KEY.decode()!r}")
     about = parse_note(metadata[_KEY].decode())
     terms = [_TERM + name for name in about["reward_terms"]]
     _check_names(path, (*COLUMNS, *terms), table.column_names)
@@ -237,10 +237,10 @@ def _read_npz(path: Path) -> tuple[Arrays, dict[str, Any]]:
     return arrays, about
 
 
-def _check_names(path: Path, wanted: Any, found: Any) -> None:
-    missing = [name for name in wanted if name not in found]
+def _check_names(path: Path, expected: Any, found: Any) -> None:
+    missing = [name for name in expected if name not in found]
     if missing:
-        raise ValueError(f"{path} holds no episode: it lacks {', '.join(missing)}")
+        raise ValueError(f"{path} has no episode: it lacks {', '.join(missing)}")
 
 
 def _arrow() -> tuple[Any, Any]:

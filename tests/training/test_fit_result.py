@@ -96,9 +96,9 @@ def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     assert found.forces(stack, still, "SS")[0, 0, 2] != 0.0
     pushed = found.forces(stack, still, "SL")[0, 0, 2]
     if model == "deep-set":
-        assert pushed != 0.0 and "guessed" in note
+        assert pushed != 0.0 and "extrapolated" in note
     else:
-        assert abs(pushed) < 1e-6 and "does not push" in note
+        assert abs(pushed) < 1e-6 and "its force on it is zero" in note
 
 
 def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):

@@ -117,9 +117,9 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
         simulated_fit_config(table, config.out / "fit", config.steps, config.seed, config.progress)
     )
     model = load(collection.interactions)
-    said = feedforward_command(config)
+    command = feedforward_command(config)
     provenance: dict[str, object] = {
-        "command": said,
+        "command": command,
         "data": f"flights simulated with the force model {model.name!r}",
         "interactions_sha256": model.fingerprint,
         "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
@@ -133,7 +133,7 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     fed_forward, environment = load(path), load(given)
     report: FeedforwardReport = {
         "name": name,
-        "command": said,
+        "command": command,
         "interactions": model.name,
         "interactions_sha256": model.fingerprint,
         "flights": len(flights),

@@ -148,7 +148,9 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
     begin_manifest(out / MANIFEST, origin)
     batches = config.batches()
     seconds = sum(batch.count for batch in batches) * config.duration_s
-    with tqdm(total=round(seconds), disable=not progress, unit="s flown", desc="flights") as bar:
+    with tqdm(
+        total=round(seconds), disable=not progress, unit="s", desc="flights, simulated time"
+    ) as bar:
         for batch in batches:
             files = [out / f"{name}.npz" for name in batch.names]
             if not all(file.exists() for file in files):

@@ -185,9 +185,9 @@ class RandomWalk:
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
         """Return the set-points after one more step; see `TeamMotion`."""
-        wanted = self.goals[:, int(time / self.ranges.goal_period_s)]
+        desired = self.goals[:, int(time / self.ranges.goal_period_s)]
         # Goals jump; a low-pass with time constant 1 / frequency keeps the acceleration smooth.
-        self._goal += TIME_STEP * self.frequency * (wanted - self._goal)
+        self._goal += TIME_STEP * self.frequency * (desired - self._goal)
         w = self.frequency
         pull = w * w * (self._goal - self._position) - 2.0 * w * self._velocity
         size = np.sqrt((pull * pull).sum(axis=-1, keepdims=True))

@@ -182,8 +182,7 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
     Raises:
         FileNotFoundError: there is no such file.
         ImportError: it is Parquet, and pyarrow is not installed.
-        ValueError: it is no such table; the message begins with the file, and the line if it is one
-            line's fault.
+        ValueError: it is invalid; the message begins with the file, and the line if there is one.
     """
     file = Path(path)
     ending = file.suffix.lower()
@@ -278,5 +277,5 @@ def _check_kind(arrow: Any, name: str, kind: Any) -> None:
     text = types.is_string(kind) or types.is_large_string(kind)
     number = types.is_floating(kind) or types.is_integer(kind)
     if name in COLUMNS and not (text if name in TEXT else number):
-        wanted = "text" if name in TEXT else "numbers"
-        raise ValueError(f"column {name!r} has type {kind}, but must have {wanted}")
+        expected = "text" if name in TEXT else "numbers"
+        raise ValueError(f"column {name!r} has type {kind}, but must have {expected}")

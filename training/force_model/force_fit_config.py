@@ -50,7 +50,7 @@ class TrainConfig:
 
 Mode = Literal["anchored", "measured"]
 """Model that is fitted: that of environments, or the paper's on the labels as measured."""
-Model = Literal["deep-set", "composed", "wake"]  # Which function is fitted
+Model = Literal["deep-set", "composed", "wake"]  # Kind of the fitted function
 
 WEIGHTS = {
     "composed": "composed.safetensors",

@@ -213,22 +213,22 @@ class Dagger:
             rows = features_of(core.rows, *core.form[1:])
             with torch.no_grad():
                 own = self.actor(torch.from_numpy(rows)).numpy()
-            wanted, weight = teacher.labels(core, self.config.dagger.avoiding)
+            label, weight = teacher.labels(core, self.config.dagger.avoiding)
             flies = core.world.drones["active"] > 0.0
-            self.memory.add(rows[flies], wanted[flies], weight[flies])
-            result = core.step(self._mixed(own, wanted, guided))
+            self.memory.add(rows[flies], label[flies], weight[flies])
+            result = core.step(self._mixed(own, label, guided))
             ended = result.terminated | result.truncated
             if ended.any():
                 metrics = core.metrics_of(np.flatnonzero(ended).tolist())
                 self.ends += [(m["success"], m["collided_drones"] > 0) for m in metrics]
                 core.reset(mask=ended)
 
-    def _mixed(self, own: Float32Array, wanted: Float32Array, guided: float) -> Any:
+    def _mixed(self, own: Float32Array, label: Float32Array, guided: float) -> Any:
         """Return the policy's or the teacher's actions (E, N, width), with noise in some."""
         draws = self.rng.random((len(own), 1, 1))
         noise = self.rng.normal(0.0, self.config.dagger.noise, own.shape)
         noise[np.arange(len(own)) % NOISY != 0] = 0.0
-        return np.clip(np.where(draws < guided, wanted, own) + noise, -1.0, 1.0)
+        return np.clip(np.where(draws < guided, label, own) + noise, -1.0, 1.0)
 
     def _learn(self) -> float:
         """Take the gradient steps of a rollout; return the mean loss."""
@@ -236,9 +236,9 @@ class Dagger:
         cosine = 0.5 + 0.5 * math.cos(math.pi * self.rollout / self.config.rollouts)
         self.adam.param_groups[0]["lr"] = options.learning_rate * max(cosine, options.last_rate)
         for _ in range(options.gradient_steps):
-            seen, wanted, weight = self.memory.draw(self.rng, options.batch_size)
+            seen, label, weight = self.memory.draw(self.rng, options.batch_size)
             errors = nn.functional.huber_loss(
-                self.actor(seen), wanted, reduction="none", delta=options.huber
+                self.actor(seen), label, reduction="none", delta=options.huber
             )
             loss = (weight * errors).mean()
             self.adam.zero_grad()

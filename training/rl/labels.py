@@ -111,22 +111,22 @@ class Teacher:
         """
         agent, alone = self._agent, None
         if isinstance(agent, CoreTeacher):
-            wanted = agent.teach(core)
+            desired = agent.teach(core)
         elif isinstance(agent, BatchAgent) and not agent.privileged:
             rows = self._rows(core)
-            wanted = np.clip(agent.act_batch(rows), -1.0, 1.0)
+            desired = np.clip(agent.act_batch(rows), -1.0, 1.0)
             if avoiding != 1.0 and self._form[0]:
                 rows = rows.copy()
                 rows[..., neighbor_columns(*self._form)] = 0.0
                 alone = np.clip(agent.act_batch(rows), -1.0, 1.0)
         else:
-            wanted = self._of_each(core)
-        weight = np.ones((*wanted.shape[:-1], 1), np.float32)
+            desired = self._of_each(core)
+        weight = np.ones((*desired.shape[:-1], 1), np.float32)
         if alone is not None:
-            weight[np.abs(alone - wanted).max(axis=-1) > _CHANGED] = avoiding
+            weight[np.abs(alone - desired).max(axis=-1) > _CHANGED] = avoiding
         if self._action != core.config.action:
-            wanted = steered(core.world.drones, wanted, core.config.action)
-        return np.clip(wanted, -1.0, 1.0).astype(np.float32), weight
+            desired = steered(core.world.drones, desired, core.config.action)
+        return np.clip(desired, -1.0, 1.0).astype(np.float32), weight
 
     def _rows(self, core: SwarmCore) -> Float32Array:
         exact = core.config.hall is None and not (core.ranges is not None and core.ranges.noisy)
@@ -188,18 +188,18 @@ def _check(name: str, agent: Agent, config: Any) -> None:
         )
 
 
-def steered(drones: Records, wanted: FloatArray, action: str) -> FloatArray:
+def steered(drones: Records, desired: FloatArray, action: str) -> FloatArray:
     """Return actions (E, N, 3) that lead the drones' set-points to others, or accelerate them.
 
     Args:
         drones: (E, N) records.
-        wanted: (E, N, 14) actions of mode `setpoint`, or (E, N, 3) of `acceleration`.
+        desired: (E, N, 14) actions of mode `setpoint`, or (E, N, 3) of `acceleration`.
         action: the mode of the result, `velocity` or `acceleration`.
     """
     present = drones["setpoint_velocity"] + ACCELERATION_LAG * drones["setpoint_acceleration"]
-    if wanted.shape[-1] == present.shape[-1]:
-        return np.asarray((present + ACCELERATION_LIMIT * wanted / _DAMPING) / SPEED_LIMIT)
-    position, velocity, acceleration, jerk = (wanted[..., k : k + 3] for k in (0, 3, 6, 9))
+    if desired.shape[-1] == present.shape[-1]:
+        return np.asarray((present + ACCELERATION_LIMIT * desired / _DAMPING) / SPEED_LIMIT)
+    position, velocity, acceleration, jerk = (desired[..., k : k + 3] for k in (0, 3, 6, 9))
     away = position - drones["setpoint_position"]
     coasting = velocity + ACCELERATION_LAG * acceleration + _APPROACH * away
     if action == "velocity":

@@ -41,10 +41,7 @@ def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
 
 
 def slow_roundabout() -> SafetyFilter:
-    """Return `wide_roundabout` at 1.5 m/s, for teams of 32.
-
-    It reduces near misses from 4.7 % to 0.4 % of their episodes.
-    """
+    """Return `wide_roundabout` at 1.5 m/s, for teams of 32: near misses fall from 4.7 to 0.4 %."""
     return wide_roundabout(1.5)
 
 
@@ -108,12 +105,12 @@ class SetpointTeacher(CoreAgent):
 
     def _towards(self, drones: Records, places: FloatArray) -> FloatArray:
         """Return velocities: linear in the distance near the goal, then with its square root."""
-        way = places - drones["setpoint_position"]
-        distance = np.linalg.norm(way, axis=-1, keepdims=True)
+        delta = places - drones["setpoint_position"]
+        distance = np.linalg.norm(delta, axis=-1, keepdims=True)
         least = self.braking_mps2 / self.slope
         root = 2.0 * self.braking_mps2 * distance - least**2
         near = np.minimum(self.slope * distance, np.sqrt(np.maximum(root, least**2)))
-        return np.asarray(way / np.maximum(distance, 1e-9) * np.minimum(near, self.speed_mps))
+        return np.asarray(delta / np.maximum(distance, 1e-9) * np.minimum(near, self.speed_mps))
 
     def _chosen(self, core: SwarmCore) -> FloatArray:
         """Return the goals (E, N, 3) that are assigned to drones at the start of an episode."""
@@ -214,7 +211,7 @@ class Carousel(CoreAgent):
         """Return accelerations along the arc."""
         drones = core.world.drones
         start, goal, position = drones["start"], drones["goal"], drones["position"]
-        middle, way = 0.5 * (start + goal), goal - position
+        middle, delta = 0.5 * (start + goal), goal - position
         radius = 0.5 * np.linalg.norm((goal - start)[..., :2], axis=-1, keepdims=True)
         out, last = (position - middle)[..., :2], (goal - middle)[..., :2]
         distance = np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 0.05)
@@ -226,8 +223,8 @@ class Carousel(CoreAgent):
         along = np.stack([-out[..., 1], out[..., 0]], axis=-1)
         level = speed * along + self.braking * (radius - distance) * out
         near = left < self.straight_m
-        level = np.where(near, self.braking * way[..., :2], level)
-        wanted = np.concatenate([level, self.braking * way[..., 2:]], axis=-1)
+        level = np.where(near, self.braking * delta[..., :2], level)
+        wanted = np.concatenate([level, self.braking * delta[..., 2:]], axis=-1)
         asked = self.gain * (wanted - drones["velocity"])
         asked[..., :2] -= np.where(near, 0.0, speed**2 / radius) * out
         size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
@@ -290,24 +287,24 @@ class WayFinder(CoreAgent):
     def teach(self, core: SwarmCore) -> FloatArray:
         """Return accelerations toward the next point of the path."""
         rows = core.true_rows(*self._form)
-        position, way = core.world.drones["position"], rows[..., self._goal].astype(np.float64)
-        length = np.linalg.norm(way, axis=-1, keepdims=True)
-        turned = self._turned(position[..., :2], way[..., :2])
-        way = np.concatenate([turned, way[..., 2:]], axis=-1)
-        rows[..., self._goal] = way * (1.0 + self.past_m / np.maximum(length, 0.05))
+        position, delta = core.world.drones["position"], rows[..., self._goal].astype(np.float64)
+        length = np.linalg.norm(delta, axis=-1, keepdims=True)
+        turned = self._turned(position[..., :2], delta[..., :2])
+        delta = np.concatenate([turned, delta[..., 2:]], axis=-1)
+        rows[..., self._goal] = delta * (1.0 + self.past_m / np.maximum(length, 0.05))
         return np.asarray(self._pilot.act_batch(rows), np.float64)
 
-    def _turned(self, at: FloatArray, way: FloatArray) -> FloatArray:
+    def _turned(self, at: FloatArray, delta: FloatArray) -> FloatArray:
         """Return horizontal displacements (..., 2), turned past the first obstacle, m."""
         if not len(self._radius):
-            return way
-        length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)
-        ahead, side = way / length, np.stack([-way[..., 1], way[..., 0]], axis=-1) / length
+            return delta
+        length = np.maximum(np.linalg.norm(delta, axis=-1, keepdims=True), 1e-6)
+        ahead, side = delta / length, np.stack([-delta[..., 1], delta[..., 0]], axis=-1) / length
         place = self._middle - at[..., None, :]  # (..., M, 2)
         along = np.einsum("...mk,...k->...m", place, ahead)
         beside = np.einsum("...mk,...k->...m", place, side)
         away = np.linalg.norm(place, axis=-1)
-        to_goal = np.linalg.norm(place - way[..., None, :], axis=-1)
+        to_goal = np.linalg.norm(place - delta[..., None, :], axis=-1)
         keep = np.minimum(self._radius + self.keep_m, np.minimum(0.98 * away, 0.98 * to_goal))
         hit = (np.abs(beside) < keep) & (along > 0.0) & (along < length)
         first = np.where(hit, along, np.inf).argmin(axis=-1)[..., None]
@@ -317,4 +314,4 @@ class WayFinder(CoreAgent):
         tangent = np.arcsin(np.clip(clear / distance, 0.0, 1.0))
         turn = np.where(offset > 0.0, angle - tangent, angle + tangent)
         turn = np.where(hit.any(axis=-1), turn, 0.0)[..., None]
-        return np.asarray(np.cos(turn) * way + np.sin(turn) * side * length)
+        return np.asarray(np.cos(turn) * delta + np.sin(turn) * side * length)

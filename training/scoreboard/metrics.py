@@ -58,7 +58,7 @@ COLUMNS: Mapping[str, str] = MappingProxyType(
         "seed": "int64",
         "episode": "int64",  # Index of the seed
         "drones": "int64",
-        "refusal": "string",  # The reason of the agent's reset to refuse the episode
+        "refusal": "string",  # The error of an agent's reset that refused the episode
         **dict.fromkeys(("success", "collided", "near_miss"), "bool_"),
         **dict.fromkeys(("score", "makespan_s", *_NUMBERS), "float64"),
         **dict.fromkeys(("act_us_p50", "act_us_p99"), "float64"),  # If decisions were timed
