@@ -15,6 +15,7 @@ export MKL_NUM_THREADS := 1
 .DEFAULT_GOAL := help
 # Libraries that work with ours; what stands in one line can be installed together.
 COMPAT := $(VENV)-compat
+DOCS_VENV := $(VENV)-docs
 PEERS_torchrl := torchrl benchmarl skrl
 PEERS_rllib := 'ray[rllib]' torch
 PEERS_jax := jax 'crazyflow>=0.4'
@@ -25,7 +26,7 @@ TESTS_jax := test_jax.py
 TESTS_wrappers := test_agilerl.py test_docs.py test_minari.py test_supersuit.py
 
 .PHONY: help demo test test-all test-compat coverage matrix lint format bench \
-	bench-against docs films papers clean
+	bench-against docs dist films papers clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -39,6 +40,7 @@ help:
 	@echo 'make bench     speed, and peers beside it where they are installed'
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
 	@echo 'make docs      this documentation as a site, in build/docs'
+	@echo 'make dist      the wheel, the source archive and the documentation as a zip, in dist'
 	@echo 'make films     the films of the docs, in docs/films'
 	@echo 'make papers    the quick figures and tables of the papers, and the table of docs/papers.md'
 	@echo 'make clean     remove everything that these made'
@@ -128,10 +130,22 @@ bench-against: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.against --ref $(REF) \
 		$(if $(filter-out $(BIN)/python,$(PEERS)),--peers $(PEERS)) $(AGAINST)
 
-# Without a network, and any warning is an error.
-docs: $(VENV)/.dev
-	$(BIN)/python -m sphinx -b html -W --keep-going docs build/docs
+# In an environment without torch, and any warning is an error.
+$(DOCS_VENV)/.installed: pyproject.toml constraints.txt
+	@echo 'Installing what builds the documentation in $(DOCS_VENV), once; a minute, and 1 GB ...'
+	$(PYTHON) -m venv $(DOCS_VENV)
+	$(subst $(BIN),$(DOCS_VENV)/bin,$(INSTALL)) -e '.[docs]'
+	@touch $@
+
+docs: $(DOCS_VENV)/.installed
+	$(DOCS_VENV)/bin/python -m sphinx -b html -W --keep-going docs build/docs
 	@echo 'open build/docs/index.html'
+
+# The wheel, the source archive, and the documentation as one zip, in dist/.
+dist: $(VENV)/.dev docs
+	$(BIN)/python -m build
+	$(BIN)/python -c "import shutil; from swarm_envs import __version__ as v; \
+		shutil.make_archive(f'dist/swarm_envs-{v}-docs', 'zip', 'build/docs')"
 
 # Films of the docs, a minute each: `make films FILMS='swap gates'` for some.
 films: $(VENV)/.dev
@@ -155,5 +169,5 @@ papers: $(VENV)/.dev
 	$(BIN)/python -m examples.papers $(PAPERS)
 
 clean:
-	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(COMPAT) $(DOCS_VENV) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find swarm_envs agents baselines training tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

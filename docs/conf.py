@@ -49,6 +49,7 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "ignore-module-all": True}
+autodoc_mock_imports = ["torch", "stable_baselines3"]  # only signatures are read
 autodoc_type_aliases = {name: name for name in type_aliases()}
 python_use_unqualified_type_names = True
 toc_object_entries = False  # a page would list hundreds

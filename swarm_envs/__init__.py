@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 OwnTask = TypeVar("OwnTask", bound="Task")
 
-__version__ = "0.2.0"
+__version__ = "1.0.0"
 
 TASKS = (
     *("swap_v1", "ring_v1", "formation_v1", "columns_v0", "delivery_v0"),

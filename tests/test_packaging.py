@@ -132,7 +132,7 @@ def test_the_description_on_pypi_has_no_relative_links(wheel, tmp_path):
     repository = '[project.urls]\nRepository = "https://example.org/r"\n#'
     (tmp_path / "pyproject.toml").write_text(settings.replace("[project.urls]", repository))
     shown = run("-c", PRINT_DESCRIPTION, cwd=tmp_path)
-    assert "(https://example.org/r/raw/main/docs/demo.png)" in shown
+    assert "(https://example.org/r/raw/main/docs/films/swap.webp)" in shown
     assert "(https://example.org/r/blob/main/docs/install.md)" in shown
 
 

@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from swarm_envs.commands.checks import (
     as_misuse,
     output_files,
 )
+from swarm_envs.envs.options import task_class
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
@@ -34,9 +36,11 @@ _FILES = {
     "json": ("flight.json", ".json"),
     "trajectory": ("trajectory.parquet", ".parquet", ".npz"),
     "replay": ("replay.html", ".html"),
-    "video": ("flight.mp4", ".mp4", ".gif"),
+    "video": ("", ".mp4", ".gif"),
 }
-"""Files that `--out` writes: by option, the file's name and the allowed suffixes."""
+"""Files of a flight: option, name in the folder `--out`, if it is written there, and suffixes."""
+_GOOD_HEIGHT_M = 0.05
+"""The height error that Neural-Swarm2 reaches with compensation, m (its Figs. 8 and 9)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,9 +111,15 @@ class EpisodeOptions(WorldOptions, EpisodeFields):
 
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(EpisodeOptions):
-    """Fly one episode, print its metrics, and write the requested files.
+    """Fly one episode, print its key figures, and write the requested files.
 
-    A crash is a valid result, with exit status 0.
+    The output has the outcome and four figures. Goals: how many drones ended at their goals, and
+    when the last one arrived, or the score of a task whose goals continue. Distance: the smallest
+    distance between two drones; a near miss is a distance below 1.5 times that of contact. Force:
+    the largest interaction force on a drone, beside the thrust that the weakest drone has left at
+    hover; a larger force makes it sink. Height: the largest error of height to the reference, in
+    tasks that have one; below 5 cm is as good as the flights of Neural-Swarm2. All metrics are in
+    the file of --json. A crash is a valid result, with exit status 0.
     """
 
     agent: str | None = None
@@ -125,10 +135,9 @@ class FlyOptions(EpisodeOptions):
     seed: int = 0
     """Random seed of the episode and the agent."""
     out: Path | None = None
-    """Output folder for flight.json, trajectory.parquet (.npz without pyarrow), replay.html and,
-    if ffmpeg is installed, flight.mp4."""
+    """Output folder for flight.json, trajectory.parquet (.npz without pyarrow) and replay.html."""
     video: Path | None = None
-    """Write a video to this file, .mp4 or .gif."""
+    """Write a video to this file, .mp4 (needs ffmpeg) or .gif."""
     replay: Path | None = None
     """Write a replay page for web browsers to this file, .html."""
     trajectory: Path | None = None
@@ -147,14 +156,8 @@ def run_fly(options: FlyOptions) -> None:
     from swarm_envs.agents.recommendation import avoids_obstacles
 
     files = output_files(options, _FILES)
-    for option in [name for name in files if getattr(options, name) is None]:  # of --out
-        try:
-            _check_writers({option: files[option]})
-        except ImportError as error:
-            if option == "trajectory":  # which needs no extra as .npz
-                files[option] = files[option].with_suffix(".npz")
-            else:
-                print(f"skips {files.pop(option).name}: {error}")
+    if options.trajectory is None and "trajectory" in files and find_spec("pyarrow") is None:
+        files["trajectory"] = files["trajectory"].with_suffix(".npz")
     _check_writers(files)
     with as_misuse(TypeError, FileNotFoundError):
         task = find_task(options.task)
@@ -216,6 +219,7 @@ def check_flies(
 def find_task(name: str) -> str:
     """The versioned name of a task; of the newest version if the name has none."""
     if ".py:" in name:  # a task of one's own
+        task_class(name)
         return name
     families = _newest()
     return families.get(name) or check_name("task", name, (*families, *TASKS))
@@ -228,8 +232,6 @@ def _newest() -> dict[str, str]:
 
 def check_layout(task: str, layout: str) -> None:
     """Refuse a layout that a task does not have, and name the tasks that have it."""
-    from swarm_envs.envs.options import task_class
-
     valid, family = task_class(task).layouts, task_family(task)
     if layout in valid:
         return
@@ -307,16 +309,39 @@ def team_text(team: Team) -> str:
 
 
 def _print_summary(recording: Recording, agent: Agent) -> None:
-    from swarm_envs.viewing.summary import metric_rows, outcome
+    from swarm_envs.viewing.summary import outcome
 
-    about = recording.about
+    about, metrics = recording.about, recording.about.metrics
     print(f"{about.task}, {team_text(recording.team)}, agent {about.agent}, seed {about.seed}")
-    print(outcome(recording), end="\n\n")
-    rows = metric_rows(about.metrics)
-    width = max(len(label) for label, _ in rows)
-    print("\n".join(f"  {label.ljust(width)}  {value}" for label, value in rows), end="\n\n")
+    print(outcome(recording))
+    if goals := _goals_text(metrics, len(recording.team)):
+        print(f"  Goals     {goals}")
+    if metrics["minimum_separation_m"] is not None:
+        misses = metrics["near_misses"]
+        text = "no near miss" if not misses else f"near misses of {misses} drones"
+        print(f"  Distance  {metrics['minimum_separation_m']:.3f} m at the closest; {text}")
+    reserve = min(v.mass * (v.thrust_to_weight - 1.0) for v in recording.team) * 1e3
+    print(f"  Force     {metrics['worst_force_g']:.1f} g at most; thrust reserve {reserve:.1f} g")
+    if (height := metrics["worst_height_error_m"]) is not None:
+        verdict = "good" if height <= _GOOD_HEIGHT_M else "large, see --help"
+        print(f"  Height    {100 * height:.1f} cm from the reference at worst; {verdict}")
     if agent.privileged:
         print("note: this agent sees the true state")
+
+
+def _goals_text(metrics: Mapping[str, Any], drones: int) -> str:
+    """Return the score of a task whose goals continue, or when all arrived; "" in ring."""
+    if "throughput_per_min" in metrics:
+        return f"{metrics['throughput_per_min']:.1f} a minute for each drone"
+    if "gates_per_min" in metrics:
+        return f"{metrics['gates_per_min']:.1f} gates a minute for each drone"
+    if "share_on_goal" in metrics:
+        return f"{metrics['share_on_goal']:.0%} of the time near the moving goals"
+    if metrics["time_to_goal_s"] is not None:
+        return f"all {drones} drones, the last after {metrics['time_to_goal_s']:.2f} s"
+    if metrics["success"]:
+        return ""
+    return f"{metrics['stages_reached']} of {metrics['stages']} sets of goals reached by all drones"
 
 
 def _write_json(path: Path, recording: Recording) -> None:

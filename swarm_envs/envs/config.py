@@ -96,6 +96,14 @@ class EnvConfig:
     observe_setpoint: bool = False
     """Include the velocity and acceleration of the controller's set-point in observations: they
     are exact where the drone's own velocity is noisy."""
+    observe_range_m: float | None = None
+    """Communication range: a drone observes the neighbors within this distance, m; None: any."""
+    observe_delay_s: float = 0.0
+    """Communication delay: neighbors are observed as they were this long ago, s, a whole number of
+    decisions; before the first messages arrive, none is observed."""
+    observe_loss: float = 0.0
+    """Packet loss: the probability that a neighbor is not observed in a decision, drawn for each
+    pair by the environment's generator."""
     horizon_s: float | None = None
     """Time limit: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
@@ -156,6 +164,7 @@ class EnvConfig:
                 f"observe_force is the function {self.observe_force.name}, but must be a compiled "
                 "model, such as load('learned')"
             )
+        self._check_communication()
         if self.horizon_s is not None:
             check_number("horizon_s", self.horizon_s, above=0.0, unit="s")
         check_name("on_contact", self.on_contact, ON_CONTACT)
@@ -189,6 +198,26 @@ class EnvConfig:
                 "with noise of its own; leave it 0 or, in Python, give "
                 "world=Hall(position_noise_m=...)"
             )
+
+    def _check_communication(self) -> None:
+        """Refuse ranges, delays and losses that no communication has."""
+        if self.observe_range_m is not None:
+            check_number("observe_range_m", self.observe_range_m, above=0.0, unit="m")
+        check_number("observe_loss", self.observe_loss, at_least=0.0, at_most=1.0)
+        check_number("observe_delay_s", self.observe_delay_s, at_least=0.0, at_most=60.0, unit="s")
+        rate = self.decision_rate
+        decisions = self.observe_delay_s * rate
+        if abs(decisions - round(decisions)) > 1e-6:
+            raise ValueError(
+                f"observe_delay_s is {self.observe_delay_s:g} s, but must be a whole number of "
+                f"decisions of 1/{rate} s, such as {round(decisions)}/{rate}"
+            )
+
+    @property
+    def communicates(self) -> bool:
+        """True if the observation of neighbors is limited by range, delay or loss."""
+        limited = self.observe_range_m is not None
+        return limited or self.observe_delay_s > 0.0 or self.observe_loss > 0.0
 
     @property
     def ranges(self) -> Randomization | None:

@@ -18,9 +18,16 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import compilation, entry_point
 from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_actions
+from swarm_envs.envs.communication import Communication
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
 from swarm_envs.envs.evaluation import evaluate, metrics, success_rules
-from swarm_envs.envs.observation import Float32Array, observation_width, sense, write_observations
+from swarm_envs.envs.observation import (
+    Float32Array,
+    observation_width,
+    sense,
+    shaper,
+    write_observations,
+)
 from swarm_envs.envs.own_rules import apply_own_rules, has_own_rules, write_own_terms
 from swarm_envs.envs.randomization import draw_vehicles, scale_hall
 from swarm_envs.errors import check_integer
@@ -72,6 +79,8 @@ class Snapshot:
     generators: tuple[Any, ...]  # State of each environment's random generator
     teams: tuple[Team, ...]
     """The team of each environment: the constructor's, or that of its last reset."""
+    messages: tuple[npt.NDArray[Any], ...] = ()
+    """The messages under way and the random streams of losses, if communication is limited."""
 
 
 class _Part(NamedTuple):
@@ -134,6 +143,7 @@ class SwarmCore:
             self._force_types = np.tile(self._force_model.type_indices(task.team), (num_envs, 1))
             self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
+        self._communication = self._make_communication() if config.communicates else None
         self._own_rules = has_own_rules(task)
         self._result = StepResult(
             observations=self.rows,
@@ -172,6 +182,15 @@ class SwarmCore:
         given = (self.rows, *form, *seen, self.physics.order, self.physics.obstacles)
         threads = range(self.physics.workers.threads)
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
+
+    def _make_communication(self) -> Communication:
+        """Return what limits the observation of neighbors, and look at their fields."""
+        config = self.config
+        parts = shaper("dict", *self.form[1:])(self.rows)
+        self._neighbors = parts["neighbors"], parts["mask"]  # views of the rows
+        delay = round(config.observe_delay_s * config.decision_rate)
+        range_m = np.inf if config.observe_range_m is None else config.observe_range_m
+        return Communication(self.num_envs, self.num_drones, range_m, delay, config.observe_loss)
 
     def _set_rules(self) -> None:
         """Complete the settings by what the task and the options say of episodes."""
@@ -272,6 +291,8 @@ class SwarmCore:
             if self.physics.hall is not None:
                 self.physics.hall.draw(self.generators[e], e, self.world)
                 scale_hall(self.generators[e], self.ranges, e, self.world)
+            if self._communication is not None:
+                self._communication.begin(e, self.generators[e])
         self.physics.begin(begun)
         self._kernels.refer(*self.world, self.settings)
         self._observe(0, self.num_envs, where, 0)
@@ -376,6 +397,11 @@ class SwarmCore:
             types, out = self._force_types[here], self._predicted[here]
             all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])
+        if self._communication is not None:
+            drones, environments, _ = self.world
+            written = first + np.flatnonzero(where[first:last])
+            state = self._seen, drones, environments["decisions"]
+            self._communication.write(written, *state, *self._neighbors)
 
     def _task_for(self, team: Team | None) -> Task:
         """The task of episodes that begin now, flown by a team; None for the constructor's."""
@@ -436,7 +462,12 @@ class SwarmCore:
             observations=self.rows.copy(),
             generators=tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
             teams=tuple(task.team for task in self.tasks),
+            messages=tuple(kept.copy() for kept in self._messages()),
         )
+
+    def _messages(self) -> tuple[npt.NDArray[Any], ...]:
+        sent = self._communication
+        return () if sent is None else (sent.messages, sent.keys)
 
     def set_state(self, snapshot: Snapshot) -> None:
         """Go to where a snapshot was taken, in this core or in another with the same options.
@@ -459,7 +490,8 @@ class SwarmCore:
         tasks = {team: self._task_for(team) for team in set(snapshot.teams)}
         for e, team in enumerate(snapshot.teams):
             self._fly_task(e, tasks[team])
-        for mine, kept in zip(self.world, snapshot.world, strict=True):
+        world = zip(self.world, snapshot.world, strict=True)
+        for mine, kept in (*world, *zip(self._messages(), snapshot.messages, strict=True)):
             mine[...] = kept
         self.rows[...] = snapshot.observations
         for e, state in enumerate(snapshot.generators):

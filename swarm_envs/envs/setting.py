@@ -30,6 +30,13 @@ class WorldOptions:
     """Effect of a contact: `end_team` ends the episode of the whole team, `end_pair` that of the
     drones in contact; with `bounce`, they bounce off and continue. If None, the task's default."""
 
+    observe_range_m: float | None = None
+    """Communication range, m; neighbors farther away are not observed. If None, unlimited."""
+    observe_delay_s: float | None = None
+    """Communication delay of observed neighbors, s, a whole number of decisions. If None, 0."""
+    observe_loss: float | None = None
+    """Packet loss: probability that a neighbor is not observed in a decision. If None, 0."""
+
     def world_options(self) -> dict[str, Any]:
         """Those options of the environment that were given, ready for JSON."""
         names = [field.name for field in fields(WorldOptions)]

@@ -12,7 +12,7 @@ OPTIONAL = {
     "tensorboard": ("tensorboard", "torch", "stable_baselines3"),
     "ray": ("ray",),
     "minari": ("minari", "h5py"),
-    "docs": ("sphinx", "furo", "myst_parser", "torch", "stable_baselines3"),
+    "docs": ("sphinx", "furo", "myst_parser"),
 }
 """By extra, the packages that it brings, by the names they import as."""
 OPTIONAL["all"] = tuple(sorted({p for e in OPTIONAL if e != "docs" for p in OPTIONAL[e]}))
