@@ -179,7 +179,7 @@ def test_a_word_that_a_command_does_not_take_is_named_in_one_line(line, said, ca
         ("train --algo sb4.Nope", "--algo is 'sb4.Nope', but must be one of"),
         ("train --controller downwash-awre", "controller is 'downwash-awre', but must be"),
         ("train --controller downwash-awre", "did you mean 'downwash-aware'?"),
-        ("fly --agent=", "an option has the value ''"),
+        ("fly --agent=", "the value of an option is empty"),
         ("fly --agent=+filter", "name is '+filter', but must begin with an agent's"),
     ],
 )

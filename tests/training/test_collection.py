@@ -318,7 +318,7 @@ def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
     ("change", "message"),
     [
         ({"teams": ("SX",)}, "token 'X'"),
-        ({"teams": ("S", "S")}, "named once"),
+        ({"teams": ("S", "S")}, "given once"),
         ({"label": "truth"}, "unknown label 'truth'"),
     ],
 )

@@ -118,7 +118,7 @@ def test_a_model_that_is_no_better_than_nothing_says_so(tmp_path):
     good = Errors(1.0, 3.0, 2.0, {}, {}, {})
     assert worth(good) == []
     assert "that of the scenario's mean (2.00); fly longer" in worth(replace(good, overall=2.0))[0]
-    assert "nothing (3.00) nor that of" in worth(replace(good, overall=4.0))[0]
+    assert "zero force (3.00) nor that of" in worth(replace(good, overall=4.0))[0]
 
 
 def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):

@@ -319,7 +319,7 @@ def test_a_table_without_torque_is_refused_where_it_is_wanted(tmp_path: Path) ->
     config = FitConfig(
         data=tmp_path / "without.npz", out=tmp_path, torque=True, offsets="none", progress=False
     )
-    with pytest.raises(ValueError, match=r"torque head is wanted.* `torque` \(R, 3\), N m in"):
+    with pytest.raises(ValueError, match=r"the rows have no torque.* `torque` \(R, 3\), N m in"):
         fit(config)
 
 

@@ -121,7 +121,7 @@ def parquet_of(table, path, **changes):
         ("type", [1, 2], "int64", "column 'type' has type int64, but must have text"),
         ("x", [0.0, None], "float64", "line 2: column 'x' is empty"),
         ("x", ["0", "1"], "string", "column 'x' has type string, but must have numbers"),
-        ("time", [0, 1], "timestamp[ns]", "column 'time' holds timestamp"),
+        ("time", [0, 1], "timestamp[ns]", "column 'time' has type timestamp"),
         (
             "voltage",
             [True, False],
@@ -272,7 +272,7 @@ def test_a_bad_file_costs_that_file_alone(flown, as_table, tmp_path):
         others,
         (
             "refused b.csv: line 2: column 'voltage' is ",
-            "refused c.csv: drone 'cf0' has type L, but S in a.csv; give each vehicle a name",
+            "refused c.csv: drone 'cf0' has type L, but S in a.csv; give each vehicle a",
             "refused d.csv: it is a copy of a.csv, so that held-out rows could be",
             "refused notes.txt: the name must end in .csv or .parquet",
             "refused old: the name must end in .csv or .parquet",
