@@ -51,9 +51,9 @@ class EvaluateOptions(EpisodeOptions):
     """
 
     agent: list[str] | None = None
-    """One or more agents, as listed in `swarm-envs fly --help`: names, folders of trained policies,
-    path/to/file.py:Class or path/to/file.py:function. The suffix +filter adds a safety filter. If
-    None, the best agent of the benchmark for the task is evaluated."""
+    """One or more agents; the help of `swarm-envs fly` lists their names. Also folders of trained
+    policies, path/to/file.py:Class or path/to/file.py:function. The suffix +filter adds a safety
+    filter. If None, the best agent of the benchmark for the task is evaluated."""
     episodes: int = 256
     """Number of episodes per agent."""
     seed: int = 0
