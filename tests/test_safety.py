@@ -298,7 +298,7 @@ def test_too_many_straight_ways_through_one_place_are_refused(name, most):
         agent.reset(env, 0)
     env = swap_v1.parallel_env(num_drones=most + 1, layout="circle", **agent.requires)
     env.reset(seed=0)
-    why = rf"{most + 1} drones .* at most {most} .* use the agent 'roundabout'"
+    why = rf"{most + 1} drones .* at most {most}; use the agent 'roundabout'"
     with pytest.raises(ValueError, match=why):
         agent.reset(env, 0)
 

@@ -74,8 +74,12 @@ def test_a_teacher_of_nothing_is_named(idle):
             {"action": "ctbr"},
             "cannot teach --action ctbr, as its own action is 'setpoint'",
         ),
-        ("roundabout", {"action": "rotors"}, "actions of 'rotors': its own are 'acceleration'"),
-        ("pursuit-dagger", {}, "flies pursuit"),
+        (
+            "roundabout",
+            {"action": "rotors"},
+            "--action rotors, as its own action is 'acceleration'",
+        ),
+        ("pursuit-dagger", {}, "supports pursuit"),
     ],
 )
 def test_an_agent_that_cannot_teach_is_refused(name, given, why):
@@ -317,7 +321,7 @@ def test_a_policy_of_other_observations_or_decisions_begins_no_training():
         (20, "with observe_setpoint True, but this run has F"),
         (10, "with decision_rate 20, but this run has 10"),
     ):
-        with pytest.raises(ValueError, match=f"--start is 'swap-dagger', whose {why}"):
+        with pytest.raises(ValueError, match=f"--start is 'swap-dagger' {why}"):
             learner(start="swap-dagger", num_neighbors=7, decision_rate=rate)
 
 
