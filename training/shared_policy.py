@@ -96,8 +96,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         for k, core in enumerate(self.cores):
             if (core.form, core.mode) != (self.core.form, self.core.mode):
                 raise ValueError(
-                    f"team {k} has observation {core.form} and action {core.mode.name!r}, but team 0 "
-                    f"has {self.core.form} and {self.core.mode.name!r}; make them with the same "
+                    f"team {k} has observation {core.form} and action {core.mode.name!r}, but team "
+                    f"0 has {self.core.form} and {self.core.mode.name!r}; make them with the same "
                     "options, but for the team"
                 )
         self._make_shape()
