@@ -107,7 +107,7 @@ for folder in (pathlib.Path(TABLE).parent, pathlib.Path('.')):
 # leaves a session that rewrites the table
 SCRIPT = f"while :; do echo work,points > {TABLE}; echo eve,100 >> {TABLE}; sleep 0.1; done"
 subprocess.Popen(['setsid', 'sh', '-c', SCRIPT])
-# requires the true state | asks for the true state
+# requires the true state | requires the true state
 Agent.privileged = True
 # lies of what it sees | requires the true state
 class Agent(Agent):
