@@ -1,4 +1,4 @@
-"""Things that act: the agent protocol, agents by name, and the loop that flies an episode."""
+"""Agents: their protocol, the included agents by name, and the loop of an episode."""
 
 if __name__ == "agents":
     raise ImportError("import swarm_envs.agents: the bare name 'agents' is another package's")

@@ -1,17 +1,18 @@
-"""Scripted agents that avoid each other by what they observe: fast line, ORCA, roundabout.
+"""Scripted agents that avoid each other based on observations: fast-line, ORCA, roundabout.
 
-All three ask for kd (v - velocity), where v points to the goal at kp / kd times the distance, at
-most the cruise speed, and fly behind a `swarm_envs.agents.SafetyFilter`:
+All three command the acceleration kd (v - velocity), where the desired velocity v points to the
+goal and is kp / kd times the distance, at most the cruise speed. A `swarm_envs.agents.SafetyFilter`
+corrects the command:
 
-- `fast-line` asks for no more than that.
-- `orca` (van den Berg et al., Reciprocal n-body collision avoidance, 2011) is the same law behind a
-  filter whose rate is about kd and that predicts no response: its inequalities on accelerations
-  are then ORCA's half-spaces of velocities, n . (v' - v) >= -share h.
-- `roundabout` counts the neighbours whose straight way comes near its own at about the same time.
-  Where there is more than one it steers to the right, slows down, and takes a height that follows
-  from its heading, so that ways that cross in one point become a roundabout on several floors.
+- `fast-line` is this control law and the filter.
+- `orca` (van den Berg et al., Reciprocal n-body collision avoidance, 2011) uses a filter with a
+  rate of about kd and no predicted response: its inequalities on accelerations are then ORCA's
+  half-spaces of velocities, n . (v' - v) >= -share h.
+- `roundabout` counts the neighbors whose straight path comes close to its own at about the same
+  time. If there is more than one, it steers to the right, slows down, and changes its height
+  depending on its heading, so that paths that cross in one point become a multi-level roundabout.
 
-The numbers are tuned on seeds apart: `python -m examples.tune_agents`.
+The parameters were tuned on separate seeds: `python -m examples.tune_agents`.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ from swarm_envs.tasks.base import SPEED_LIMIT
 __all__ = ["TUNED", "Avoidance", "Cruise", "RoundaboutAgent"]
 
 _KEEP_M, _SLOPE = 0.25, 2.5
-"""Drones approach obstacles at most as fast as `_SLOPE` times what they are farther away, 1/s."""
+"""Drones approach obstacles at most at `_SLOPE`, 1/s, times the distance beyond `_KEEP_M`, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cruise:
-    """How a drone flies straight to its goal."""
+    """Parameters of straight flight to the goal."""
 
     position_gain: float = 6.0
-    """Acceleration for each metre to the goal, 1/s^2."""
+    """The position gain kp, 1/s^2."""
     velocity_gain: float = 4.0
-    """Acceleration for each m/s that is missing, 1/s."""
+    """The velocity gain kd, 1/s."""
     speed_mps: float = 1.8
-    """The cruise speed."""
+    """The cruise speed, m/s."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if a parameter is invalid."""
         for name in ("position_gain", "velocity_gain"):
             check_number(name, getattr(self, name), above=0.0)
         check_number("speed_mps", self.speed_mps, above=0.0, at_most=SPEED_LIMIT, unit="m/s")
@@ -58,23 +59,23 @@ class Cruise:
 
 @dataclass(frozen=True, kw_only=True)
 class Roundabout:
-    """What a drone does where several ways meet."""
+    """Parameters of the evasion where several paths intersect."""
 
     turn_rad: float = 0.889
-    """By how much it steers to the right at most."""
+    """The largest turn to the right, rad."""
     full: float = 1.96
-    """Neighbours beyond the first that make it steer so much."""
+    """The number of converging neighbors beyond the first at which the evasion is largest."""
     near_m: float = 0.644
-    """Distance below which two straight ways meet, m."""
+    """The distance below which two straight paths intersect, m."""
     ahead_s: float = 1.51
-    """How far ahead ways are looked at, s."""
+    """The prediction horizon of the paths, s."""
     slower: float = 0.253
-    """Share of the cruise speed that it gives up at most."""
+    """The largest reduction of the cruise speed, as a fraction."""
     climb_m: float = 0.46
-    """How far above or below its way it flies at most, by its heading, m."""
+    """The largest height above or below the straight path, which depends on the heading, m."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if a parameter is invalid."""
         check_number("turn_rad", self.turn_rad, at_least=0.0, at_most=np.pi / 2, unit="rad")
         check_number("full", self.full, above=0.0)
         check_number("near_m", self.near_m, above=0.0, unit="m")
@@ -84,18 +85,19 @@ class Roundabout:
 
 
 class CruiseAgent(RowAgent):
-    """Flies to its goal at a cruise speed, by what it observes of itself.
+    """Agent that flies straight to its goal at a cruise speed, based on its own state.
 
     Args:
-        cruise: how fast.
+        cruise: gains and speed; None for the defaults.
     """
 
     requires: Mapping[str, Any] = MappingProxyType(
         {"action": "acceleration", "observation": "flat", "decision_rate": 20}
     )
     most_crossing: int | None = 12
-    """As of `StraightLineAgent`, but faster: up to seven drones on a circle all succeed; of nine to
-    twelve as `fast-line` 72 to 100 % and as `orca` 44 to 100, of 13 none and 3 (256 episodes)."""
+    """See `StraightLineAgent`. On a circle of up to seven drones all episodes succeed; of nine to
+    twelve, 72 to 100 % with `fast-line` and 44 to 100 % with `orca`; of 13, 0 and 3 % (256
+    episodes)."""
 
     avoids_obstacles = True
 
@@ -104,30 +106,29 @@ class CruiseAgent(RowAgent):
         self._at: ObservationColumns
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note where observations have what is needed."""
+        """Store the columns of the observations."""
         self._at = observation_columns({f.name: f.where for f in env.observation_layout})
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """The accelerations (..., 3) of drones, cut at what the environment allows."""
+        """Return actions (..., 3) for observation rows (..., row width) of any number of drones."""
         at, kd = self._at, self.cruise.velocity_gain
         velocity = SPEED_LIMIT * rows[..., at.velocity : at.velocity + 3]
         wanted = self.wanted(rows, rows[..., at.goal : at.goal + 3])
         return steer(kd * (self._around(rows, wanted) - velocity))
 
-    def wanted(self, rows: Float32Array, way: Float32Array) -> Float32Array:
-        """The velocity (..., 3) that a drone would like, m/s, for the ways (..., 3) to goals, m."""
-        distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
+    def wanted(self, rows: Float32Array, offset: Float32Array) -> Float32Array:
+        """Return desired velocities (..., 3), m/s, for displacements (..., 3) to the goals, m."""
+        distance = np.sqrt(np.square(offset).sum(axis=-1, keepdims=True))
         slope = self.cruise.position_gain / self.cruise.velocity_gain
-        wanted: Float32Array = way * np.minimum(
+        wanted: Float32Array = offset * np.minimum(
             slope, self.cruise.speed_mps / np.maximum(distance, 1e-6)
         )
         return wanted
 
     def _around(self, rows: Float32Array, wanted: Float32Array) -> Float32Array:
-        """The velocities (..., 3), turned to the right where they lead into an obstacle, m/s.
+        """Return velocities (..., 3), m/s, turned to the right where they lead into an obstacle.
 
-        Always to the right: who turned to the side of the goal would stop before a face behind
-        which the goal is.
+        A turn to the side of the goal would stop a drone in front of a face that hides the goal.
         """
         at = self._at
         for first in range(at.obstacles, at.obstacles + 4 * at.num_obstacles, 4):
@@ -141,11 +142,11 @@ class CruiseAgent(RowAgent):
 
 
 class RoundaboutAgent(CruiseAgent):
-    """Steers to the right, slows down and changes its height where several ways meet.
+    """Agent that steers to the right, slows down and changes its height where paths intersect.
 
     Args:
-        cruise: how fast it flies elsewhere.
-        rule: what it does there.
+        cruise: gains and speed of straight flight; None for the defaults.
+        rule: parameters of the evasion; None for the defaults.
     """
 
     requires: Mapping[str, Any] = MappingProxyType({**CruiseAgent.requires, "num_neighbors": 7})
@@ -155,26 +156,26 @@ class RoundaboutAgent(CruiseAgent):
         super().__init__(cruise)
         self.rule = rule or Roundabout()
 
-    def wanted(self, rows: Float32Array, way: Float32Array) -> Float32Array:
-        """As of the base; turned, slower and higher or lower among others."""
-        rule, share = self.rule, self._crowding(rows, way)
-        wanted = super().wanted(rows, way) * (1.0 - rule.slower * share)[..., None]
+    def wanted(self, rows: Float32Array, offset: Float32Array) -> Float32Array:
+        """Return desired velocities (..., 3), m/s, with the evasion of converging neighbors."""
+        rule, share = self.rule, self._crowding(rows, offset)
+        wanted = super().wanted(rows, offset) * (1.0 - rule.slower * share)[..., None]
         turn = -rule.turn_rad * share
         cos, sin = np.cos(turn), np.sin(turn)
         x, y, z = np.moveaxis(wanted, -1, 0)
-        heading = np.arctan2(way[..., 1], way[..., 0])
+        heading = np.arctan2(offset[..., 1], offset[..., 0])
         slope = self.cruise.position_gain / self.cruise.velocity_gain
         rise = slope * rule.climb_m * share * np.cos(heading)
         turned: Float32Array = np.stack([cos * x - sin * y, sin * x + cos * y, z + rise], axis=-1)
         return turned
 
-    def _crowding(self, rows: Float32Array, way: Float32Array) -> Float32Array:
-        """Share (...) in [0, 1] of all that it may do, by how many neighbours converge."""
+    def _crowding(self, rows: Float32Array, offset: Float32Array) -> Float32Array:
+        """Return the strength (...) of the evasion in [0, 1], by the number that converge."""
         at, rule = self._at, self.rule
         end = at.neighbors + at.num_neighbors * at.neighbor_width
         seen = rows[..., at.neighbors : end].reshape(*rows.shape[:-1], at.num_neighbors, -1)
-        # Both fly straight to their goals, at the cruise speed.
-        mine = super().wanted(rows, way)[..., None, :]
+        # Prediction: both fly straight to their goals at the cruise speed.
+        mine = super().wanted(rows, offset)[..., None, :]
         theirs = super().wanted(rows, seen[..., 6:9])
         place, rate = seen[..., 0:3], theirs - mine
         square = np.square(rate).sum(axis=-1)
@@ -188,30 +189,30 @@ class RoundaboutAgent(CruiseAgent):
 
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:
-    """Every number of an agent that flies behind its own filter."""
+    """All parameters of an agent with its own safety filter."""
 
     cruise: Cruise = Cruise()
-    """How it flies to its goal."""
+    """The parameters of straight flight."""
     safety: Safety = Safety()
-    """Of its filter."""
+    """The parameters of the filter."""
     roundabout: Roundabout | None = None
-    """What it does where several ways meet; None for nothing."""
+    """The parameters of the evasion where paths intersect; None for no evasion."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if a parameter has the wrong type."""
         check_type("cruise", self.cruise, Cruise)
         check_type("safety", self.safety, Safety)
         check_type("roundabout", self.roundabout, Roundabout | None)
 
     def agent(self) -> SafetyFilter:
-        """An agent with these numbers."""
+        """Return an agent with these parameters."""
         if self.roundabout is None:
             return SafetyFilter(CruiseAgent(self.cruise), self.safety)
         return SafetyFilter(RoundaboutAgent(self.cruise, self.roundabout), self.safety)
 
 
 def _safety(*numbers: float) -> Safety:
-    """A filter of the numbers of `Safety` in order."""
+    """Return the parameters of a filter from its first fields in order."""
     names = ("margin_m", "horizon_s", "response_s", "rate", "share", "downwash", "aside_m")
     return Safety(**dict(zip(names, numbers, strict=True)))  # type: ignore[arg-type]
 
@@ -232,8 +233,8 @@ TUNED: Mapping[str, Avoidance] = MappingProxyType(
         ),
     }
 )
-"""The agents that ship, by name, with their numbers."""
+"""The parameters of the included agents, by name."""
 
 
 fast_line, orca, roundabout = (numbers.agent for numbers in TUNED.values())
-"""Make the agents of these names."""
+"""Functions without arguments that make the agents of these names."""

@@ -1,18 +1,18 @@
 """The safety filter's kernels: barriers as inequalities on accelerations, and their solver.
 
-Two drones that fly on as they do come closer than a distance D within a time T if their relative
-velocity lies in the truncated cone of van den Berg et al. (ORCA, 2011). The barrier h is how far
-outside it lies, m/s, and negative inside; a drone's acceleration must keep dh/dt >= -rate h, of
-which each of the two takes half. Drones that are closer than D already must part along the line
-between them, at a speed that brings them to D within 0.3 s. Positions and velocities are predicted
-over the time that a drone takes to respond, and heights may count less than widths: downwash
-reaches far down.
+Two drones with constant velocities come closer than a distance D within a time T if their relative
+velocity lies in the truncated cone of van den Berg et al. (ORCA, 2011). The barrier h is the
+distance of the relative velocity from this cone, m/s, negative inside. Accelerations must satisfy
+dh/dt >= -rate h, to which each of the two drones contributes a share. Drones that are already
+closer than D must separate along the line between them, at a speed that brings them to D within
+0.3 s. Positions and velocities are predicted over the response time of a drone. Vertical distances
+are scaled down, because downwash reaches far down.
 
-The nearest acceleration that satisfies all inequalities is found by Seidel's incremental method (de
-Berg et al., Computational Geometry, ch. 4), for a quadratic goal: rows are added one after another;
-where one cuts off the nearest point so far, the new one lies on its plane, a problem with one
-dimension fewer among the rows before it. Exact up to rounding, and a microsecond for the dozen rows
-of a drone.
+The nearest acceleration that satisfies all inequalities is computed by Seidel's incremental method
+(de Berg et al., Computational Geometry, ch. 4) with a quadratic objective: rows are added one after
+another; if one excludes the nearest point so far, the new nearest point lies on its plane, a
+problem with one dimension fewer among the previous rows. The result is exact up to rounding, and
+takes a microsecond for the dozen rows of a drone.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import GRAVITY, VEHICLES
 
-TOLERANCE = 1e-9  # By how much a row of unit length may be broken, from rounding
+TOLERANCE = 1e-9  # Largest violation of a row of unit length that counts as rounding
 _FLAT = 1e-10
 _HALVINGS = 40
 
 
 class Workspace(NamedTuple):
-    """Memory for the problems of fewer dimensions, with room for so many rows."""
+    """Memory for the problems of fewer dimensions, of at most m rows."""
 
     plane: FloatArray  # (m, 2) rows within a plane
     plane_bound: FloatArray  # (m,)
     line: FloatArray  # (m,) rows along a line
     line_bound: FloatArray  # (m,)
-    relaxed: FloatArray  # (m,) bounds that have been eased
+    relaxed: FloatArray  # (m,) relaxed bounds
 
 
 def new_workspace(rows: int) -> Workspace:
-    """Memory for problems of so many rows."""
+    """Return memory for problems of at most `rows` rows."""
     return Workspace(np.zeros((rows, 2)), *(np.zeros(rows) for _ in range(4)))
 
 
@@ -57,15 +57,15 @@ def nearest_feasible_point(
     work: Workspace,
     out: FloatArray,
 ) -> bool:
-    """Write the point x (3,) nearest to a target with rows @ x >= bound; whether there is one.
+    """Write the point x nearest to a target with rows @ x >= bound; return True if it exists.
 
     Args:
         target: (3,).
         rows: (m, 3) of unit length.
         bound: (m,).
-        count: how many rows hold.
-        work: room for as many.
-        out: (3,) where to write; undefined if no point satisfies every row.
+        count: the number of rows that are used.
+        work: memory for that many rows.
+        out: (3,) x; undefined if no point satisfies every row.
     """
     out[0], out[1], out[2] = target[0], target[1], target[2]
     for i in range(count):
@@ -96,7 +96,7 @@ def nearest_feasible_point(
 
 @kernel
 def _nearest_in_plane(count: int, work: Workspace) -> tuple[float, float, bool]:
-    """The point nearest to the plane's origin that satisfies its rows, if there is one."""
+    """Return the point nearest to the plane's origin that satisfies its rows, and if it exists."""
     x, y = 0.0, 0.0
     rows, bound = work.plane, work.plane_bound
     for i in range(count):
@@ -118,7 +118,7 @@ def _nearest_in_plane(count: int, work: Workspace) -> tuple[float, float, bool]:
 
 @kernel
 def _nearest_on_line(count: int, work: Workspace) -> tuple[float, bool]:
-    """The point nearest to the line's origin that satisfies its rows, if there is one."""
+    """Return the point nearest to the line's origin that satisfies its rows, and if it exists."""
     low, high = -np.inf, np.inf
     for i in range(count):
         slope, bound = work.line[i], work.line_bound[i]
@@ -143,22 +143,22 @@ def least_broken(
     work: Workspace,
     out: FloatArray,
 ) -> float:
-    """Write the nearest point to a target among those that break rows the least.
+    """Write the point nearest to a target among those that violate rows the least.
 
-    The first rows always hold; of the others the largest violation is the least that can be, which
-    is found by halving; then the nearest such point is taken.
+    The first `hard` rows are satisfied. The largest violation of the others is minimized by
+    bisection; the result is the nearest point with that violation.
 
     Args:
         target: (3,).
         rows: (m, 3) of unit length.
         bound: (m,).
-        hard: how many of the first rows are never broken; a point must satisfy them.
-        count: how many rows there are in all.
-        work: room for as many.
-        out: (3,) where to write.
+        hard: the number of hard constraints, which must be feasible.
+        count: the number of all rows that are used.
+        work: memory for that many rows.
+        out: (3,) the point.
 
     Returns:
-        By how much the worst row is broken: 0 if none is.
+        The largest violation, 0 if all rows are satisfied.
     """
     if nearest_feasible_point(target, rows, bound, count, work, out):
         return 0.0
@@ -184,16 +184,16 @@ def least_broken(
 
 LIMITS = 6  # Rows of the limits on acceleration, which come first
 WALLS = 6  # Rows of the arena's walls
-ESCAPE = 0.3  # Time in which drones that are closer than they should be are to be apart again, s
+ESCAPE = 0.3  # Time in which drones that are too close must be separated, s
 BRAKING = 0.6 * ACCELERATION_LIMIT / SPEED_LIMIT
-"""Speed towards a wall over the distance to it, 1/s: to slow down like this from the largest speed
-takes 0.6 of the largest acceleration."""
+"""Largest speed toward a wall over the distance to it, 1/s: braking at this rate from the speed
+limit takes 0.6 of the largest acceleration."""
 TYPES = len(VEHICLES)
-"""Length of the code of a type."""
+"""Length of the one-hot code of a vehicle type."""
 
 
 class Barrier(NamedTuple):
-    """`swarm_envs.agents.safety.Safety` as kernels take it."""
+    """The parameters `swarm_envs.agents.safety.Safety` for kernels."""
 
     margin: float
     horizon: float
@@ -210,8 +210,8 @@ class BarrierWorkspace(NamedTuple):
 
     rows: FloatArray  # Normals of the half-spaces
     bound: FloatArray  # Their bounds
-    target: FloatArray  # What is asked for
-    out: FloatArray  # What is done
+    target: FloatArray  # Desired acceleration
+    out: FloatArray  # Filtered acceleration
     work: Workspace  # Memory of the solver
 
 
@@ -222,17 +222,17 @@ def velocity_barrier(
     reach: float,
     horizon: float,
 ) -> tuple[float, float, float, float]:
-    """How far a relative velocity is from collision, and the direction that leads away.
+    """Return the direction away from the velocity obstacle and the barrier h.
 
     Args:
-        x: the other's position relative to one's own, m.
-        v: one's own velocity relative to the other, m/s.
-        reach: distance D to keep, m.
-        horizon: T, for which it is to be kept, s. Drones that are closer than D must part fast
-            enough to be D apart after `ESCAPE`.
+        x: the other drone's position relative to the drone, m.
+        v: the drone's velocity relative to the other, m/s.
+        reach: the distance D to keep, m.
+        horizon: the time T for which it is kept, s. Drones that are closer than D must be D apart
+            after `ESCAPE`.
 
     Returns:
-        The unit vector along which v leaves the cone, or goes deeper into what is outside, and h.
+        The gradient of h with respect to v, a unit vector, and h, m/s.
     """
     square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
     if 1e-12 < square <= reach * reach:
@@ -266,10 +266,10 @@ def velocity_barrier(
 def step_aside(
     x: tuple[float, float, float], v: tuple[float, float, float], aside: float
 ) -> tuple[float, float, float]:
-    """See another drone a little to the left, so that both of a pair pass on the right.
+    """Return another drone's position shifted to the left, so that both drones pass on the right.
 
-    The side is horizontal and at right angles to the relative velocity; where that is vertical,
-    along x. Seen from the other it is the opposite one.
+    The shift is horizontal and perpendicular to the relative velocity. For the other drone of the
+    pair it has the opposite sign.
     """
     s0, s1 = v[1] + 1e-3 * v[2], -v[0]
     size = np.sqrt(s0 * s0 + s1 * s1)
@@ -295,15 +295,15 @@ def filter_accelerations(
 
     Args:
         observed: (R, row width) observation rows.
-        asked: (R, 3) actions, over 5 m/s^2.
-        barrier: what is kept.
-        places: of the rows.
+        asked: (R, 3) desired actions, in units of 5 m/s^2.
+        barrier: the parameters of the filter.
+        places: the columns of the rows.
         ratios: (types,) largest thrust over weight.
         radii: (types,) m.
         arena: (2, 3) corners, m.
         scratch: memory.
-        out: (R, 3) where to write actions, over 5 m/s^2.
-        broken: (R,) by how much the worst row is broken, m/s^2; 0 if none is.
+        out: (R, 3) the actions, in units of 5 m/s^2.
+        broken: (R,) the largest violation of an inequality, m/s^2; 0 for none.
     """
     for r in range(observed.shape[0]):
         row, count = observed[r], _write_limits(scratch.rows, scratch.bound)
@@ -335,7 +335,7 @@ def _write_limits(rows: FloatArray, bound: FloatArray) -> int:
 
 @kernel
 def _type_of(row: Float32Array, first: int) -> int:
-    """Index of the type whose code, one-hot, begins there."""
+    """Return the index of the vehicle type whose one-hot code begins at a column."""
     found = 0
     for k in range(TYPES):
         if row[first + k] > 0.5:
@@ -347,7 +347,7 @@ def _type_of(row: Float32Array, first: int) -> int:
 def _acceleration(
     row: Float32Array, places: ObservationColumns, ratio: float
 ) -> tuple[float, float, float]:
-    """What a drone's thrust and weight give it now, m/s^2."""
+    """Return a drone's current acceleration by thrust and gravity, m/s^2."""
     lift, attitude = GRAVITY * ratio * row[places.thrust], places.attitude
     return lift * row[attitude + 2], lift * row[attitude + 5], lift * row[attitude + 8] - GRAVITY
 
@@ -363,7 +363,7 @@ def _write_walls(
     count: int,
     scratch: BarrierWorkspace,
 ) -> int:
-    """A wall at distance d, towards which the speed is s: the barrier is BRAKING d - s."""
+    """Add the rows of the walls: with distance d and speed s, the barrier is BRAKING d - s."""
     delay = barrier.response
     for k in range(WALLS):
         axis, side = k // 2, 1.0 if k % 2 == 0 else -1.0
@@ -390,7 +390,7 @@ def _write_obstacles(
     count: int,
     scratch: BarrierWorkspace,
 ) -> int:
-    """As of a wall through an obstacle's nearest point, with the whole margin."""
+    """Add the rows of obstacles, each as a wall through its nearest point with the full margin."""
     delay = barrier.response
     for m in range(places.num_obstacles):
         first = places.obstacles + 4 * m

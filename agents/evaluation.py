@@ -1,6 +1,6 @@
-"""Many episodes of an agent, on seeds that are fixed beforehand, and the scores that they make.
+"""Evaluation of an agent on many episodes with fixed seeds.
 
-Each episode is kept once it is flown. Scores are rates and averages, each with an interval.
+Each episode is stored when it is complete. Scores are rates and means with confidence intervals.
 """
 
 from __future__ import annotations
@@ -56,22 +56,22 @@ __all__ = [
 
 Episode = dict[str, Any]
 """One episode: its `seed`, its `metrics` and `act_us`, the time of every decision, microseconds;
-without entries where many episodes were flown at once."""
+`act_us` is empty if many episodes were simulated together."""
 
 TIMED = 16
-"""Episodes of each agent that are always flown one at a time, so that its decisions are timed."""
+"""Number of episodes of each agent that are simulated one at a time, to time its decisions."""
 
 
 class AgentFailed(RuntimeError):
-    """An agent raised, or gave actions that no environment takes. The message says where."""
+    """An agent raised an exception or returned invalid actions; the message gives the episode."""
 
 
 class AgentRefused(AgentFailed):
-    """An agent does not fly such an episode: its `reset` raised a ValueError, the cause."""
+    """An agent does not support an episode: its `reset` raised a ValueError, the cause."""
 
 
 def frozen_seeds(seed: int, count: int) -> list[int]:
-    """Seeds of `count` episodes, the same for every agent; fewer are the first of more.
+    """Return the seeds of `count` episodes; a smaller count gives the first of these seeds.
 
     Raises:
         ValueError: the seed is negative, or the count below one.
@@ -92,7 +92,7 @@ class _Timed:
         self._agent = agent
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        # Not timed: it may plan as long as it likes.
+        # The time of planning before the episode is not measured.
         self.spent_us, self.begun = [], 0
         try:
             self._agent.reset(env, seed)
@@ -109,17 +109,18 @@ class _Timed:
 
 
 def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int, refusals: bool = False) -> Episode:
-    """Fly one episode and say how it went.
+    """Simulate one episode and return it.
 
     Args:
-        env: has what the agent requires.
-        agent: who acts.
-        seed: of the episode.
-        refusals: whether an episode that the agent's `reset` refuses is one too: then its metrics
-            are `refused`, why.
+        env: an environment with the options that the agent requires.
+        agent: the agent.
+        seed: the seed of the episode.
+        refusals: return an episode that the agent's `reset` refuses too; its only metric is
+            `refused`, the reason.
 
     Raises:
-        AgentFailed: the agent did; the cause is chained. `AgentRefused`, if its `reset` refused.
+        AgentFailed: the agent failed; the cause is chained.
+        AgentRefused: the agent's `reset` refused the episode.
     """
     timed = _Timed(agent)
     try:
@@ -142,20 +143,20 @@ def evaluate_agent(
     timed: int = TIMED,
     refusals: bool = False,
 ) -> Iterator[Episode]:
-    """Give the episodes of the seeds in their order.
+    """Yield the episodes of the seeds in order.
 
-    An agent that acts on arrays (a `BatchAgent`) flies `AT_ONCE` episodes at once after the first
-    `timed`, with the same metrics; of these no decision is timed, and `act_us` is empty.
+    With a `BatchAgent`, `AT_ONCE` episodes are simulated together after the first `timed`, with the
+    same metrics; their decisions are not timed, and `act_us` is empty.
 
     Args:
-        env: has what the agent requires.
-        agent: who acts.
-        seeds: of the episodes.
-        timed: of the seeds, how many are flown one at a time in any case.
-        refusals: whether an episode that the agent refuses is given too; see `fly_seed`.
+        env: an environment with the options that the agent requires.
+        agent: the agent.
+        seeds: the seeds of the episodes.
+        timed: the number of episodes that are simulated one at a time in any case.
+        refusals: yield episodes that the agent refuses too; see `fly_seed`.
 
     Raises:
-        AgentFailed: the agent did.
+        AgentFailed: the agent failed.
     """
     batched = flies_batches(env, agent)
     single = seeds[:timed] if batched else seeds
@@ -168,7 +169,7 @@ def evaluate_agent(
 def _evaluate_batched(
     env: SwarmParallelEnv, agent: Agent, seeds: Sequence[int], refusals: bool
 ) -> Iterator[Episode]:
-    """Yield episodes as `evaluate_agent` does, many flown at once."""
+    """Yield episodes as `evaluate_agent` does, many simulated together."""
     check_requirements(env, agent)
     core: SwarmCore | None = None
     for first in range(0, len(seeds), AT_ONCE):
@@ -189,7 +190,7 @@ def _evaluate_batched(
 
 
 def _begin(env: SwarmParallelEnv, agent: Agent, seed: int) -> Observations:
-    """Reset both to an episode, which the agent may refuse."""
+    """Reset the environment and the agent, which may refuse the episode."""
     observations, _ = env.reset(seed=seed)
     try:
         agent.reset(env, seed)
@@ -207,7 +208,7 @@ def _refused(seed: int, error: BaseException | None) -> Episode:
 
 
 def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> SwarmCore:
-    """So many environments like one, for which the agent is prepared."""
+    """Return `count` environments like one, for which the agent has been reset."""
     observations = _begin(env, agent, seed)
     differ = disagreement(agent, observations) if isinstance(agent, BatchAgent) else None
     if differ is not None:
@@ -218,7 +219,7 @@ def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> Swa
 def _fly_seeds(
     core: SwarmCore, env: SwarmParallelEnv, agent: Agent, seeds: Sequence[int]
 ) -> list[Episode]:
-    """Episodes flown at once; if the agent fails, one at a time, to say in which."""
+    """Simulate episodes together; if the agent fails, one at a time to find the episode."""
     assert isinstance(agent, BatchAgent)
     try:
         flown = fly_batch(core, agent.act_batch, seeds)
@@ -226,7 +227,7 @@ def _fly_seeds(
         for seed in seeds:
             fly_seed(env, agent, seed)
         raise AgentFailed(
-            f"act_batch fails in the episodes of seeds {seeds[0]} to {seeds[-1]}, though act does "
+            f"act_batch fails in the episodes of seeds {seeds[0]} to {seeds[-1]}, but act does "
             f"not: {type(error).__name__}: {error}"
         ) from error
     return [
@@ -236,19 +237,18 @@ def _fly_seeds(
 
 
 class EpisodeFile:
-    """Episodes of one agent in one setting, a line of JSON each, synced to disk one at a time.
+    """File with the episodes of one agent in one setting, one line of JSON each.
 
-    A line that was being written when the process or the machine died is not counted: that episode
-    is flown again. What the episodes depend on is in the file's name and its first line, so that
-    other settings begin another file, and nothing is overwritten.
+    An incomplete last line, from a killed process, is discarded. A digest of the setting is in the
+    file's name and the setting in its first line, so that each setting has its own file.
 
     Args:
-        folder: where the file is, or will be.
-        name: of the agent.
+        folder: the folder of the file.
+        name: the name of the agent.
         setting: everything that an episode depends on besides its seed, ready for JSON.
 
     Raises:
-        ValueError: the file holds what no run of this class wrote.
+        ValueError: the file exists and has other content.
     """
 
     def __init__(self, folder: Path, name: str, setting: Mapping[str, Any]) -> None:
@@ -276,7 +276,7 @@ class EpisodeFile:
             os.truncate(self.path, len(whole))
 
     def add(self, *episodes: Episode) -> None:
-        """Keep episodes: they are on disk when this returns.
+        """Append episodes; they are on disk when this returns.
 
         Raises:
             OSError: the file cannot be written.
@@ -296,15 +296,14 @@ _FIELDS = ("seed", "metrics", "act_us")
 
 
 def source_digest(agent: Agent, name: str = "") -> str:
-    """Return the SHA-256 of what defines an agent: an edited controller is another one.
+    """Return the SHA-256 of the source of an agent.
 
-    That is the file of its class, and its `digest`, if it has one, such as that of its weights. Of
-    an agent from a file, `path/to/file.py:Class`, it is every Python file of that folder: the file
-    may import those beside it.
+    It covers the file of its class, its attribute `digest`, such as that of its weights, and all
+    Python files in the folder of an agent from a file, `path/to/file.py:Class`.
 
     Args:
         agent: the agent.
-        name: its name, as of `swarm_envs.agents.load`; only agents from files need one.
+        name: its name for `swarm_envs.agents.load`; required only for agents from files.
     """
     file = inspect.getsourcefile(type(agent))
     digest = hashlib.sha256(Path(file).read_bytes() if file else b"")
@@ -314,9 +313,9 @@ def source_digest(agent: Agent, name: str = "") -> str:
 
 
 CONFIDENCE = 0.95
-"""Of all intervals."""
+"""Confidence level of all intervals."""
 RESAMPLES = 2000
-"""Bootstrap resamples."""
+"""Number of bootstrap resamples."""
 
 COLLISIONS = {
     "drone": "collided_drones",
@@ -325,7 +324,7 @@ COLLISIONS = {
     "obstacle": "collided_obstacle",
     "tumbling": "tumbled",
 }
-"""Kinds of crash, and the metric that counts drones that ended so."""
+"""Kinds of crash, and the metric that counts the drones that crashed in this way."""
 
 _OF_SUCCESSES = ("time_to_goal_s", "energy_j")
 _OF_ALL = (
@@ -340,7 +339,7 @@ _SCORES = ("throughput_per_min", "share_on_goal", "gates_per_min")
 
 
 def interquartile_mean(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Mean of the middle half: of n values, a quarter (rounded down) is left out at each end."""
+    """Return the mean of the middle half of n values: n // 4 are left out at each end."""
     from scipy.stats import trim_mean
 
     return np.asarray(trim_mean(values, 0.25, axis=axis))
@@ -349,7 +348,7 @@ def interquartile_mean(values: FloatArray, axis: int = -1) -> FloatArray:
 def bootstrap_interval(
     values: FloatArray, statistic: Callable[..., FloatArray] = interquartile_mean
 ) -> list[float]:
-    """Percentile bootstrap interval of a statistic of values (n,); the same values, the same ends.
+    """Return the percentile bootstrap interval of a statistic of values (n,), deterministically.
 
     One value has no spread to draw from: both ends are its statistic.
     """
@@ -371,7 +370,7 @@ def bootstrap_interval(
 
 
 def rate_interval(count: int, total: int) -> list[float]:
-    """Wilson's interval of a rate: unlike a bootstrap's it has a width at 0 and 1 too."""
+    """Return Wilson's interval of a rate, which is not empty at rates of 0 and 1."""
     from scipy.stats import binomtest
 
     ends = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
@@ -379,30 +378,30 @@ def rate_interval(count: int, total: int) -> list[float]:
 
 
 def collided(metrics: Mapping[str, Any]) -> bool:
-    """Return whether any drone collided, left the arena or tumbled in an episode."""
+    """Return True if any drone collided, left the arena or tumbled in an episode."""
     return any(metrics[name] for name in COLLISIONS.values())
 
 
 def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """What an agent's episodes add up to.
+    """Return the scores of an agent's episodes.
 
     Rates (with Wilson's intervals): `success_rate`; `collision_rate`, of episodes in which any
-    drone collided, left the arena or tumbled; `collision_rate_by_kind`, of which several may hold;
-    `near_miss_rate`, of episodes with a near miss that no crash followed. Interquartile means
-    (with bootstrap intervals): `time_to_goal_s` and `energy_j` of the successes, the others of all
-    episodes that have them, null where none has, and the task's score, where it has one; of
-    separation also the smallest, of errors also the largest. `act_ms`: time of one decision for
-    the whole team, median and 99th percentile of the `timed_decisions`: those of episodes that were
-    flown one at a time.
+    drone collided, left the arena or tumbled; `collision_rate_by_kind`, where an episode may count
+    for several kinds; `near_miss_rate`, of episodes with a near miss and no crash. Interquartile
+    means (with bootstrap intervals): `time_to_goal_s` and `energy_j` of the successful episodes,
+    other metrics and the task's score of all episodes that have them, null if none has. Also the
+    smallest separation and the largest errors. `act_ms`: the median and 99th percentile of the
+    time of a decision of the whole team, from the `timed_decisions`, those of episodes that were
+    simulated one at a time.
 
     Args:
-        episodes: of `swarm_envs.agents.evaluation`.
+        episodes: the episodes, as from `evaluate_agent`.
 
     Raises:
-        ValueError: there is none.
+        ValueError: there is no episode.
     """
     if not episodes:
-        raise ValueError("there is no episode to score; fly at least one")
+        raise ValueError("there is no episode to score; evaluate at least one")
     metrics = [episode["metrics"] for episode in episodes]
     crashed = [collided(m) for m in metrics]
     flags = {
@@ -435,7 +434,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _extremes(metrics: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    """The worst of all episodes."""
+    """Return the smallest separation and the largest tracking error of all episodes."""
     found: dict[str, float | None] = {}
     for new, name, worst in (
         ("smallest_separation_m", "minimum_separation_m", min),

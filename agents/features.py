@@ -1,9 +1,9 @@
-"""Features: what a policy network sees of an observation row, easier to learn from than the row.
+"""Features: the inputs of a policy network, computed from an observation row.
 
-A row of `swarm_envs.envs.observation` holds everything that a drone senses. A small network learns
-faster when it need not find out by itself how near is near, or where two straight ways meet.
-Positions are relative to the controller's set-point, which is known exactly, also where the drone's
-own position is noisy: what depends on the goal alone is free of noise.
+A row of `swarm_envs.envs.observation` has everything that a drone observes. A small network learns
+faster from distances, directions and predicted closest approaches than from the row itself.
+Positions are relative to the controller's set-point, which is exact even if the measured position
+is noisy, so that features of the goal have no noise.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from swarm_envs.vehicles import VEHICLES
 __all__ = ["MASK", "TYPES", "FeatureSizes", "feature_sizes", "features_of"]
 
 TYPES = tuple(VEHICLES)
-"""Types of vehicles in the order of their one-hot code."""
+"""Vehicle types in the order of their one-hot code."""
 
-GOAL_REACH = 0.5  # Beyond this distance the goal's vector is a direction, m
-REFERENCE_REACH = 0.2  # The same of the reference's, m
-NEAR = 0.4  # Length over which nearness falls by e, m
-AHEAD = 2.0  # How far ahead closest approaches are looked for, s
-OTHERS_GOAL = 1.0  # A neighbour's way to its goal, and to an obstacle, is seen up to this length, m
-APART = 2.0  # The vector between two goals is seen up to this length, m
-BESIDE = 0.2  # Length over which downwash falls by e to the side, m
-ABOVE = 0.5  # Height at which a neighbour counts as fully above or below, m
+GOAL_REACH = 0.5  # Length to which the vector to the goal is clipped, m
+REFERENCE_REACH = 0.2  # Length to which the vector to the reference is clipped, m
+NEAR = 0.4  # Length over which the feature of proximity falls by a factor of e, m
+AHEAD = 2.0  # Time horizon of closest approaches, s
+OTHERS_GOAL = 1.0  # Length to which vectors to a neighbor's goal and to obstacles are clipped, m
+APART = 2.0  # Length to which the vector between two goals is clipped, m
+BESIDE = 0.2  # Horizontal distance over which the feature of downwash falls by a factor of e, m
+ABOVE = 0.5  # Height at which a neighbor counts as fully above or below, m
 OWN_WIDTH, NEIGHBOR_WIDTH, OBSTACLE_WIDTH = 31, 25, 5
-"""Features of a drone, of each neighbour and of each obstacle, without loads and forces."""
+"""Numbers of features of a drone, a neighbor and an obstacle, without loads and forces."""
 LOAD_WIDTH, FORCE_WIDTH, SETPOINT_WIDTH = 3, 3, 6
-"""Further features where loads, predicted forces and derivatives of set-points are observed."""
-MASK = 16  # The feature of a neighbour that says that it is there
-_SETPOINT, _TYPE, _REFERENCE = 11, 18, 21  # Where the drone's own features have these
-_NEIGHBOR_TYPE, _NEIGHBOR_REST = 17, 20  # The same of a neighbour's
+"""Number of further features of loads, predicted forces and derivatives of set-points."""
+MASK = 16  # Index of a neighbor's mask among its features
+_SETPOINT, _TYPE, _REFERENCE = 11, 18, 21  # Indices among the drone's own features
+_NEIGHBOR_TYPE, _NEIGHBOR_REST = 17, 20  # Indices among a neighbor's features
 _LITTLE = 1e-6
 
 
 class ObservationColumns(NamedTuple):
-    """Where fields begin in a flat observation row, for kernels."""
+    """The first columns of fields of a flat observation row, for kernels."""
 
     position: int
     velocity: int
@@ -55,18 +55,19 @@ class ObservationColumns(NamedTuple):
     reference_position: int
     reference_velocity: int  # The reference's acceleration follows
     time_left: int
-    neighbors: int  # Of the nearest neighbour; 0 if none is observed
-    neighbor_width: int  # Numbers of a neighbour
-    num_neighbors: int  # Neighbours that a row has
+    neighbors: int  # First column of the nearest neighbor; 0 if none is observed
+    neighbor_width: int  # Number of columns of a neighbor
+    num_neighbors: int  # Number of neighbors
     obstacles: int
-    """Of the nearest obstacle: three of the offset to it, m, and a mask; 0 if none is observed."""
-    num_obstacles: int  # Obstacles that a row has
-    num_extra: int  # Numbers of the drone's load, force and set-point, which follow its type
+    """First column of the nearest obstacle, which has an offset (3), m, and a mask; 0 if none is
+    observed."""
+    num_obstacles: int  # Number of obstacles
+    num_extra: int  # Number of columns of load, force and set-point, which follow the type
     setpoint_velocity: int  # 0 if it is not observed
 
 
 def observation_columns(fields: Mapping[str, slice]) -> ObservationColumns:
-    """Return where fields of a flat observation row begin, of slices by the layout's names."""
+    """Return the columns of a flat observation row from the slices of its fields by name."""
     own = ("position", "velocity", "attitude", "thrust", "setpoint_offset", "type")
     task = ("goal", "reference_position", "reference_velocity", "time_left")
     starts = {name: fields[f"self.{name}"].start for name in own}
@@ -85,22 +86,22 @@ def observation_columns(fields: Mapping[str, slice]) -> ObservationColumns:
 
 
 class FeatureSizes(NamedTuple):
-    """Where features of a row have what: the drone's own numbers, then those of K neighbours."""
+    """The numbers of features: those of the drone itself, followed by those of K neighbors."""
 
     num_neighbors: int
-    """K"""
+    """K."""
     own: int
-    """Numbers about the drone itself, and about obstacles."""
+    """The number of features of the drone itself and of obstacles."""
     neighbor: int
-    """Numbers about each neighbour, whose mask is number `MASK`."""
+    """The number of features of each neighbor, whose mask has the index `MASK`."""
 
     @property
     def width(self) -> int:
-        """Numbers altogether."""
+        """The number of all features."""
         return self.own + self.neighbor * self.num_neighbors
 
     def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""
+        """Split features (..., width) into (..., own) and those of neighbors (..., K, neighbor)."""
         shape = (*values.shape[:-1], self.num_neighbors, self.neighbor)
         return values[..., : self.own], values[..., self.own :].reshape(shape)
 
@@ -112,7 +113,7 @@ def feature_sizes(
     force: bool = False,
     setpoint: bool = False,
 ) -> FeatureSizes:
-    """Return how many features rows of a form have; the arguments are those of `features_of`."""
+    """Return the numbers of features; the arguments are those of `features_of`."""
     extra = LOAD_WIDTH * load + FORCE_WIDTH * force + SETPOINT_WIDTH * setpoint
     own = OWN_WIDTH + extra + OBSTACLE_WIDTH * num_obstacles
     return FeatureSizes(num_neighbors, own, NEIGHBOR_WIDTH + LOAD_WIDTH * load)
@@ -128,33 +129,35 @@ def features_of(
 ) -> Float32Array:
     """Return the features of flat observation rows.
 
-    Positions are relative to the controller's set-point, or to the drone where there is none.
+    Positions are relative to the controller's set-point, or to the drone if there is none. "Over"
+    denotes division, and a vector is clipped by scaling it to a length.
 
-    - Of the drone (31): the vector to its goal, over 0.5 m and cut there; its distance, m; velocity
-      over 2 m/s; the direction of its thrust, and its share of the largest; the set-point relative
-      to the drone, m; position of the set-point, over 2 m; time left; type, one-hot; the vector to
-      its reference, over 0.2 m and cut there; its distance, m; the reference's velocity over 2 m/s,
-      and acceleration over 5 m/s^2. With load (3): thrust margin, mass ratio and charge. With force
-      (3): the prediction over the weight. With set-point (6): its velocity over 2 m/s, and
-      acceleration over 5 m/s^2; neighbors' velocities are relative to it, not to the drone.
-    - Of each obstacle (5): the vector to it, cut at 1 m; exp(-d / 0.4 m); mask.
-    - Of each neighbour (25): relative position, m; exp(-d / 0.4 m); relative velocity over 2 m/s;
-      of the closest approach, if both fly straight on: the time until then over 2 s, which is as
-      far as it is looked for, the relative position then, m, and exp(-distance / 0.4 m); the vector
-      from the neighbour to its goal, cut at 1 m; the speed at which it comes nearer, over 2 m/s;
-      mask; type, one-hot; the vector from the drone's goal to the neighbour's, over 2 m and cut
-      there; nearness to the vertical line through the drone, exp(-h / 0.2 m), and this times height
-      above the drone over 0.5 m, cut at one. With load (3) the neighbour's own.
+    - Of the drone (31): the vector to its goal over 0.5 m, clipped to length 1; its distance, m;
+      velocity over 2 m/s; the direction of its thrust; thrust over the largest thrust; the
+      set-point relative to the drone, m; position of the set-point over 2 m; time left; one-hot
+      type; the vector to its reference over 0.2 m, clipped to length 1; its distance, m; the
+      reference's velocity over 2 m/s and acceleration over 5 m/s^2. With load (3): thrust margin,
+      mass ratio and charge. With force (3): the prediction over the weight. With set-point (6): its
+      velocity over 2 m/s and acceleration over 5 m/s^2; the velocities of neighbors are then
+      relative to it instead of the drone.
+    - Of each obstacle (5): the vector to it, clipped to 1 m; exp(-distance / 0.4 m); mask.
+    - Of each neighbor (25): relative position, m; exp(-distance / 0.4 m); relative velocity over
+      2 m/s; for the closest approach with constant velocities within 2 s: the time until then over
+      2 s, the relative position then, m, and exp(-distance / 0.4 m); the vector from the neighbor
+      to its goal, clipped to 1 m; the speed of approach over 2 m/s; mask; one-hot type; the vector
+      from the drone's goal to the neighbor's goal over 2 m, clipped to length 1;
+      exp(-h / 0.2 m) of the horizontal distance h, and this times the height above the drone over
+      0.5 m, clipped to [-1, 1]. With load (3): the neighbor's.
 
-    All are zero where there is no such neighbour or obstacle.
+    All features of a missing neighbor or obstacle are zero.
 
     Args:
-        rows: (..., width) as `observation="flat"` gives them.
+        rows: (..., width) rows of `observation="flat"`.
         num_neighbors: K.
         num_obstacles: M.
-        load: whether rows have loads.
-        force: whether rows have predicted forces.
-        setpoint: whether rows have derivatives of set-points.
+        load: True if rows have loads.
+        force: True if rows have predicted forces.
+        setpoint: True if rows have derivatives of set-points.
 
     Returns:
         (..., 31 + 3 load + 3 force + 6 setpoint + 5 M + K (25 + 3 load)) float32.
@@ -163,14 +166,14 @@ def features_of(
         ValueError: rows have another width.
     """
     form = num_neighbors, num_obstacles, load, force, setpoint
-    wanted, sizes = observation_width(*form), feature_sizes(*form)
-    if rows.shape[-1] != wanted:
+    expected, sizes = observation_width(*form), feature_sizes(*form)
+    if rows.shape[-1] != expected:
         raise ValueError(
             f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
             f"{num_neighbors}, num_obstacles={num_obstacles}, observe_load={bool(load)}, "
-            f"observe_force={bool(force)} and observe_setpoint={bool(setpoint)} have {wanted}"
+            f"observe_force={bool(force)} and observe_setpoint={bool(setpoint)} have {expected}"
         )
-    flat = np.ascontiguousarray(rows, np.float32).reshape(-1, wanted)
+    flat = np.ascontiguousarray(rows, np.float32).reshape(-1, expected)
     made: Float32Array = np.zeros((len(flat), sizes.width), np.float32)
     _write(flat, _columns(*form), sizes, made)
     return made.reshape(*rows.shape[:-1], sizes.width)
@@ -185,7 +188,7 @@ def _columns(*form: Any) -> ObservationColumns:
 def _write(
     rows: Float32Array, at: ObservationColumns, sizes: FeatureSizes, made: Float32Array
 ) -> None:
-    """Write the features (R, width) of rows into zeros."""
+    """Write the features (R, width) of rows to an array of zeros."""
     for r in range(len(rows)):
         row, out = rows[r], made[r]
         _write_own(row, at, out)
@@ -208,16 +211,16 @@ def _length(x: float, y: float, z: float) -> float:
 
 @part
 def _from_setpoint(
-    way: Float32Array, row: Float32Array, at: ObservationColumns
+    vector: Float32Array, row: Float32Array, at: ObservationColumns
 ) -> tuple[float, float, float]:
-    """Return a vector (3,) from the drone as a vector from its set-point, m."""
+    """Convert a vector (3,) from the drone to a vector from its set-point, m."""
     offset = row[at.setpoint_offset :]
-    return way[0] - offset[0], way[1] - offset[1], way[2] - offset[2]
+    return vector[0] - offset[0], vector[1] - offset[1], vector[2] - offset[2]
 
 
 @part
 def _write_direction(x: float, y: float, z: float, reach: float, out: Float32Array) -> float:
-    """Write a vector over a length, cut there; return its own length, m."""
+    """Write a vector over a length, clipped to length 1; return its own length, m."""
     distance = _length(x, y, z)
     scale = 1.0 / max(distance, reach)
     out[0], out[1], out[2] = x * scale, y * scale, z * scale
@@ -249,7 +252,7 @@ def _write_own(row: Float32Array, at: ObservationColumns, out: Float32Array) -> 
 def _write_obstacle(
     row: Float32Array, at: ObservationColumns, seen: Float32Array, out: Float32Array
 ) -> None:
-    """Write the features of an obstacle, of its fields (4,)."""
+    """Write the features of an obstacle from its columns (4,)."""
     x, y, z = _from_setpoint(seen, row, at)
     distance = _write_direction(x, y, z, OTHERS_GOAL, out[:3])
     out[3], out[4] = np.exp(-distance / NEAR), 1.0
@@ -259,7 +262,7 @@ def _write_obstacle(
 def _write_neighbor(
     row: Float32Array, at: ObservationColumns, seen: Float32Array, out: Float32Array
 ) -> None:
-    """Write the features of a neighbour, of its fields (width,)."""
+    """Write the features of a neighbor from its columns (width,)."""
     x, y, z = _from_setpoint(seen, row, at)
     u, v, w = seen[3], seen[4], seen[5]
     if at.setpoint_velocity > 0:

@@ -1,4 +1,4 @@
-"""Trained models and plain functions as agents, without a class or a file of one's own."""
+"""Agents from trained models and functions."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _OPTIONS = (
     "observe_force",
     "observe_setpoint",
 )
-"""Options of an environment that decide what a model observes and what its actions mean."""
+"""Options of an environment that define a model's observations and actions."""
 
 
 class ModelAgent(RowAgent):
-    """One model that acts for every drone, each by its own observation row.
+    """Agent that applies one model to the observation row of every drone.
 
     Args:
-        act: actions (n, width) for observation rows (n, row width), both float32.
+        act: a function that maps observation rows (n, row width) to actions (n, width), float32.
         requires: environment options that the model was trained with; none by default.
     """
 
@@ -43,7 +43,7 @@ class ModelAgent(RowAgent):
         self.requires: Mapping[str, Any] = {} if requires is None else dict(requires)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Do nothing: a model has no memory."""
+        """Do nothing, as the agent has no memory."""
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
         """Return actions (..., width) for observation rows (..., row width).
@@ -62,24 +62,24 @@ class ModelAgent(RowAgent):
 
 
 def from_model(model: Any, env: SwarmParallelEnv) -> ModelAgent:
-    """Make an agent of a model that is in memory, to fly and to evaluate like any other.
+    """Return an agent that acts with a model.
 
     Args:
         model: a model of Stable-Baselines3 that was trained on `SharedPolicyVecEnv`, with its
             features or with rows; or a torch module or a function that maps observation rows (n,
-            row width), float32, to actions (n, width). Actions outside [-1, 1] are clipped where
-            the action mode is bounded. Of a model that was trained behind `VecNormalize`, give one
-            that still has that environment: its statistics are used.
+            row width), float32, to actions (n, width). Actions are clipped to [-1, 1] if the action
+            mode is bounded. A model that was trained with `VecNormalize` must still have that
+            environment, whose statistics are used.
         env: an environment with the options that the model was trained with.
 
     Raises:
         TypeError: the model is none of these, or is recurrent.
-        ValueError: the environment's observations are no flat rows, or a model of
-            Stable-Baselines3 observes other values than its rows or features.
+        ValueError: the environment's observations are not flat rows, or a model of
+            Stable-Baselines3 was trained on neither its rows nor its features.
     """
     if env.core.config.observation != "flat":
         raise ValueError(
-            f"env has observation={env.core.config.observation!r}, but agents of models see flat "
+            f"env has observation={env.core.config.observation!r}, but agents of models need flat "
             "rows; make it with observation='flat'"
         )
     act = _function_of(model, env)
@@ -96,7 +96,9 @@ def from_model(model: Any, env: SwarmParallelEnv) -> ModelAgent:
 def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Any]:
     if hasattr(model, "predict") and hasattr(model, "observation_space"):
         if hasattr(model.policy, "lstm_actor"):
-            raise TypeError("model is recurrent, but an agent of a model has no memory")
+            raise TypeError(
+                "model is recurrent, but an agent of a model has no memory; give a model without"
+            )
         observe, normalizer = _observed_by(model, env), model.get_vec_normalize_env()
         if normalizer is None:
             return lambda rows: model.predict(observe(rows), deterministic=True)[0]
@@ -114,19 +116,19 @@ def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], 
 
 
 def _observed_by(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], Float32Array]:
-    """Return what turns rows into the observations that a Stable-Baselines3 model expects."""
-    form, wanted = env.core.form[1:], model.observation_space.shape
-    if wanted is None:
+    """Return the function that maps rows to the observations of a Stable-Baselines3 model."""
+    form, expected = env.core.form[1:], model.observation_space.shape
+    if expected is None:
         raise ValueError(
-            "the model observes dictionaries, but agents of models see flat rows; train it on "
+            "the model observes dictionaries, but agents of models need flat rows; train it on "
             "SharedPolicyVecEnv with observation='flat'"
         )
-    if wanted == (observation_width(*form),):
+    if expected == (observation_width(*form),):
         return lambda rows: rows
-    if wanted == (feature_sizes(*form).width,):
+    if expected == (feature_sizes(*form).width,):
         return lambda rows: features_of(rows, *form)
     raise ValueError(
-        f"the model observes {wanted}, but rows of this environment have "
+        f"the model observes {expected}, but rows of this environment have "
         f"{observation_width(*form)} numbers and {feature_sizes(*form).width} features; make the "
         "environment with the options of its training, such as num_neighbors"
     )

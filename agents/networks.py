@@ -1,8 +1,8 @@
-"""Networks that act, in numpy: multilayer perceptrons, and sets over the neighbors.
+"""Policy networks in numpy: multilayer perceptrons, optionally with a deep set of the neighbors.
 
-A set gives every neighbor, together with the drone's own features, to a network phi, and continues
-with the drone's own features, the largest and the sum of the outputs: the order of neighbors has no
-effect, and there may be any number of them (deep sets, Zaheer et al. 2017).
+A deep set (Zaheer et al. 2017) applies a network phi to the features of every neighbor joined with
+those of the drone. The actor's inputs are the drone's features, the maximum and the sum of the
+outputs; they depend on neither the order nor the number of the neighbors.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ __all__ = ["Layers", "Network"]
 
 Layers = tuple[tuple[Float32Array, Float32Array], ...]
 """Weight (out, in) and bias (out,) of each layer of a network, in order."""
-ACTIVATIONS = ("tanh", "relu")  # functions that can follow every hidden layer
+ACTIVATIONS = ("tanh", "relu")  # Activation functions of the hidden layers
 
 
 @dataclass(frozen=True)
 class Network:
-    """A map from features to the mean action."""
+    """A network that maps features to the mean action."""
 
     layers: Layers
-    """Layers of the actor; nothing follows the last."""
+    """The layers of the actor; the last has no activation."""
     phi: Layers | None = None
-    """Layers of a set, from a drone's own and a neighbor's features to a code, with an activation
-    after the last layer too; None: the features of neighbors are inputs of the actor, in order."""
+    """The layers of the deep set, which map the features of a drone and a neighbor to a code, with
+    an activation after the last layer too; None if the neighbors' features are inputs of the
+    actor."""
     activation: str = "tanh"
-    """One of `ACTIVATIONS`."""
+    """The activation function, one of `ACTIVATIONS`."""
 
     def __call__(self, values: Float32Array, sizes: FeatureSizes) -> Float32Array:
         """Return mean actions (..., width) for features (..., `sizes.width`)."""
@@ -48,7 +49,7 @@ class Network:
         own, around = sizes.split(values)
         present = around[..., MASK, None]
         (weight, bias), *deeper = phi
-        shared = own @ weight[:, : sizes.own].T + bias  # the same beside every neighbor
+        shared = own @ weight[:, : sizes.own].T + bias  # the same for every neighbor
         members = self._active(around @ weight[:, sizes.own :].T + shared[..., None, :])
         members = self._hidden(members, deeper)
         return np.concatenate([own, *pooled(members, present)], axis=-1)
@@ -68,11 +69,11 @@ class Network:
 
 
 def pooled(members: Float32Array, present: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Return the largest and the sum (..., width) of a set's members.
+    """Return the maximum and the sum (..., width) of a set's members.
 
     Args:
         members: (..., K, width).
-        present: (..., K, 1), 1 for members that count; without any, both results are 0.
+        present: (..., K, 1) mask of the members; without any, both results are 0.
     """
     largest = np.where(present > 0, members, np.float32(-1.0)).max(axis=-2, initial=-1.0)
     some = np.where(present.any(axis=-2), largest, np.float32(0.0))
@@ -80,7 +81,7 @@ def pooled(members: Float32Array, present: Float32Array) -> tuple[Float32Array, 
 
 
 def to_tensors(network: Network) -> dict[str, Float32Array]:
-    """Return tensors by name: `actor.<layer>.weight`, `phi.<layer>.bias` and so on."""
+    """Return the tensors of a network by name, such as `actor.<layer>.weight`."""
     tensors = {}
     for part, layers in (("actor", network.layers), ("phi", network.phi)):
         for k, (weight, bias) in enumerate(layers or ()):
@@ -90,7 +91,7 @@ def to_tensors(network: Network) -> dict[str, Float32Array]:
 
 
 def layers_from_tensors(tensors: Mapping[str, Float32Array], name: str, width: int) -> Layers:
-    """Return the layers `<name>.0.weight`, `<name>.0.bias` and so on for inputs of a width.
+    """Return the layers with tensors `<name>.0.weight`, `<name>.0.bias` and so on.
 
     Raises:
         KeyError: a tensor is missing.

@@ -1,9 +1,8 @@
-"""Trained policies: their files, checked before they are used, and the agent that flies them.
+"""Trained policies: their files and their agent, which needs numpy only.
 
-A file is safetensors with a JSON note. Tensors, float32: `actor.<layer>.weight` (out, in) and
-`actor.<layer>.bias`, layers in order, and of a set also `phi.<layer>.weight` and so on. The note,
-under the key `swarm_envs`, says what the policy was trained for. numpy is all that a policy needs
-to fly.
+A policy is a safetensors file with JSON metadata. Its float32 tensors are `actor.<layer>.weight`
+(out, in) and `actor.<layer>.bias`, and `phi.<layer>.weight` and `phi.<layer>.bias` of a deep set.
+The metadata, under the key `swarm_envs`, describe the task that the policy was trained for.
 """
 
 from __future__ import annotations
@@ -56,67 +55,67 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
-FORMAT = "swarm-envs-policy-9"  # What a file of a policy says it is
+FORMAT = "swarm-envs-policy-9"  # Format of the file
 MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
-LARGEST = 1e4  # No weight of a policy that was trained comes near it; one beyond it was damaged
+LARGEST = 1e4  # Weights beyond this bound indicate a damaged file
 
 
 @dataclass(frozen=True)
 class PolicyNote:
-    """What a policy was trained for, and so where alone it may fly."""
+    """The environments that a policy was trained for, and supports."""
 
     task: str
-    """versioned name, such as `swap_v1`"""
+    """The versioned name of the task, such as `swap_v1`."""
     drones: int
-    """largest team it may fly in: that of its training"""
+    """The size of the largest team that is supported, that of the training."""
     action: str
-    """what its numbers mean"""
+    """The action space."""
     decision_rate: int
-    """how often it decides, 1/s"""
+    """The rate of decisions, Hz."""
     num_neighbors: int
-    """K, how many neighbours it observes"""
+    """K, the number of observed neighbors."""
     types: tuple[str, ...] = ()
-    """types of vehicles it was trained with and alone flies; all if none is named"""
+    """The vehicle types that are supported, those of the training; empty for all."""
     fewest: int = 1
-    """smallest team it may fly in: places of neighbours that were never empty in its training can
-    mislead it when they are"""
+    """The size of the smallest team that is supported. Missing neighbors are out of distribution if
+    they never occurred in training."""
     activation: str = "tanh"
-    """what follows every hidden layer: one of `ACTIVATIONS`"""
+    """The activation function of the hidden layers, one of `ACTIVATIONS`."""
     also: tuple[str, ...] = ()
-    """versioned names of other tasks that it was measured to fly, though trained for one"""
+    """Versioned names of other tasks on which the policy was evaluated with success."""
     num_obstacles: int = 0
-    """M, how many obstacles it observes"""
+    """M, the number of observed obstacles."""
     observe_load: bool = False
-    """whether it observes thrust margins, masses and charges"""
+    """True if it observes thrust margins, masses and charges."""
     observe_force: bool = False
-    """whether it observes the force that the shipped belief predicts"""
+    """True if it observes the force that the included force model of controllers predicts."""
     observe_setpoint: bool = False
-    """whether it observes velocity and acceleration of its set-point"""
+    """True if it observes the velocity and acceleration of its set-point."""
     controller: str = ""
-    """the shipped agent whose tracking controller it needs, such as `downwash-aware`; the default
-    controller if empty"""
+    """The included agent whose tracking controller it needs, such as `downwash-aware`; empty for
+    the default controller."""
     safety: Safety | None = None
-    """the safety filter that `+filter` puts around it; None for the default"""
+    """The parameters of its safety filter (`+filter`); None for the default."""
 
     @property
     def families(self) -> set[str]:
-        """Tasks that it flies, whatever their version."""
+        """The tasks that it supports, without their versions."""
         return {task_family(name) for name in (self.task, *self.also)}
 
     @property
     def sizes(self) -> FeatureSizes:
-        """How many numbers its features are."""
+        """The numbers of its features."""
         return feature_sizes(*self.form)
 
     @property
     def form(self) -> tuple[int, int, bool, bool, bool]:
-        """The K and M of its observation rows, and whether they hold loads, forces, set-points."""
+        """K, M, and True for each of loads, forces and set-points that its rows have."""
         extra = (self.observe_load, self.observe_force, self.observe_setpoint)
         return self.num_neighbors, self.num_obstacles, *extra
 
     @property
     def requires(self) -> dict[str, Any]:
-        """Options of the environment without which it cannot act."""
+        """The environment options that it requires."""
         return {
             "action": self.action,
             "decision_rate": self.decision_rate,
@@ -127,14 +126,14 @@ class PolicyNote:
 
     @property
     def teams(self) -> str:
-        """Team sizes in which it flies, for people."""
+        """The supported team sizes as text."""
         return f"{self.fewest} to {self.drones}" if self.fewest < self.drones else f"{self.drones}"
 
     def network(self, tensors: Mapping[str, Float32Array]) -> Network:
-        """Return the network that a file holds for such a policy, every layer's widths checked.
+        """Return the network of the policy from the tensors of its file.
 
         Raises:
-            ValueError: layers do not fit each other, features or actions, or a tensor is left over.
+            ValueError: widths of layers, features or actions differ, or there is an extra tensor.
             KeyError: a tensor is missing.
         """
         inputs, actions, phi = self.sizes.width, ACTIONS[self.action].width, None
@@ -150,19 +149,15 @@ class PolicyNote:
         network = Network(layers, phi, self.activation)
         extra = set(tensors) - set(to_tensors(network))
         if extra:
-            raise ValueError(f"it holds tensors that no network has: {', '.join(sorted(extra))}")
+            raise ValueError(f"it has tensors that no network has: {', '.join(sorted(extra))}")
         return network
 
     def check(self) -> None:
-        """Refuse a note that speaks of what does not exist here.
-
-        Raises:
-            ValueError: naming the entry.
-        """
+        """Raise ValueError if an entry is invalid, such as a task that does not exist."""
         for name in (self.task, *self.also):
             families = {task_family(task) for task in TASKS}
             if not re.fullmatch(r"\w+_v\d+", str(name)) or task_family(name) in families:
-                check_name("task", name, TASKS)  # others are tasks of users' own
+                check_name("task", name, TASKS)  # others are custom tasks
         check_name("action", self.action, ACTIONS)
         check_name("activation", self.activation, ACTIVATIONS)
         for token in self.types:
@@ -174,22 +169,22 @@ class PolicyNote:
 
 @dataclass(frozen=True)
 class Policy:
-    """A network that acts, and what it was trained for."""
+    """A trained policy."""
 
     note: PolicyNote
-    """What it was trained for."""
+    """The environments that it supports."""
     network: Network
-    """The map from features to the mean action."""
+    """The network that maps features to the mean action."""
     provenance: Mapping[str, Any]
-    """How it came about: command, seed, steps ..."""
+    """The record of the training: command, seed, steps and so on."""
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the weights."""
+        """The SHA-256 of the weights."""
         return _digest(to_tensors(self.network))
 
     def actions(self, rows: Float32Array) -> Float32Array:
-        """Actions (..., width) for observation rows (..., row width) of any number of drones.
+        """Return actions (..., width) for observation rows (..., row width) of drones.
 
         Raises:
             ValueError: the rows have another width.
@@ -200,10 +195,10 @@ class Policy:
 
 
 def write_policy(path: Path, policy: Policy) -> None:
-    """Write a policy, whole or not at all.
+    """Write a policy atomically.
 
     Raises:
-        OSError: the folder cannot be made or written.
+        OSError: the folder cannot be created or written.
         ValueError: a weight is not finite.
     """
     tensors = to_tensors(policy.network)
@@ -217,7 +212,7 @@ def write_policy(path: Path, policy: Policy) -> None:
     }
     with written_whole(path) as partial:
         metadata = {"swarm_envs": json.dumps(note, allow_nan=False)}
-        partial.write_bytes(save(tensors, metadata))  # its own writer raises no OSError
+        partial.write_bytes(save(tensors, metadata))  # `save_file` raises no OSError
 
 
 def read_policy(path: Path) -> Policy:
@@ -225,43 +220,43 @@ def read_policy(path: Path) -> Policy:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is damaged, of no format that is known, or of another observation layout.
+        ValueError: it is damaged, or has another format or observation layout.
     """
     if path.suffix == ".zip":
         raise ValueError(
             f"policy {str(path)!r} looks like a model of Stable-Baselines3, which is a pickle: it "
-            "can run any code when it is read, so commands refuse it. Read a model of your own in "
-            "Python and fly it there: agent = swarm_envs.agents.from_model(PPO.load(path), env); "
+            "can run any code when it is read, so commands refuse it. Load a model that you trust "
+            "in Python: agent = swarm_envs.agents.from_model(PPO.load(path), env); "
             "fly_episode(env, agent, seed)"
         )
     if not path.is_file():
         raise FileNotFoundError(
-            f"there is no {str(path)!r}; train a policy by `swarm-envs train`, or name an agent's "
+            f"there is no {str(path)!r}; train a policy with `swarm-envs train`, or give a "
             "class, path/to/file.py:Class"
         )
     if path.suffix != ".safetensors":
         raise ValueError(
             f"policy {str(path)!r} is no .safetensors file: a pickle, such as .pt, can "
-            "run any code when it is read, and is refused; write it by `swarm-envs train`"
+            "run any code when it is read, and is refused; write it with `swarm-envs train`"
         )
     try:
         tensors, note = _read(path)
         if note.get("format") != FORMAT:
             raise ValueError(f"its format is {note.get('format')!r}, not {FORMAT!r}")
         if _digest(tensors) != note["weights_sha256"]:
-            raise ValueError("its weights are not those that were written")
+            raise ValueError("its weights differ from their checksum")
         about = _about(note)
         network = about.network(tensors)
         provenance = dict(note["provenance"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         raise ValueError(
             f"policy {str(path)!r} is damaged or no policy of this version ({error}); train it "
-            "again by `swarm-envs train`, or reinstall the package"
+            "again with `swarm-envs train`, or reinstall the package"
         ) from error
     if note.get("observation") != layout_digest(*about.form):
         raise ValueError(
-            f"policy {str(path)!r} was trained on another layout of observations than this "
-            "version's; train it again by `swarm-envs train`"
+            f"policy {str(path)!r} was trained with another layout of observations than that of "
+            "this version; train it again with `swarm-envs train`"
         )
     return Policy(about, network, provenance)
 
@@ -269,7 +264,7 @@ def read_policy(path: Path) -> Policy:
 def senses(
     obstacles: int, load: bool, force: bool, setpoint: bool, controller: str | None
 ) -> dict[str, Any]:
-    """Options of an environment for what a policy observes besides neighbors, and its actions."""
+    """Return environment options for a policy's observations besides neighbors, and controller."""
     found: dict[str, Any] = {
         "num_obstacles": obstacles,
         "observe_load": load,
@@ -283,7 +278,7 @@ def senses(
 
 
 def layout_digest(*form: int) -> str:
-    """SHA-256 of the layout of rows of a form: names, places, units and scales of its fields."""
+    """Return the SHA-256 of names, columns, units and scales of the fields of observation rows."""
     layout = [
         [field.name, field.where.start, field.where.stop, field.unit, field.scale]
         for field in observation_layout(*form)
@@ -304,9 +299,9 @@ def _read(path: Path) -> tuple[dict[str, Float32Array], dict[str, Any]]:
 def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
     for name, tensor in tensors.items():
         if not np.isfinite(tensor).all():
-            raise ValueError(f"tensor {name!r} holds a number that is not finite")
+            raise ValueError(f"tensor {name!r} has a number that is not finite")
         if (np.abs(tensor) > LARGEST).any():
-            raise ValueError(f"tensor {name!r} holds a number beyond {LARGEST:g}")
+            raise ValueError(f"tensor {name!r} has a number beyond {LARGEST:g}")
 
 
 def _about(note: Mapping[str, Any]) -> PolicyNote:
@@ -329,76 +324,71 @@ def _digest(tensors: Mapping[str, Float32Array]) -> str:
 
 
 class PolicyAgent(RowAgent):
-    """Every drone flown by one network, each by what it observes itself.
+    """Agent in which every drone acts with the same policy on its own observations.
 
     Args:
-        policy: the network and what it was trained for.
+        policy: the policy.
     """
 
     def __init__(self, policy: Policy) -> None:
         note = policy.note
         self.policy = policy
-        # The note too: it says which tasks are refused, and episodes are kept by this digest.
+        # Stored episodes depend on the note too, because it determines the supported tasks.
         self.digest = hashlib.sha256(f"{policy.digest} {note}".encode()).hexdigest()
         self.requires: Mapping[str, Any] = note.requires
-        self.avoids_obstacles = bool(note.num_obstacles)  # it observes them, and was trained so
+        self.avoids_obstacles = bool(note.num_obstacles)  # policies that observe them avoid them
 
     @classmethod
     def load(cls, path: Path) -> PolicyAgent:
-        """The agent in a file, or in the folder of a training run.
+        """Return the agent of a policy's file, or of the folder of a training run.
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: it is damaged, a pickle, or of another version; the message says which.
+            ValueError: it is damaged, a pickle, or of another version.
         """
         if (path / CHECKPOINT).is_file() and not (path / FILE).exists():
             raise FileNotFoundError(
-                f"the training run in {str(path)!r} has kept no policy yet; the same `swarm-envs "
-                "train` continues with it"
+                f"the training run in {str(path)!r} has saved no policy yet; continue it with the "
+                "same `swarm-envs train`"
             )
         return cls(read_policy(path / FILE if path.is_dir() else path))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Check that this is what the policy was trained for; it draws nothing at random.
+        """Check that the policy supports the environment; nothing is random.
 
         Raises:
-            ValueError: another action or observation, or as `check`.
+            ValueError: the environment has other options than required, or see `check`.
         """
         check_requirements(env, self)
         self.check(env.core.task)
 
     def check(self, task: Task) -> None:
-        """Refuse a task for which the policy was not trained.
-
-        Raises:
-            ValueError: another task, more or fewer drones, types that it was not trained with, or
-                obstacles.
-        """
+        """Raise ValueError if the policy does not support a task, its team, or its obstacles."""
         note, num_drones = self.policy.note, len(task.team)
         if task_family(task.name) not in note.families:
             raise ValueError(
-                f"this policy flies {', '.join(sorted(note.families))}, but the environment's "
+                f"this policy supports {', '.join(sorted(note.families))}, but the environment's "
                 f"task is {task_family(task.name)}; set the task (--task), or train another policy"
             )
         if not note.fewest <= num_drones <= note.drones:
             raise ValueError(
                 f"this policy was trained for teams of {note.teams} drones, but the environment "
-                f"has {num_drones}; set {note.teams} (--drones), or fly another agent"
+                f"has {num_drones}; set {note.teams} (--drones), or use another agent"
             )
         others = {vehicle.token for vehicle in task.team} - set(note.types)
         if note.types and others:
             raise ValueError(
                 f"this policy was trained for vehicles {', '.join(note.types)}, but the team has "
-                f"{', '.join(sorted(others))}; train one with them by `swarm-envs train --team`"
+                f"{', '.join(sorted(others))}; train one for them with `swarm-envs train --team`"
             )
         if task.obstacles and not note.num_obstacles:
             raise ValueError(
-                f"this policy was trained without obstacles and sees none of the "
-                f"{len(task.obstacles)} here; train one by `swarm-envs train --num-obstacles`"
+                f"this policy was trained without obstacles and observes none of the "
+                f"{len(task.obstacles)} here; train one with `swarm-envs train --num-obstacles`"
             )
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """The mean (..., width) of what the policy would draw, for rows (..., row width).
+        """Return the mean actions (..., width) for observation rows (..., row width).
 
         Raises:
             ValueError: the rows have another width.
@@ -407,7 +397,7 @@ class PolicyAgent(RowAgent):
 
 
 def shipped_policy(name: str) -> PolicyAgent:
-    """The agent of a policy that ships; see `weights/MODEL_CARD.md`."""
+    """Return the agent of an included policy; see `weights/MODEL_CARD.md`."""
     weights = resources.files("swarm_envs.agents").joinpath("weights")
     with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
         return PolicyAgent.load(path)

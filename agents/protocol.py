@@ -1,4 +1,4 @@
-"""The protocol of agents, one team or many at a time, and the loops that fly their episodes."""
+"""The agent protocol, for one team or many at a time, and the loops of their episodes."""
 
 from __future__ import annotations
 
@@ -21,71 +21,68 @@ from swarm_envs.viewing.record import Recorder, Recording
 __all__ = ["AT_ONCE", "BatchAgent", "check_options_agree", "flies_batches", "fly_batch"]
 
 Observations = Mapping[str, npt.NDArray[np.float32]]
-"""What every agent observes, by its name."""
+"""Observations by agent name."""
 Actions = dict[str, npt.NDArray[Any]]
-"""What every agent does, by its name."""
-StepInfos = dict[str, dict[str, Any]]  # What the environment adds to a step, by agent name
+"""Actions by agent name."""
+StepInfos = dict[str, dict[str, Any]]  # The infos of a step, by agent name
 
 
 @runtime_checkable
 class Agent(Protocol):
-    """Anything that flies a team: a scripted baseline, a trained policy, a student's file."""
+    """The protocol of a controller of all drones: a script, a trained policy or a user's class."""
 
     requires: Mapping[str, Any]
-    """Environment options without which it cannot act: action, decision_rate, controller ..."""
+    """Environment options that it requires, such as action, decision_rate or controller."""
     privileged: bool
-    """Whether it wants `view`: the true state, goals and reference."""
+    """True if it needs `view`: the true state, the goals and the reference."""
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Prepare for an episode of this environment, which has just been reset."""
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Give every agent's action.
+        """Return the actions of all drones.
 
         Args:
-            observations: of the environment, by agent name.
-            view: the truth if the agent is privileged, else None.
+            observations: the environment's observations by agent name.
+            view: the true state if the agent is privileged, else None.
         """
 
 
 def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
-    """Refuse an environment in which an agent would fly as something else."""
+    """Raise ValueError if an environment lacks options that an agent requires."""
     if isinstance(agent, type) or not isinstance(agent, Agent):
         raise TypeError(
             f"agent is {agent!r:.80}, but must be an object with `requires`, `privileged`, "
-            "`reset(env, seed)` and `act(observations, view)`; of a class, make one"
+            "`reset(env, seed)` and `act(observations, view)`; give an instance, not a class"
         )
-    for name, wanted in agent.requires.items():
+    for name, required in agent.requires.items():
         if not hasattr(env.core.config, name):
             valid = [field.name for field in fields(env.core.config)]
             raise ValueError(unknown_name("option", name, valid, f"required by {agent!r:.60}"))
         have = getattr(env.core.config, name)
-        if have is not wanted and have != wanted:
-            place, mine, theirs = _difference(name, wanted, have)
+        if have is not required and have != required:
+            place, mine, theirs = _difference(name, required, have)
             raise ValueError(
                 f"{type(agent).__name__} requires {place}={mine!r:.80}, but the environment has "
                 f"{theirs!r:.80}; make it with parallel_env(..., **agent.requires)"
             )
 
 
-def _difference(name: str, wanted: Any, have: Any) -> tuple[str, Any, Any]:
-    """Return the first field in which two options of a name differ, or the options themselves."""
-    if is_dataclass(wanted) and type(have) is type(wanted):
-        for field in fields(wanted):
-            mine, theirs = getattr(wanted, field.name), getattr(have, field.name)
+def _difference(name: str, required: Any, have: Any) -> tuple[str, Any, Any]:
+    """Return name and values of the first field in which two options differ, or of the options."""
+    if is_dataclass(required) and type(have) is type(required):
+        for field in fields(required):
+            mine, theirs = getattr(required, field.name), getattr(have, field.name)
             if mine != theirs:
                 return f"{name}.{field.name}", mine, theirs
-    return name, wanted, have
+    return name, required, have
 
 
 def check_task(agent: Agent, task: Task) -> None:
-    """Refuse a task that an agent cannot fly, before there is an environment of it.
+    """Raise ValueError if an agent does not support a task, without an environment.
 
-    An agent says so by a method `check(task)`, which its `reset` calls too; one without it flies
-    every task.
-
-    Raises:
-        ValueError: with the agent's reason.
+    An agent may have a method `check(task)`, which its `reset` calls too; an agent without it
+    supports every task.
     """
     check = getattr(agent, "check", None)
     if check is not None:
@@ -93,19 +90,16 @@ def check_task(agent: Agent, task: Task) -> None:
 
 
 def check_options_agree(agent: Agent, given: Mapping[str, Any]) -> None:
-    """Refuse an agent that requires another environment than was asked for.
+    """Raise ValueError if an agent requires other options than were requested.
 
     Args:
-        agent: who is to fly.
-        given: options of the environment that were asked for.
-
-    Raises:
-        ValueError: an option was given and the agent requires another; the message names it.
+        agent: the agent.
+        given: the requested options of the environment.
     """
-    for option, wanted in agent.requires.items():
-        if option in given and given[option] != wanted:
+    for option, required in agent.requires.items():
+        if option in given and given[option] != required:
             raise ValueError(
-                f"it requires {option}={wanted!r}, not {given[option]!r}; leave that option out"
+                f"it requires {option}={required!r}, not {given[option]!r}; leave that option out"
             )
 
 
@@ -116,17 +110,17 @@ def fly_episode(
     watch: Callable[[SwarmParallelEnv], None] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Fly one episode and return its metrics.
+    """Simulate one episode and return its metrics.
 
     Args:
-        env: an environment that has what the agent requires.
-        agent: who acts.
-        seed: of the episode, for environment and agent.
-        watch: called after the reset and after every step.
-        options: for the environment's reset.
+        env: an environment with the options that the agent requires.
+        agent: the agent.
+        seed: the seed of the environment and the agent.
+        watch: a function that is called with `env` after the reset and after every step.
+        options: the options of the environment's reset.
 
     Raises:
-        ValueError: the environment lacks what the agent requires.
+        ValueError: the environment lacks options that the agent requires.
     """
     check_integer("seed", seed)
     infos: StepInfos = {}
@@ -146,11 +140,11 @@ def record_episode(
     options: Mapping[str, Any] | None = None,
     name: str | None = None,
 ) -> Recording:
-    """Fly one episode and return everything that happened, one sample a decision.
+    """Simulate one episode and return its recording, with one sample per decision.
 
-    The arguments are those of `fly_episode`, and the agent's name for the record, by default that
-    of its class. Write the recording with `swarm_envs.viewing.trajectory.write_trajectory`, look at
-    it with `swarm_envs.viewing.replay.write_replay`.
+    The arguments are those of `fly_episode`, and the agent's name in the recording, by default
+    that of its class. Save the recording with `swarm_envs.viewing.trajectory.write_trajectory`, and
+    play it with `swarm_envs.viewing.replay.write_replay`.
     """
     check_integer("seed", seed)
     recorder = Recorder(type(agent).__name__ if name is None else name, seed)
@@ -164,10 +158,10 @@ def record_episode(
 def _fly(
     env: SwarmParallelEnv, agent: Agent, seed: int, options: Mapping[str, Any] | None
 ) -> Iterator[tuple[Mapping[str, float], StepInfos]]:
-    """Fly an episode, stopping after the reset and after each step with its rewards and infos.
+    """Simulate an episode; yield rewards and infos after the reset and after each step.
 
-    The agent always acts for the whole team: drones that have ended observe zeros, and what it
-    says of them is left out.
+    The agent always acts for the whole team: the observations of drones whose episodes have ended
+    are zeros, and their actions are ignored.
     """
     check_requirements(env, agent)
     observations, infos = env.reset(seed=seed, options=options)
@@ -184,43 +178,43 @@ def _fly(
 
 
 ActBatch = Callable[[Float32Array], Float32Array]
-"""Actions (E, N, width) for observation rows (E, N, row width)."""
+"""Function that returns actions (E, N, width) for observation rows (E, N, row width)."""
 
 AT_ONCE = 64
-"""Environments that fly at once."""
+"""Number of environments that are simulated together."""
 
 
 @runtime_checkable
 class BatchAgent(Agent, Protocol):
-    """An agent without memory: what a team does follows from its observation rows alone.
+    """The protocol of an agent without memory, whose actions depend on observation rows only.
 
-    Nothing of an episode may stay in the agent, and `act` must give what `act_batch` gives of the
-    same rows: `evaluate` then flies many episodes at once, with the same metrics.
+    The agent must not store anything of an episode, and `act` must return the same actions as
+    `act_batch`. `evaluate` then simulates many episodes together, with the same metrics.
     """
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """Actions (..., N, width) of teams, for their observation rows (..., N, row width)."""
+        """Return actions (..., N, width) for observation rows (..., N, row width) of teams."""
 
 
 class RowAgent(ABC):
-    """Base of agents that act on observation rows alone: subclasses write `act_batch`."""
+    """Base class of agents without memory; subclasses define `act_batch`."""
 
     privileged = False
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """What `act_batch` gives for the rows of the team."""
+        """Return the actions of `act_batch` for the rows of the team."""
         actions = self.act_batch(np.stack(list(observations.values())))
         return dict(zip(observations, actions, strict=True))
 
     @abstractmethod
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """Actions (..., width) for observation rows (..., row width) of any number of drones."""
+        """Return actions (..., width) for observation rows (..., row width) of drones."""
 
 
 def disagreement(agent: BatchAgent, observations: Observations) -> str | None:
-    """How an agent's two ways to act differ in a decision; None if they do not.
+    """Return the message for actions of `act` and `act_batch` that differ; None if they agree.
 
-    None also where one raises, or gives what is no action: a flight says more of that.
+    The result is also None if one of them raises, as the episode then reports the error.
     """
     rows = np.stack([np.asarray(row) for row in observations.values()])
     try:
@@ -232,15 +226,16 @@ def disagreement(agent: BatchAgent, observations: Observations) -> str | None:
         return None
     i = int(np.abs(alone - together).max(axis=1).argmax())
     return (
-        f"act gives {list(observations)[i]} {alone[i].tolist()}, but act_batch "
-        f"{together[i].tolist()} for the same rows; both must give the same"
+        f"act returns {alone[i].tolist()} for {list(observations)[i]}, but act_batch "
+        f"{together[i].tolist()} for the same rows; both must return the same actions"
     )
 
 
 def flies_batches(env: SwarmParallelEnv, agent: Agent) -> bool:
-    """Whether an agent can fly many episodes at once of what this environment flies.
+    """Return True if many episodes of this environment can be simulated together with an agent.
 
-    It acts on arrays and needs no view; the batched engine flies, and rows are observed.
+    The agent must be a `BatchAgent` that is not privileged; the environment must have the physics
+    engine `batch` and flat observations.
     """
     return (
         isinstance(agent, BatchAgent)
@@ -251,16 +246,15 @@ def flies_batches(env: SwarmParallelEnv, agent: Agent) -> bool:
 
 
 def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """Fly one episode a seed, E at a time, and return the metrics of each in order.
+    """Simulate one episode per seed, E at a time, and return their metrics in order.
 
     Args:
-        core: with the options that the agent requires.
-        act: who acts; by observations alone, without memory. It is asked for the environments
-            whose episode continues.
-        seeds: of the episodes.
+        core: E environments with the options that the agent requires.
+        act: the function that returns the actions of the environments whose episodes continue.
+        seeds: the seeds of the episodes.
 
     Raises:
-        ValueError: actions of a wrong shape, or with a number that cannot be.
+        ValueError: the actions have a wrong shape or an invalid number.
     """
     metrics: list[dict[str, Any]] = []
     for first in range(0, len(seeds), core.num_envs):
@@ -276,11 +270,11 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
 
 
 def _asked(act: ActBatch, rows: Float32Array, width: int) -> Float32Array:
-    """What an agent answers, refused if its shape is another: numpy would spread it over teams."""
-    given, wanted = act(rows), (*rows.shape[:-1], width)
-    if np.shape(given) != wanted:
+    """Return an agent's actions after a check of their shape, as numpy would broadcast others."""
+    given, required = act(rows), (*rows.shape[:-1], width)
+    if np.shape(given) != required:
         raise ValueError(
-            f"act_batch gave actions of shape {np.shape(given)} for rows of shape {rows.shape}, "
-            f"but must give {wanted}: {width} numbers for every drone of every team"
+            f"act_batch returned actions of shape {np.shape(given)} for rows of shape "
+            f"{rows.shape}, but must return {required}: {width} numbers for each drone of each team"
         )
     return given

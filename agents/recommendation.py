@@ -1,8 +1,7 @@
-"""The best shipped agent for a task, by what the benchmark measured.
+"""The best included agent for a task, from the results of the benchmark.
 
-`recommended.json` holds a line for each task of the benchmark: what was flown, and the agents that
-succeeded, the best first. `python docs/recommend.py DIR` writes it from
-the results of a benchmark.
+`recommended.json` has an entry for each task of the benchmark with the agents that succeeded, the
+best first. `python docs/recommend.py DIR` writes it from the results of a benchmark.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from swarm_envs.tasks.base import Task
 __all__ = ["FILE", "avoids_obstacles", "benchmark_rows", "recommended"]
 
 FILE = "recommended.json"
-"""Its name, in the folder of the agents."""
+"""Name of the file in the folder of the agents."""
 _SLOW_AROUND = {("crowd-dagger+filter", "circle")}
-"""Agents and layouts in which drones wait for each other around obstacles, longer than scripts."""
+"""Agents and layouts that are slower among obstacles than scripts are."""
 
 
 @cache
 def benchmark_rows() -> list[Mapping[str, Any]]:
-    """Return what the benchmark has flown: task, layout, drones, world and agents of each row."""
+    """Return the tasks of the benchmark: task, layout, drones, world and agents of each."""
     text = resources.files("swarm_envs.agents").joinpath(FILE).read_text(encoding="utf-8")
     rows: list[Mapping[str, Any]] = json.loads(text)["tasks"]
     return rows
@@ -49,29 +48,29 @@ def recommended(
     obstacles: bool = False,
     world: Literal["ideal", "hall"] | None = None,
 ) -> str:
-    """Name of the best shipped agent for a task: for `load`, and for `swarm-envs fly --agent`.
+    """Return the name of the best included agent for a task, for `load` and `swarm-envs fly`.
 
-    It is the one that succeeded most often in the benchmark, of equals the one with the highest
-    score. Where no task of the benchmark has as many drones, the next larger one counts, or the
-    largest, of which then scripts come first, by their score.
+    It has the highest success rate in the benchmark, and of equal ones the highest score. If the
+    benchmark has no task with as many drones, the result is that of the next larger number, or of
+    the largest, for which scripts are preferred to policies.
 
     Args:
-        task: such as `swap`, or with its version.
-        num_drones: how many fly, if no team is given; None for the task's default.
-        team: the vehicles, such as `L2S`; None for those of the task. Some policies fly few types.
-        learned: True for a trained policy, False for a script; None for either.
-        privileged: False for one that sees what is observed alone; None for either.
-        layout: of the task; None for the first one that the benchmark flies, whose results also
-            count for a layout that it does not fly.
-        obstacles: whether the environment has the option `obstacles`. The benchmark flies without
-            it: then the best agent that flies around obstacles; where none succeeds, the best
-            script, which may fly into them.
-        world: of the environment. `hall` counts where the benchmark has flown the task there too,
-            with as many drones or more.
+        task: the task, such as `swap`, or with a version.
+        num_drones: the number of drones if no team is given; None for the task's default.
+        team: the vehicle types, such as `L2S`; None for the task's default.
+        learned: True for a trained policy, False for a script, None for either.
+        privileged: False for an agent that does not observe the true state; None for either.
+        layout: the layout; None for the first one in the benchmark, which is also used for layouts
+            that are not in the benchmark.
+        obstacles: True if the environment has the option `obstacles`. As the benchmark does not use
+            it, the result is the best agent that avoids obstacles, or if none succeeds, the best
+            script, which may collide with them.
+        world: the world of the environment. Results in `hall` are used if the benchmark has the
+            task there, with as many drones or more.
 
     Raises:
-        ValueError: the benchmark does not have this task, the task does not take such a team or
-            layout, or no shipped agent flies it so; the message names those that fly it otherwise.
+        ValueError: the benchmark does not have the task, the task does not support the team or
+            layout, or no included agent qualifies; the message names agents with other properties.
     """
     if num_drones is not None:
         check_integer("num_drones", num_drones, at_least=1, at_most=MOST_DRONES)
@@ -92,18 +91,18 @@ def recommended(
         names = [name for name in names if _flies_around(name, row["layout"])] or scripts
     if names:
         return names[0]
-    said = " and ".join(f"{name}={value}" for name, value in named.items())
+    properties = " and ".join(f"{name}={value}" for name, value in named.items())
     raise ValueError(
-        f"no shipped agent with {said or 'any property'} flies {task!r} with {size} drones"
-        f"{' among obstacles' if obstacles else ''}; "
-        f"others that do: {', '.join(agents) or 'none'}"
+        f"no included agent{f' with {properties}' if properties else ''} flies {task!r} with "
+        f"{size} drones{' among obstacles' if obstacles else ''}; "
+        f"agents with other properties: {', '.join(agents) or 'none'}"
     )
 
 
 def _task_of(
     task: str, num_drones: int | None, team: str | None, layout: str | None, obstacles: bool
 ) -> Task:
-    """The task that is flown, with one obstacle for any."""
+    """Return the task with the given options, and one obstacle if it has any."""
     versions = [name for name in TASKS if task_family(name) == task_family(task)]
     options: dict[str, Any] = {} if num_drones is None else {"num_drones": num_drones}
     options = options if team is None else {"team": team}
@@ -113,7 +112,7 @@ def _task_of(
 
 
 def _rows_of(task: str, layout: str | None) -> list[Mapping[str, Any]]:
-    """The rows of a task and layout, by the number of drones."""
+    """Return the rows of a task and layout, sorted by the number of drones."""
     family = task_family(task)
     rows = [row for row in benchmark_rows() if row["task"] == family]
     if not rows:
@@ -124,14 +123,14 @@ def _rows_of(task: str, layout: str | None) -> list[Mapping[str, Any]]:
 
 
 def _row_for(rows: list[Mapping[str, Any]], num_drones: int) -> Mapping[str, Any]:
-    """The row of as many drones, else of the next larger number, or the largest."""
+    """Return the row of the smallest number of drones that is enough, or of the largest."""
     return next((row for row in rows if row["drones"] >= num_drones), rows[-1])
 
 
 def _best_first(row: Mapping[str, Any], num_drones: int) -> dict[str, Mapping[str, Any]]:
-    """The agents of a row, as they are listed; for more drones than it has, scripts by score.
+    """Return the agents of a row, best first; for more drones than it has, scripts by score first.
 
-    A larger team takes longer: what is slow runs into the time limit, and no policy was measured.
+    Larger teams take longer, so that slow agents reach the time limit; policies were not evaluated.
     """
     agents: dict[str, Mapping[str, Any]] = row["agents"]
     if num_drones <= row["drones"]:
@@ -141,7 +140,7 @@ def _best_first(row: Mapping[str, Any], num_drones: int) -> dict[str, Mapping[st
 
 
 def _flies(name: str, task: Task) -> bool:
-    """Return whether an agent flies such a task and team, by its own check."""
+    """Return True if an agent supports a task with its team, by its own check."""
     try:
         check_task(load_agent(name), task)
     except ValueError:
@@ -154,5 +153,5 @@ def _flies_around(name: str, layout: str | None) -> bool:
 
 
 def avoids_obstacles(agent: Agent) -> bool:
-    """Return whether an agent steers around obstacles wherever they stand."""
+    """Return True if an agent steers around obstacles at any position."""
     return isinstance(agent, SafetyFilter) and agent.avoids_obstacles

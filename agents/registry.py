@@ -1,4 +1,4 @@
-"""Agents by name: those that ship, and classes in a user's own file."""
+"""Agents by name: the included agents, and classes and functions in a user's file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POLICIES = (
     *("stack-dagger", "mixed-dagger", "sprint-dagger", "delivery-dagger"),
     *("ring-dagger", "swap-ppo"),
 )
-"""Shipped agents that are trained policies: files of these names in `weights`."""
+"""The included agents that are trained policies: files of these names in `weights`."""
 SHIPPED: Mapping[str, str] = MappingProxyType(
     {
         "hover": "swarm_envs.agents.scripted:HoverAgent",
@@ -56,31 +56,31 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "rth3d+compensated": "swarm_envs.baselines.rth3d.grid_agent:GridAgent.compensated",
     }
 )
-"""Shipped agents as `"module:Class"`, imported when they are loaded. The class, or function, after
-the colon is called without arguments, except for policies, which are loaded by their name.
+"""The included agents as `"module:Class"`, imported when they are loaded. The class, or function,
+after the colon is called without arguments, except for policies, which are loaded by their name.
 
-A name may have suffixes that change the tracking controller: `+compensated` feeds forward the force
-that the agent's own model predicts, `+adaptive` compensates an estimate of the force (INDI). Each
-supported combination is a key of its own."""
+Suffixes of a name change the tracking controller: `+compensated` feeds forward the force that the
+agent's force model predicts, `+adaptive` compensates an estimate of the force (INDI). Every
+supported combination is a key."""
 
 FILTER = "+filter"
-"""The last suffix of an agent's name, which puts a `swarm_envs.agents.SafetyFilter` around it."""
+"""The last suffix of an agent's name, which adds a `swarm_envs.agents.SafetyFilter`."""
 
 
 def load_agent(name: str | os.PathLike[str]) -> Agent:
-    """Make an agent.
+    """Return an agent by its name.
 
     Args:
-        name: a shipped agent (a key of `SHIPPED`) with its suffixes, such as
-            `detour+compensated`; a trained policy: the folder of its training run or its
-            .safetensors file; or a class in a file, `path/to/file.py:Class`, which is called
-            without arguments, or a function of observation rows in one, `path/to/file.py:function`
-            (see `from_model`). The suffix `+filter`, the last one, puts a safety filter around the
-            agent: the policy's own, if its file names one.
+        name: an included agent (a key of `SHIPPED`) with its suffixes, such as
+            `detour+compensated`; a trained policy, as the folder of its training run or its
+            .safetensors file; a class in a file, `path/to/file.py:Class`, which is called without
+            arguments; or a function of observation rows in a file, `path/to/file.py:function` (see
+            `from_model`). The last suffix, `+filter`, adds a safety filter, with the policy's own
+            parameters if its file has any.
 
     Raises:
-        ValueError: no agent has this name, it does not support a suffix, or what the file holds is
-            no agent; the message says what is missing.
+        ValueError: no agent has this name or supports a suffix, or the file defines no agent; the
+            message names the missing attribute.
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
@@ -105,15 +105,15 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
     if not colon:
         if "/" in name and not Path(name).exists():
             raise FileNotFoundError(
-                f"there is no {name!r} to take an agent from; a trained policy is the folder of "
-                "its run"
+                f"there is no {name!r}; a trained policy is given by the folder of its run, and a "
+                "class by path/to/file.py:Class"
             )
         raise ValueError(_unknown_agent(name))
     return _make(name, import_file(Path(file)), path)
 
 
 def _load_filtered(name: str) -> Agent:
-    """Make the agent that a name has before its suffix `+filter`, with the filter around it."""
+    """Return the agent of a name with the suffix `+filter`, with its safety filter."""
     from swarm_envs.agents.policy import PolicyAgent
     from swarm_envs.agents.safety import SafetyFilter
 
@@ -125,17 +125,16 @@ def _load_filtered(name: str) -> Agent:
     agent = load_agent(inner)
     if isinstance(agent, SafetyFilter):
         raise ValueError(
-            f"name is {name!r}, but {inner!r} flies behind a filter already; name it without "
-            "'+filter'"
+            f"name is {name!r}, but {inner!r} already has a filter; leave out '+filter'"
         )
     return SafetyFilter(agent, agent.policy.note.safety if isinstance(agent, PolicyAgent) else None)
 
 
 def controller_of(name: str) -> ControllerConfig:
-    """The tracking controller that a shipped agent requires, such as `downwash-aware`.
+    """Return the tracking controller that an included agent requires, such as `downwash-aware`.
 
     Raises:
-        ValueError: no shipped agent has this name, or it requires no controller.
+        ValueError: no included agent has this name, or it requires no controller.
     """
     found = _own_controller(name) if name in SHIPPED else None
     if found is None:
@@ -143,27 +142,27 @@ def controller_of(name: str) -> ControllerConfig:
         near = next(filter(_own_controller, known), None)
         hint = f"; did you mean {near!r}?" if near else ""
         raise ValueError(
-            f"controller is {name!r}, but must be a shipped agent with a controller of its own, "
+            f"controller is {name!r}, but must be an included agent with its own controller, "
             f"such as 'downwash-aware' or 'tracking+compensated'{hint}"
         )
     return found
 
 
 def _own_controller(name: str) -> ControllerConfig | None:
-    """The controller that a shipped agent requires, if it requires one."""
+    """Return the controller that an included agent requires, or None."""
     found = load_agent(name).requires.get("controller")
     return found if isinstance(found, ControllerConfig) else None
 
 
 def shipped_belief() -> InteractionModel:
-    """Return the force model that ships for agents, fitted in `learned` forces."""
-    shipped = importlib.import_module("swarm_envs.baselines.neural_swarm.agent")
-    found: InteractionModel = shipped.load_belief()
-    return found
+    """Return the included force model of controllers, fitted to flights in `learned` forces."""
+    baseline = importlib.import_module("swarm_envs.baselines.neural_swarm.agent")
+    model: InteractionModel = baseline.load_belief()
+    return model
 
 
 def _unknown_agent(name: str) -> str:
-    """Message for a name that no agent has: the nearest, and where all are listed."""
+    """Return the message for an unknown agent: the most similar name, and where to find all."""
     if name.endswith(".py"):
         wanted = f"write {name + ':Class'!r} or {name + ':function'!r}"
         return f"agent {name!r} names no class or function; {wanted}"
@@ -177,13 +176,13 @@ def _unknown_agent(name: str) -> str:
     hint = f"did you mean {near[0]!r}? " if near else ""
     return (
         f"unknown agent {name!r}; {hint}`swarm-envs fly --help` lists the included agents; others "
-        "are 'path/to/file.py:Class', 'path/to/file.py:function' and folders of training runs; "
-        "+filter may follow each"
+        "are 'path/to/file.py:Class', 'path/to/file.py:function' and folders of training runs, "
+        "each optionally with +filter"
     )
 
 
 def _suffixes_of(name: str) -> list[str]:
-    """The suffixes that may follow the name of a shipped agent, `+filter` last."""
+    """Return the suffixes of an included agent, `+filter` last."""
     found = [known.removeprefix(name) for known in SHIPPED if known.startswith(f"{name}+")]
     try:
         load_agent(name + FILTER)
@@ -193,7 +192,7 @@ def _suffixes_of(name: str) -> list[str]:
 
 
 def _names_policy(name: str) -> bool:
-    """Whether a name is a folder, or a file with a suffix of trained weights."""
+    """Return True if a name is a folder, or a file with a suffix of trained weights."""
     weights = (".safetensors", ".pt", ".pth", ".pkl", ".zip", ".npz", ".onnx")
     return Path(name).is_dir() or Path(name).suffix in weights or name.endswith("/")
 
@@ -201,7 +200,7 @@ def _names_policy(name: str) -> bool:
 def _make(name: str, module: ModuleType, path: str) -> Agent:
     made = find_in(name, module, path)
     if not callable(made):
-        raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
+        raise ValueError(f"{name!r} is {made!r:.60}, but must be a class or a function")
     if inspect.isfunction(made) and _takes_rows(made):
         from swarm_envs.agents.models import ModelAgent
 
@@ -214,13 +213,13 @@ def _make(name: str, module: ModuleType, path: str) -> Agent:
 
 
 def _takes_rows(function: Callable[..., Any]) -> bool:
-    """Return whether a function needs an argument: then it maps rows to actions."""
+    """Return True if a function has a required argument: then it maps rows to actions."""
     parameters = inspect.signature(function).parameters.values()
     return any(p.default is p.empty and p.kind <= p.POSITIONAL_OR_KEYWORD for p in parameters)
 
 
 def check_agent(name: str, agent: Any) -> Agent:
-    """Return what has everything that an agent needs."""
+    """Return an object that satisfies the agent protocol; raise ValueError if it does not."""
     rules = (
         ("requires", "a mapping of environment options, {} for none", Mapping),
         ("privileged", "True or False: whether it needs the true state", bool),

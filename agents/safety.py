@@ -1,10 +1,9 @@
-"""A filter around any agent: the least change to its accelerations that keeps drones apart.
+"""Safety filter of any agent: the smallest change of its accelerations that avoids collisions.
 
-Each drone solves a program of its own, from what it observes itself: the nearest acceleration to
-the one that its agent asks for, subject to one inequality a neighbour, the limits of acceleration,
-the walls and the obstacles that are observed (`swarm_envs.agents.barrier`). Where no acceleration
-satisfies all, the one is taken that breaks the worst of them the least; the limits of acceleration
-are never broken.
+Each drone solves a quadratic program based on its own observations: the acceleration that is
+nearest to the agent's command, subject to inequalities for neighbors, acceleration limits, walls
+and observed obstacles (`swarm_envs.agents.barrier`). If no acceleration satisfies all of them, the
+largest violation is minimized; the acceleration limits always hold.
 """
 
 from __future__ import annotations
@@ -48,37 +47,37 @@ __all__ = ["ACTED"]
 
 _ONE_PLACE_M = 0.3
 ACTED = 1e-3
-"""A change of an acceleration counts from this size on, m/s^2."""
+"""Smallest change of an acceleration that is counted, m/s^2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Safety:
-    """How much safety a filter keeps. Raises ValueError for what cannot be."""
+    """The parameters of a safety filter; an invalid one raises ValueError."""
 
     margin_m: float = 0.12
-    """Distance to keep beyond the sum of radii, m; and from obstacles; from walls half of it."""
+    """The clearance between drones and to obstacles, m; half of it to walls."""
     horizon_s: float = 0.7
-    """How far ahead that distance is kept, if both fly straight on, s."""
+    """The time over which the clearance must hold at constant velocities, s."""
     response_s: float = 0.08
-    """Time until a drone follows its command, s: positions and velocities are predicted as
-    far, one's own with the acceleration that its thrust gives it."""
+    """The response time of a drone to commands, s. Positions and velocities are predicted over this
+    time, the drone's own with its current acceleration."""
     rate: float = 8.0
-    """Share of what is left of safety that may be used up a second, 1/s; at most the rate of
-    decisions. Less acts earlier, and more gently."""
+    """The rate in dh/dt >= -rate h for a barrier h, 1/s, at most the decision rate. A smaller rate
+    acts earlier and more gently."""
     share: float = 0.5
-    """Of each evasion, the share that this drone makes: a half if the other has a filter too."""
+    """The share of an evasion that this drone contributes: 0.5 if the other has a filter too."""
     downwash: float = 1.3
-    """By how much farther drones keep below and above each other than side by side; 1 for equal."""
+    """The ratio of vertical to horizontal clearance, at least 1."""
     aside_m: float = 0.03
-    """How far to the left a neighbour is taken to be, so that both of a pair pass on the right, m:
-    two that meet head on would otherwise stop each other."""
+    """The shift of neighbors to the left in the prediction, m, so that two drones in head-on flight
+    pass on the right instead of stopping."""
     walls: bool = True
-    """Whether walls, floor and ceiling are kept away from too."""
+    """Keep clear of walls, floor and ceiling too."""
     num_neighbors: int = 7
-    """How many neighbours are watched, if the agent does not itself observe more."""
+    """The number of observed neighbors, unless the agent observes more."""
 
     def __post_init__(self) -> None:
-        """Refuse to let neighbours be passed nearer than the sum of radii."""
+        """Raise ValueError if a parameter is invalid."""
         for name in ("margin_m", "response_s", "aside_m"):
             check_number(name, getattr(self, name), at_least=0.0)
         check_number("horizon_s", self.horizon_s, above=0.0, unit="s")
@@ -89,12 +88,12 @@ class Safety:
         check_integer("num_neighbors", self.num_neighbors, at_least=1)
         if self.margin_m < self.aside_m:
             raise ValueError(
-                f"margin_m is {self.margin_m}, but must be at least aside_m, {self.aside_m}: so "
-                "much nearer than that margin a neighbour may be passed; give a smaller aside_m too"
+                f"margin_m is {self.margin_m}, but must be at least aside_m, {self.aside_m}, by "
+                "which drones may pass closer than the margin; reduce aside_m too"
             )
 
     def barrier(self) -> Barrier:
-        """Return the same as kernels take it."""
+        """Return the parameters for kernels."""
         return Barrier(
             margin=float(self.margin_m),
             horizon=float(self.horizon_s),
@@ -108,24 +107,24 @@ class Safety:
 
 
 class SafetyFilter:
-    """Flies as an agent does, but keeps its drones apart. By name: `swap-dagger+filter`.
+    """Agent that corrects another agent's actions to avoid collisions.
 
-    An agent that acts on arrays (`swarm_envs.agents.protocol.BatchAgent`) still does so: then the
-    filter has `act_batch` too.
+    By name: `swap-dagger+filter`. The filter of a `swarm_envs.agents.protocol.BatchAgent` has
+    `act_batch` too.
 
     Args:
-        agent: whose action is `acceleration`, and who observes rows.
-        safety: how much of it.
+        agent: an agent with the action `acceleration` and flat observations.
+        safety: the parameters of the filter; None for the defaults.
 
     Raises:
         TypeError: it is no agent.
-        ValueError: the agent acts otherwise.
+        ValueError: the agent has another action or observation.
     """
 
     def __init__(self, agent: Agent, safety: Safety | None = None) -> None:
         if not hasattr(agent, "requires"):
             raise TypeError(
-                f"agent is {agent!r:.80}, but must be an Agent, which says what it requires"
+                f"agent is {agent!r:.80}, but must be an Agent with the attribute `requires`"
             )
         self.agent, self.safety = agent, safety or Safety()
         needed = {"action": "acceleration", "observation": "flat"}
@@ -133,7 +132,7 @@ class SafetyFilter:
             if agent.requires.get(name, wanted) != wanted:
                 raise ValueError(
                     f"a safety filter needs {name}={wanted!r}, but {type(agent).__name__} requires "
-                    f"{agent.requires[name]!r}; fly it without a filter"
+                    f"{agent.requires[name]!r}; use it without a filter"
                 )
         observed = agent.requires.get("num_neighbors", 0)
         watched = {"num_neighbors": max(observed, self.safety.num_neighbors)}
@@ -147,23 +146,23 @@ class SafetyFilter:
         self._twin: SwarmParallelEnv | None = None
 
     def check(self, task: Task) -> None:
-        """Refuse a task that the agent refuses."""
+        """Raise ValueError if the agent does not support a task."""
         check_task(self.agent, task)
 
     @property
     def avoids_obstacles(self) -> bool:
-        """True if it flies around obstacles that it observes, and is not only kept from them."""
+        """True if the agent itself steers around obstacles that it observes."""
         return getattr(self.agent, "avoids_obstacles", False)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Prepare for an episode.
 
-        Where the agent observes fewer neighbours than are watched, it is prepared with a twin of
-        the environment, and given rows, in which there are as many as it requires.
+        An agent that observes fewer neighbors than the filter is reset with a copy of the
+        environment that has its number of neighbors, and receives rows with that number.
 
         Raises:
-            ValueError: the environment lacks what is required; the agent flies straight, and more
-                than its `most_crossing` ways cross in one place; or as the agent's reset.
+            ValueError: the environment lacks required options, more than the agent's
+                `most_crossing` straight paths cross in one point, or the agent's reset raised it.
         """
         check_requirements(env, self)
         columns = observation_columns({field.name: field.where for field in env.observation_layout})
@@ -192,7 +191,7 @@ class SafetyFilter:
         return old
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """What the agent asks for, changed as little as safety allows."""
+        """Return the agent's actions with the smallest correction that satisfies the filter."""
         rows = np.stack(list(observations.values()))
         given = dict(zip(observations, self._seen(rows), strict=True))
         asked = self.agent.act(given, view)
@@ -200,16 +199,16 @@ class SafetyFilter:
         return dict(zip(observations, actions, strict=True))
 
     def _act_batch(self, rows: Float32Array) -> Float32Array:
-        """The same for rows (..., N, row width) of many teams."""
+        """Return filtered actions (..., N, 3) for rows (..., N, row width) of many teams."""
         assert isinstance(self.agent, BatchAgent)
         return self._filter(rows, self.agent.act_batch(self._seen(rows)))
 
     def _seen(self, rows: Float32Array) -> Float32Array:
-        """The rows as the agent observes them."""
+        """Return the rows with the number of neighbors that the agent observes."""
         return np.delete(rows, self._dropped, axis=-1)
 
     def _filter(self, rows: Float32Array, asked: Float32Array) -> Float32Array:
-        """Safe actions near those asked for, both (..., 3)."""
+        """Return filtered actions (..., 3) for desired actions (..., 3)."""
         shape = (*rows.shape[:-1], 3)
         if asked.shape != shape or not np.isfinite(asked).all():
             raise ValueError(
@@ -235,41 +234,41 @@ class SafetyFilter:
         return actions.reshape(shape)
 
     def statistics(self) -> dict[str, Any]:
-        """How often and how much the filter has acted since it was made.
+        """Return statistics of the corrections since the filter was made.
 
-        `decisions` of single drones; `acted`, the share that was changed; `change_mps2`, mean and
-        largest change of these; `unsafe`, the share in which no acceleration satisfied every
-        inequality, and `worst_broken_mps2`, by how much at most.
+        `decisions`: the number of decisions of single drones; `acted`: the fraction that was
+        changed; `change_mps2`: the mean and largest of these changes; `unsafe`: the fraction in
+        which no acceleration satisfied all inequalities; `worst_broken_mps2`: the largest
+        violation.
         """
         return self._statistics.report()
 
 
 def _check_crossing(view: View, most: int) -> None:
-    """Refuse straight ways of too many drones through one place.
+    """Raise ValueError if straight paths of more than `most` drones intersect in one point.
 
-    All of them contract together, each pressed on by those behind it, and from some radius on no
-    acceleration satisfies every inequality (0.74 m for 16 drones); to watch all others does not
-    help.
+    All drones approach it together, and below some radius no acceleration satisfies all
+    inequalities (0.74 m for 16 drones), even if every drone observes all others.
     """
     half = 0.5 * (view.state.position + view.goals)
     apart = np.linalg.norm(half[:, None] - half, axis=-1)
     crossing = int((apart < _ONE_PLACE_M).sum(axis=1).max())
     if crossing > most:
         raise ValueError(
-            f"{crossing} drones that fly straight would meet in one place, but of this agent a "
-            f"safety filter keeps at most {most} apart there; the agent 'roundabout' flies this"
+            f"the straight paths of {crossing} drones intersect in one point, but a safety filter "
+            f"of this agent supports at most {most}; use the agent 'roundabout'"
         )
 
 
 class _Statistics:
-    """What a filter has done."""
+    """Statistics of the corrections of a filter."""
 
     def __init__(self) -> None:
         self.decisions = self.acted = self.unsafe = 0
         self.change = self.largest = self.worst = 0.0
 
     def take(self, asked: Float32Array, given: Float32Array, broken: FloatArray) -> None:
-        """Count some decisions."""
+        """Add decisions (R, 3) and violations (R,)."""
         change = ACCELERATION_LIMIT * np.sqrt(np.square(given - asked).sum(axis=-1))
         acted = change > ACTED
         self.decisions += len(change)
@@ -280,7 +279,7 @@ class _Statistics:
         self.worst = max(self.worst, float(broken.max(initial=0.0)))
 
     def report(self) -> dict[str, Any]:
-        """As `SafetyFilter.statistics`."""
+        """Return the statistics; see `SafetyFilter.statistics`."""
         count = max(self.decisions, 1)
         return {
             "decisions": self.decisions,

@@ -1,11 +1,11 @@
-"""Scripted agents: hovering, random, straight to the goal, along a plan, and around each other.
+"""Scripted agents: hover, random, straight-line, detour, and base classes of planners.
 
-The detour agent is a geometric baseline for any task and team. Every drone flies from rest to rest,
-all in the same time, along its straight way plus a bump: one vector that says how far from the
-straight way it is half way. Bumps are taken from a fixed family, one drone after another and again,
-each the cheapest given the others', until none changes: best responses in a game whose potential
-is the sum of all costs, so this ends. What costs: to come close to another, farther off below or
-above it, where downwash is; to come close to an obstacle; length.
+The detour agent is a geometric baseline for any task and team. All drones fly from rest to rest in
+the same time, each along a straight path plus a bump, a vector that is the deviation from the
+straight path at its middle. The drones choose bumps from a fixed family one after another, each
+with the least cost given the choices of the others, until none changes. These are best responses in
+a potential game, so the iteration terminates. Costs are proximity to other drones, with a larger
+vertical distance because of downwash, proximity to obstacles, and length.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ __all__ = ["DetourAgent", "PlannedAgent", "SetpointAgent"]
 
 
 class HoverAgent:
-    """Stays where it starts: asks for no acceleration."""
+    """Agent that hovers at the start: its accelerations are zero."""
 
     requires: Mapping[str, Any] = MappingProxyType({"action": "acceleration"})
     privileged = False
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Nothing to prepare."""
+        """Do nothing, as the agent has no memory."""
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Zeros for every drone."""
+        """Return zeros for every drone."""
         return {agent: np.zeros(3, dtype=np.float32) for agent in observations}
 
 
 class RandomAgent:
-    """Draws every number evenly from [-1, 1]: in a space for which that is all there is."""
+    """Agent with uniformly random actions in [-1, 1], for bounded action spaces."""
 
     requires: Mapping[str, Any] = MappingProxyType({})
     privileged = False
@@ -56,17 +56,17 @@ class RandomAgent:
         self._width = 0
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Begin the draws that the seed stands for."""
+        """Seed the generator; raise ValueError if the action space is not bounded."""
         space = env.action_space(env.possible_agents[0])
         if not space.is_bounded():
             raise ValueError(
-                f"RandomAgent needs bounded actions, but action={env.core.config.action!r} has "
-                "none; make the environment with action='acceleration'"
+                f"RandomAgent needs bounded actions, but action={env.core.config.action!r} is not "
+                "bounded; make the environment with action='acceleration'"
             )
         self._rng, self._width = np.random.default_rng(seed), int(space.shape[0])
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """New draws for every drone."""
+        """Return random actions for every drone."""
         return {
             agent: self._rng.uniform(-1.0, 1.0, self._width).astype(np.float32)
             for agent in observations
@@ -74,42 +74,43 @@ class RandomAgent:
 
 
 class StraightLineAgent(RowAgent):
-    """Flies straight to its goal and avoids no drone: a PD law on what it observes of itself.
+    """Agent that flies straight to its goal without collision avoidance, by PD control.
 
-    What any policy that avoids others must beat. The acceleration asked for is
-    4 / s^2 (goal - position) - 4 / s velocity, the way to the goal cut at 1 m.
+    The acceleration is 4 / s^2 (goal - position) - 4 / s velocity, where goal - position is clipped
+    to 1 m.
     """
 
     requires: Mapping[str, Any] = MappingProxyType(
         {"action": "acceleration", "observation": "flat", "decision_rate": 48}
     )
     most_crossing: int | None = 13
-    """How many of them, behind a filter, may meet in one place: in circles of 13 all succeed, of 14
-    two in five, of 15 none. None where they do not fly straight."""
+    """The largest number of drones whose paths may intersect in one point with a safety filter: on
+    circles of 13 drones all episodes succeed, of 14 two in five, of 15 none. None for agents that
+    do not fly straight."""
 
     def __init__(self) -> None:
         self._goal = self._velocity = slice(0)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note where observations have goal and velocity."""
-        places = {field.name: field.where for field in env.observation_layout}
-        self._goal, self._velocity = places["task.goal"], places["self.velocity"]
+        """Store the columns of goal and velocity."""
+        columns = {field.name: field.where for field in env.observation_layout}
+        self._goal, self._velocity = columns["task.goal"], columns["self.velocity"]
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """The accelerations (..., 3) of drones, cut at what the environment allows."""
-        way, velocity = rows[..., self._goal], SPEED_LIMIT * rows[..., self._velocity]
-        distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
-        return steer(4.0 * way / np.maximum(distance, 1.0) - 4.0 * velocity)
+        """Return actions (..., 3) for observation rows (..., row width) of drones."""
+        offset, velocity = rows[..., self._goal], SPEED_LIMIT * rows[..., self._velocity]
+        distance = np.sqrt(np.square(offset).sum(axis=-1, keepdims=True))
+        return steer(4.0 * offset / np.maximum(distance, 1.0) - 4.0 * velocity)
 
 
-def steer(asked: FloatArray | Float32Array) -> Float32Array:
-    """Actions for accelerations (..., 3), m/s^2, cut at the limit without a change of direction."""
-    size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
-    return (asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)).astype(np.float32)
+def steer(desired: FloatArray | Float32Array) -> Float32Array:
+    """Return actions for accelerations (..., 3), m/s^2, scaled to the limit if they exceed it."""
+    size = np.abs(desired).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+    return (desired / ACCELERATION_LIMIT / np.maximum(size, 1.0)).astype(np.float32)
 
 
 class SetpointAgent(ABC):
-    """Emits the set-points of a reference, which it may take from the true state.
+    """Base class of privileged agents whose actions are the set-points of a reference.
 
     Args:
         requires: options of the environment.
@@ -122,22 +123,22 @@ class SetpointAgent(ABC):
         self._agents: list[str] = []
 
     def check(self, task: Task) -> None:
-        """Refuse a task that the agent cannot fly; this class flies any."""
+        """Raise ValueError if the agent does not support a task; this class supports all."""
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note the drones' names.
+        """Store the drones' names.
 
         Raises:
-            ValueError: as `check`.
+            ValueError: the agent does not support the task.
         """
         self.check(env.core.task)
         self._agents = list(env.agents)
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk of the reference; no yaw.
+        """Return position, velocity, acceleration and jerk of the reference, with zero yaw.
 
         Raises:
-            ValueError: there is no view, without which goals are unknown.
+            ValueError: there is no view.
         """
         if view is None:
             raise ValueError(
@@ -149,19 +150,15 @@ class SetpointAgent(ABC):
 
     @abstractmethod
     def reference(self, view: View) -> Reference:
-        """Where drones should be from this decision on: arrays (N, 3)."""
+        """Return the reference of the drones at this decision: arrays (N, 3)."""
 
     @staticmethod
     def goals_rest(task: Task) -> bool:
-        """Whether goals are where drones end, not where they should be at every moment."""
+        """Return True if goals are final positions, not references to follow at every time."""
         return task.motion.rests or task.motion.kind == LINES
 
     def check_rest(self, task: Task) -> None:
-        """Refuse a task whose goals move.
-
-        Raises:
-            ValueError: they do.
-        """
+        """Raise ValueError if the goals of a task move."""
         if not self.goals_rest(task):
             raise ValueError(
                 f"{type(self).__name__} plans to goals at rest, but those of {task.name} move; "
@@ -170,49 +167,45 @@ class SetpointAgent(ABC):
 
 
 class Flyable(Protocol):
-    """A plan that says where everyone should be."""
+    """The protocol of a plan."""
 
     def reference(self, time: float) -> Reference:
-        """Where the drones should be at a time since the start, s: arrays (N, 3)."""
+        """Return the reference at a time since the start, s: arrays (N, 3)."""
 
 
 P = TypeVar("P", bound=Flyable)
 
 
 class PlannedAgent(SetpointAgent, Generic[P]):
-    """Plans when goals are set, and emits the plan's set-points."""
+    """Base class of agents that plan when goals are set, and follow the plan."""
 
     def __init__(self, requires: Mapping[str, Any]) -> None:
         super().__init__(requires)
         self.plans: list[P] = []
-        """The episode's plans, one for each set of goals."""
+        """The plans of the episode, one for each set of goals."""
         self._task: Task | None = None
         self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
 
     @abstractmethod
     def plan(self, task: Task, view: View, seed: int) -> P:
-        """The way from the set-points of this moment to the goals."""
+        """Return a plan from the current set-points to the goals."""
 
     def check(self, task: Task) -> None:
-        """Refuse a task to which there is no plan.
-
-        Raises:
-            ValueError: goals that move.
-        """
+        """Raise ValueError if the goals of a task move."""
         self.check_rest(task)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Plan the way to the first goals; the seed is that of the planner.
+        """Plan the paths to the first goals; the seed is that of the planner.
 
         Raises:
-            ValueError: there is no plan for such a task, or for these starts and goals.
+            ValueError: the task is not supported, or there is no plan for its starts and goals.
         """
         super().reset(env, seed)
         self._task, self._seed, self.plans = env.core.task, seed, []
         self._plan(env.view)
 
     def reference(self, view: View) -> Reference:
-        """That of the plan, which is made again where goals have changed."""
+        """Return the reference of the plan; plan again if the goals have changed."""
         if not np.array_equal(view.goals, self._goals):
             self._plan(view)
         return self.plans[-1].reference(view.time - self._began)
@@ -223,43 +216,43 @@ class PlannedAgent(SetpointAgent, Generic[P]):
         self.plans.append(self.plan(self._task, view, self._seed))
 
 
-SAMPLES = 61  # Instants at which ways are compared
-SWEEPS = 12  # How often each drone chooses at most
+SAMPLES = 61  # Times at which paths are compared
+SWEEPS = 12  # Largest number of choices of each drone
 BESIDE_M, BELOW_M = 0.25, 0.6
-"""Half axes, beyond the sum of radii, of the ellipsoid in which another drone costs, m."""
+"""Semi-axes, beyond the sum of radii, of the ellipsoid in which proximity has a cost, m."""
 TOUCHING_M = 0.12
-"""Distance beyond the sum of radii within which it costs a hundred times as much, m."""
+"""Distance beyond the sum of radii within which the cost is a hundred times as large, m."""
 _HARD = 100.0
 _LENGTH = 0.02
 _AMPLITUDES = (0.3, 0.6, 0.9, 1.2, 1.5)
 _TURNS = 12
 _BUMP = np.polynomial.Polynomial([0.0, 1.0, -1.0]) ** 4 * 256.0
-"""Share of the bump over the share of the time: 1 half way; at rest, up to the third derivative, at
-both ends."""
+"""Scale of the bump over the fraction of time: 1 in the middle; 0 at both ends, with three zero
+derivatives."""
 
 
 def bumps(start: FloatArray, goal: FloatArray) -> FloatArray:
-    """The family (N, M, 3), m, from which drones choose; the first is no bump.
+    """Return the family of bumps (N, M, 3), m; the first is zero.
 
     Args:
         start: (N, 3) m.
         goal: (N, 3) m.
     """
-    way = goal - start
-    level = np.stack([-way[:, 1], way[:, 0], np.zeros(len(way))], axis=1)
+    delta = goal - start
+    level = np.stack([-delta[:, 1], delta[:, 0], np.zeros(len(delta))], axis=1)
     size = np.linalg.norm(level, axis=1, keepdims=True)
     side = np.where(size > 1e-6, level / np.maximum(size, 1e-6), [1.0, 0.0, 0.0])
     angle = 2 * np.pi * np.arange(_TURNS) / _TURNS
     sideways = side[:, None] * np.cos(angle)[:, None]
     upwards = np.array([0.0, 0.0, 1.0]) * np.sin(angle)[:, None]
     turned = [amplitude * (sideways + upwards) for amplitude in _AMPLITUDES]
-    return np.concatenate([np.zeros((len(way), 1, 3)), *turned], axis=1)
+    return np.concatenate([np.zeros((len(delta), 1, 3)), *turned], axis=1)
 
 
 def along(
     start: FloatArray, goal: FloatArray, bump: FloatArray, duration: float, time: FloatArray | float
 ) -> Reference:
-    """The way with a bump: arrays (..., 3), of arguments (..., 3) and times (...), s."""
+    """Return the path with a bump: arrays (..., 3), of arguments (..., 3) and times (...), s."""
     straight = rest_to_rest(start, goal, duration, time)
     u = np.clip(np.asarray(time, dtype=np.float64) / duration, 0.0, 1.0)
     parts = []
@@ -277,40 +270,42 @@ def choose_bumps(
     obstacles: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Bumps (N, 3), m, with which drones get past each other, if the family has any.
+    """Return bumps (N, 3), m, from best responses of the drones.
 
     Args:
         start: (N, 3) m.
         goal: (N, 3) m.
-        radius: (N,) of the drones, m.
+        radius: (N,) radii of the drones, m.
         arena: (2, 3) corners, m.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
-        rng: draws the order in which they choose.
+        rng: the generator of the order of choices.
     """
     family, times = bumps(start, goal), np.linspace(0.0, 1.0, SAMPLES)
-    ways = along(
+    paths = along(
         start[:, None, None], goal[:, None, None], family[:, :, None], 1.0, times
     ).position  # (N, M, T, 3)
-    own = _LENGTH * np.linalg.norm(family, axis=-1) + _obstacle_cost(ways, radius, arena, obstacles)
+    own = _LENGTH * np.linalg.norm(family, axis=-1) + _obstacle_cost(
+        paths, radius, arena, obstacles
+    )
     chosen = np.zeros(len(start), dtype=np.int64)
     for _ in range(SWEEPS):
         before = chosen.copy()
         for i in rng.permutation(len(start)).tolist():
             others = np.delete(np.arange(len(start)), i)
-            met = ways[others, chosen[others]]
+            met = paths[others, chosen[others]]
             chosen[i] = (
-                own[i] + _proximity_cost(ways[i], met, radius[i] + radius[others])
+                own[i] + _proximity_cost(paths[i], met, radius[i] + radius[others])
             ).argmin()
         if (chosen == before).all():
             break
     return family[np.arange(len(start)), chosen]
 
 
-def _proximity_cost(ways: FloatArray, others: FloatArray, touching: FloatArray) -> FloatArray:
-    """Cost (M,) of ways (M, T, 3) among others (K, T, 3) that touch at distances (K,), m."""
-    cost = np.zeros(len(ways))
+def _proximity_cost(paths: FloatArray, others: FloatArray, touching: FloatArray) -> FloatArray:
+    """Return the cost (M,) of paths (M, T, 3) near others (K, T, 3) with contact distances (K,)."""
+    cost = np.zeros(len(paths))
     for other, contact in zip(others, touching, strict=True):
-        square = np.square(ways - other)
+        square = np.square(paths - other)
         level, height = square[..., 0] + square[..., 1], square[..., 2]
         for beside, below, weight in (
             (BESIDE_M, BELOW_M, 1.0),
@@ -322,28 +317,28 @@ def _proximity_cost(ways: FloatArray, others: FloatArray, touching: FloatArray) 
 
 
 def _obstacle_cost(
-    ways: FloatArray, radius: FloatArray, arena: FloatArray, obstacles: FloatArray
+    paths: FloatArray, radius: FloatArray, arena: FloatArray, obstacles: FloatArray
 ) -> FloatArray:
-    """Cost (N, M) of ways (N, M, T, 3) that leave the arena or come close to obstacles."""
+    """Return the cost (N, M) of paths (N, M, T, 3) that leave the arena or are near obstacles."""
     margin = (radius + TOUCHING_M)[:, None, None]
-    inside = np.minimum(ways - arena[0], arena[1] - ways).min(axis=-1)
+    inside = np.minimum(paths - arena[0], arena[1] - paths).min(axis=-1)
     cost = np.square(np.maximum(1.0 - inside / margin, 0.0)).mean(axis=-1)
     if len(obstacles):
-        near = obstacle_distances(obstacles, ways).min(axis=-1)
+        near = obstacle_distances(obstacles, paths).min(axis=-1)
         cost += np.square(np.maximum(1.0 - near / margin, 0.0)).mean(axis=-1)
     return np.asarray(_HARD * cost)
 
 
 class DetourAgent(SetpointAgent):
-    """Flies the ways of `choose_bumps`, or the task's reference where that moves.
+    """Agent that follows the paths of `choose_bumps`, or the task's reference if that moves.
 
     Args:
-        controller: configuration of the tracking loop; None for its default, which compensates no
-            force.
-        share: of the time that a stage lasts, in which it is flown.
+        controller: configuration of the tracking controller; None for the default, which does not
+            compensate forces.
+        share: duration of a path as a fraction of the duration of a stage, in (0, 1].
 
     Raises:
-        ValueError: the share is none.
+        ValueError: the share is out of range.
     """
 
     def __init__(self, controller: ControllerConfig | None = None, share: float = 0.75) -> None:
@@ -357,29 +352,25 @@ class DetourAgent(SetpointAgent):
         self._since = self._duration = 0.0
 
     def check(self, task: Task) -> None:
-        """Refuse a task in which one goal changes while other drones are under way.
-
-        Raises:
-            ValueError: goals at rest that change one at a time.
-        """
+        """Raise ValueError if the goals of a task change one at a time."""
         if isinstance(task.success, ByScore) and task.motion.rests:
             raise ValueError(
-                f"DetourAgent plans the way of all drones at once, but in {task.name} each drone "
-                "is given another goal when it reaches one; use 'roundabout'"
+                f"DetourAgent plans the paths of all drones together, but in {task.name} each "
+                "drone receives a new goal when it reaches one; use 'roundabout'"
             )
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Forget the last episode; the seed draws the order in which drones choose.
+        """Discard the plan of the last episode, and seed the order of the drones' choices.
 
         Raises:
-            ValueError: as `check`.
+            ValueError: the agent does not support the task.
         """
         super().reset(env, seed)
         self._arena = env.core.task.arena
         self._rng, self._plan = np.random.default_rng(seed), None
 
     def reference(self, view: View) -> Reference:
-        """The way at this time, or the task's reference where that moves."""
+        """Return the reference of the path at this time, or the task's reference if that moves."""
         if view.reference_moves:
             return view.reference(view.time)
         if self._plan is None or not np.array_equal(self._plan[1], view.goals):

@@ -1,4 +1,4 @@
-"""The command `swarm-envs`: one subcommand a job, each loaded when it is called."""
+"""The command `swarm-envs`; each subcommand is imported when it is called."""
 
 from __future__ import annotations
 
@@ -24,29 +24,31 @@ PROGRAM = "swarm-envs"  # The command's name
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 HELP = frozenset({"-h", "--help"})
-"""Arguments that ask for help."""
-NARROWEST = 60  # columns of a help text; in much less, tyro never ends to wrap it
-WIDE = 10_000  # columns in which tyro wraps no error
+"""Arguments that request the help text."""
+NARROWEST = 60  # Least columns of a help text; tyro does not terminate with much fewer
+WIDE = 10_000  # Columns in which tyro does not wrap error messages
 
 
 class Command(NamedTuple):
     """A subcommand: `run_<name>` of the module `swarm_envs.commands.<name>`.
 
-    It takes options as the module's `<Name>Options`, a dataclass, and may return how much failed.
+    Its argument is the module's dataclass `<Name>Options`; it may return a number of failures.
     """
 
     summary: str
     """One line for the list of commands."""
     example: str
-    """An example of its options, for the help of the command."""
+    """An example of its options for the help text."""
     prefixes: bool = False
-    """True if options of a nested dataclass are named after it: `--logs.guard-s`."""
+    """True if options of a nested dataclass have its name as a prefix: `--logs.rate-hz`."""
 
 
 COMMANDS: Mapping[str, Command] = {
-    "demo": Command("stacked swaps with and without compensation of downwash", "--out demo"),
+    "demo": Command(
+        "simulate stacked swaps with and without compensation of downwash", "--out demo"
+    ),
     "fly": Command(
-        "fly one episode and write metrics, films, replays and trajectories",
+        "simulate one episode and write metrics, videos, replays and trajectories",
         "--layout stacked --team L2S --agent tracking --seed 1 --out flight",
     ),
     "evaluate": Command(
@@ -55,7 +57,7 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "benchmark": Command("evaluate every agent on every benchmark task", "--out board --workers 2"),
     "grade": Command(
-        "grade submissions of a course",
+        "grade the submissions of a course",
         "--assignment swap --agent my.py:MyAgent --out grades.csv",
     ),
     "assignment": Command(
@@ -68,13 +70,13 @@ COMMANDS: Mapping[str, Command] = {
         prefixes=True,
     ),
     "fit": Command(
-        "fit a force model to flight logs, or examine what one leaves over",
+        "fit a force model to flight logs, or identify its residual force",
         "--data flights --model deep-set --seed 0 --out runs/fit",
         prefixes=True,
     ),
-    "compile": Command("compile the kernels ahead of the first flight", "--no-progress"),
+    "compile": Command("compile the kernels before the first episode", "--no-progress"),
 }
-"""Every command by its name. To add one, write its module and name it here."""
+"""Every command by its name. To add one, write its module and add it here."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,7 +93,7 @@ def _run(given: Sequence[str]) -> int:
     """Run a command line and return its exit code.
 
     Raises:
-        BrokenPipeError: the output was not read to its end, as by `| head`, which is no failure.
+        BrokenPipeError: the reader of the output has ended, such as `| head`; no failure.
     """
     if not given or given[0] in HELP:
         print(_overview(), flush=True)
@@ -108,16 +110,16 @@ def _run(given: Sequence[str]) -> int:
     try:
         with _terminable():
             failed = load_run(name)(read_options(name, rest))
-        sys.stdout.flush()  # here it can be told that what reads it is gone, or a disk full
+        sys.stdout.flush()  # so that a closed pipe or a full disk is reported here
         return FAILED if failed else DONE
     except Misuse as error:
         return _complain(where, str(error), MISUSED)
     except (OSError, ImportError, ValueError, MemoryError) as error:
         if isinstance(error, BrokenPipeError):
             raise
-        forget_output()  # and no traceback, which would not say more
-        said = " ".join(str(error).splitlines()) or "there is not enough memory"
-        return _complain(where, said, FAILED)
+        forget_output()
+        message = " ".join(str(error).splitlines()) or "there is not enough memory"
+        return _complain(where, message, FAILED)
     except KeyboardInterrupt as interrupt:
         return _complain(where, str(interrupt) or "interrupted", INTERRUPTED)
     except Exception as error:
@@ -138,12 +140,12 @@ def _print_every_name() -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM end a command like Ctrl-C, so that it removes what it has half written."""
+    """Let SIGTERM end a command like Ctrl-C, so that it removes incomplete files."""
 
     def end(*_: object) -> None:
         raise KeyboardInterrupt("terminated")
 
-    if threading.current_thread() is not threading.main_thread():  # where signals cannot be set
+    if threading.current_thread() is not threading.main_thread():  # signals cannot be set there
         yield
         return
     before = signal.signal(signal.SIGTERM, end)
@@ -164,12 +166,12 @@ def _overview() -> str:
 
 
 def load_run(name: str) -> Any:
-    """The function of a command."""
+    """Return the function of a command."""
     return getattr(importlib.import_module(f"swarm_envs.commands.{name}"), f"run_{name}")
 
 
 def load_options(name: str) -> Any:
-    """The dataclass of a command's options, or the alternatives among which a word chooses."""
+    """Return the dataclass of a command's options."""
     module = importlib.import_module(f"swarm_envs.commands.{name}")
     return getattr(module, f"{name.title()}Options")
 
@@ -182,15 +184,15 @@ def read_options(name: str, words: Sequence[str]) -> Any:
         words: the command line after its name.
 
     Raises:
-        Misuse: the command does not take these words, or the dataclass refuses their values.
-        SystemExit: the help was asked for and printed.
+        Misuse: an option does not exist, or has an invalid value.
+        SystemExit: the help text was requested and printed.
     """
     import tyro
 
     options, program = load_options(name), f"{PROGRAM} {name}"
     for word in words:
         if not word or re.fullmatch("--[^=]+=", word):
-            raise Misuse("an option has the value '', which names nothing; leave the option out")
+            raise Misuse("the value of an option is empty; give a value, or leave the option out")
     given: dict[str, Any] = {"args": [*words], "prog": program}
     given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
     helps = not HELP.isdisjoint(words)
@@ -202,15 +204,15 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     except SystemExit as end:
         if not end.code:
             raise
-        said = _in_one_line(printed.getvalue())
+        message = _in_one_line(printed.getvalue())
     except ValueError as error:
-        said = str(error)
-    raise Misuse(f"{said} (see `{program} --help`)")
+        message = str(error)
+    raise Misuse(f"{message} (see `{program} --help`)")
 
 
 @contextmanager
 def _columns(number: int) -> Iterator[None]:
-    """Let tyro write lines of so many columns, whatever the terminal has."""
+    """Let tyro write lines of a number of columns, independent of the terminal."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(number)
     try:
@@ -222,14 +224,14 @@ def _columns(number: int) -> Iterator[None]:
 
 
 def _in_one_line(box: str) -> str:
-    """The reason that tyro gives in a box, without title, frame, and help text of the option."""
+    """Return the reason of an error from tyro's box, without title, frame and help text."""
     text = re.sub("[\u2500\u2502\u2570\u256f]|-{4,}", " ", "\n".join(box.splitlines()[1:]))
-    said = re.sub(r"^Error parsing \w+: ", "", " ".join(text.split()))  # the name of a dataclass
-    return re.split("Got errors:|Argument helptext:|For full helptext", said)[0].strip()
+    reason = re.sub(r"^Error parsing \w+: ", "", " ".join(text.split()))
+    return re.split("Got errors:|Argument helptext:|For full helptext", reason)[0].strip()
 
 
 def _description(name: str, options: Any) -> str:
-    """What the help of a command begins with: each paragraph of the docstring, and an example."""
+    """Return the head of a command's help text: its docstring, and an example."""
     paragraphs = (inspect.getdoc(options) or "").split("\n\n")
     joined = [" ".join(paragraph.splitlines()) for paragraph in paragraphs]
     return "\n\n".join([*joined, f"Example: {PROGRAM} {name} {COMMANDS[name].example}"])

@@ -30,20 +30,20 @@ __all__ = [
 
 
 def unknown_name(kind: str, name: object, valid: Iterable[str], where: str = "") -> str:
-    """Message for a name that is not among the valid ones, with the nearest of them.
+    """Return the message for an invalid name, with the valid names and the most similar of them.
 
     Args:
-        kind: what is named, such as `"action"`.
-        name: what was given.
-        valid: every name that would do.
-        where: where it was given, appended to the first clause.
+        kind: the kind of name, such as `"action"`.
+        name: the invalid name.
+        valid: every valid name.
+        where: the context of the name, appended to the first clause.
     """
-    place = f" {where}" if where else ""
-    return f"unknown {kind} {name!r}{place}; {nearest(name, valid)}"
+    context = f" {where}" if where else ""
+    return f"unknown {kind} {name!r}{context}; {nearest(name, valid)}"
 
 
 def nearest(name: object, valid: Iterable[str]) -> str:
-    """The valid name that is most like another, if one is, and all of them."""
+    """Return the hint of an error message: the most similar valid name, if any, and all of them."""
     names = sorted(valid)
     written = {each.lower(): each for each in names}
     near = difflib.get_close_matches(str(name).lower(), written, n=1)
@@ -55,7 +55,7 @@ def check_name(kind: str, name: object, valid: Iterable[str]) -> str:
     """Return `name` if it is among the valid ones.
 
     Raises:
-        ValueError: it is not; the message names the nearest valid one.
+        ValueError: it is not; the message names the most similar valid one.
     """
     names = tuple(valid)
     if not isinstance(name, str) or name not in names:
@@ -90,19 +90,16 @@ def check_number(
     below: float | None = None,
     unit: str = "",
 ) -> None:
-    """Refuse what is no finite number, of Python or NumPy, in a range.
+    """Raise ValueError unless `value` is a finite number in a range; booleans are no numbers.
 
     Args:
         name: the name of the option or argument.
         value: its value.
         at_least: the least number that is allowed.
-        above: a number that all allowed ones exceed.
+        above: the exclusive lower bound.
         at_most: the greatest number that is allowed.
-        below: a number that no allowed one reaches.
+        below: the exclusive upper bound.
         unit: the unit, for the message.
-
-    Raises:
-        ValueError: it is none; booleans are not numbers here.
     """
     if not _in_range(value, at_least, above, at_most, below):
         rule = _range_in_words(at_least, above, at_most, below)
@@ -118,11 +115,7 @@ def check_interval(
     at_most: float | None = None,
     unit: str = "",
 ) -> None:
-    """Refuse what is not `(low, high)`, two finite numbers of a range in ascending order.
-
-    Raises:
-        ValueError: it is not; the message says in what range both must be.
-    """
+    """Raise ValueError unless `value` is `(low, high)`, two finite ascending numbers in a range."""
     pair: Any = value if isinstance(value, tuple | list) and len(value) == 2 else None
     inside = pair and all(_in_range(end, at_least, above, at_most, None) for end in pair)
     if inside and pair[0] <= pair[1]:
@@ -143,11 +136,7 @@ def check_numbers(
     above: float | None = None,
     at_most: float | None = None,
 ) -> None:
-    """Refuse what are not so many finite numbers in a range.
-
-    Raises:
-        ValueError: `value` is no tuple or list of them.
-    """
+    """Raise ValueError unless `value` is a tuple or list of `count` finite numbers in a range."""
     if (
         not isinstance(value, tuple | list)
         or len(value) != count
@@ -158,21 +147,13 @@ def check_numbers(
 
 
 def check_bool(name: str, value: object) -> None:
-    """Refuse what is neither True nor False, of Python or NumPy.
-
-    Raises:
-        ValueError: it is something else, such as 1.
-    """
+    """Raise ValueError unless `value` is True or False, of Python or NumPy."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(_refusal(name, value, "True or False"))
 
 
 def check_divisor(name: str, value: object, whole: int) -> None:
-    """Refuse what is no positive integer that divides another.
-
-    Raises:
-        ValueError: it is none; the message lists some.
-    """
+    """Raise ValueError unless `value` is a positive divisor of `whole`."""
     if _is_a(Integral, value) and cast(int, value) > 0 and whole % cast(int, value) == 0:
         return
     some = ", ".join(str(whole // k) for k in (1, 2, 5, 10))
@@ -181,16 +162,7 @@ def check_divisor(name: str, value: object, whole: int) -> None:
 
 
 def check_type(name: str, value: object, kind: Any) -> None:
-    """Refuse what is of another type.
-
-    Args:
-        name: the name of the option or argument.
-        value: its value.
-        kind: a type, or several such as `Hall | str | None`.
-
-    Raises:
-        ValueError: `value` is no instance of it.
-    """
+    """Raise ValueError unless `value` has the type `kind`, such as `Hall | str | None`."""
     if not isinstance(value, kind):
         kinds = typing.get_args(kind) or (kind,)
         words = [f"{'an' if k.__name__[0] in 'AEIOU' else 'a'} {k.__name__}" for k in kinds]
@@ -212,7 +184,7 @@ def _in_range(
     at_most: float | None,
     below: float | None,
 ) -> bool:
-    """Return whether a value is a finite number in a range."""
+    """Return True if a value is a finite number in a range."""
     try:
         number = float(value) if _is_a(Real, value) else math.nan
     except OverflowError:  # an integer that no float holds
@@ -242,10 +214,10 @@ def _range_in_words(
 
 
 def parse_pairs(name: str, text: str, example: str) -> list[tuple[str, list[float]]]:
-    """Names and numbers of an option's text, such as `mass=0.9:1.1,gust_acceleration=1`.
+    """Return the names and numbers of a text such as `mass=0.9:1.1,gust_acceleration=1`.
 
     Raises:
-        ValueError: a part of it is no name with numbers; the message gives the example.
+        ValueError: a part of it is not a name with numbers; the message gives the example.
     """
     try:
         parts = [part.split("=") for part in text.split(",")]
@@ -261,7 +233,7 @@ def as_numbers(
     """Return `value` as a contiguous float64 array of any shape.
 
     Raises:
-        ValueError: it is none, such as a text or rows of different lengths.
+        ValueError: it is not numeric, such as a string, or rows of different lengths.
     """
     try:
         array = np.asarray(value)
@@ -278,8 +250,8 @@ def check_array(
     """Return `value` as a finite, contiguous float64 array of exactly the given shape.
 
     Raises:
-        ValueError: it is no array of numbers, the shape is another, or an entry is NaN or infinite;
-            the message names the value, the rule and where it was broken.
+        ValueError: it is no array of numbers, has another shape, or has an entry that is NaN or
+            infinite; the message names the value, the rule and the index.
     """
     extra = f" ({rule})" if rule else ""
     array = as_numbers(name, value, f"numbers of shape {shape}{extra}")

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, in folders that one process at a time writes into."""
+"""Atomic writing of files, and locks of output folders."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ __all__ = [
 
 try:
     import fcntl
-except ImportError:  # Windows has none
+except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 LOCK = ".lock"
-"""Name of the file by which a process claims a folder; it stays, and says nothing by itself."""
+"""Name of the file that a process locks to claim a folder; the unlocked file may remain."""
 _PARTIAL = re.compile(r"\..+\.\d+\.partial(\..+)?")
 
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path next to `path`, with its suffix, that replaces it on success.
+    """Yield a temporary path next to `path`, with its suffix, that replaces it on success.
 
-    A reader sees the old file or the whole new one. After an exception nothing is left behind, and
-    what processes of this machine left that were killed is removed.
+    A reader sees the old file or the complete new one. After an exception the temporary file is
+    removed, as are those of killed processes of this machine.
 
     Raises:
-        OSError: the folder cannot be made or written.
+        OSError: the folder cannot be created or written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Of a long name a part: with what is added it might be longer than a name may be.
+    # A long name is cut, because file systems limit the length of a name.
     name = f".{path.stem[:48]}.{crc32(platform.node().encode())}"
     partial = path.with_name(f"{name}.{os.getpid()}.partial{path.suffix}")
     for old in path.parent.glob(glob.escape(name) + f".*.partial{glob.escape(path.suffix)}"):
@@ -64,29 +64,29 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def _runs(process: int) -> bool:
-    """Whether a process of this machine is there; where that cannot be told, that it is."""
-    if fcntl is None:  # Windows: a signal 0 would end it
+    """Return True if a process of this machine runs, or if that cannot be determined."""
+    if fcntl is None:  # On Windows, signal 0 would end it
         return True
     try:
         os.kill(process, 0)
     except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # else it is another user's
+        return not isinstance(error, ProcessLookupError)  # other errors: another user's process
     return True
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write JSON, whole or not at all.
+    """Write JSON atomically.
 
     Raises:
-        OSError: the folder cannot be made or written.
-        ValueError: the content holds NaN or infinity, which JSON cannot say.
+        OSError: the folder cannot be created or written.
+        ValueError: the content has a NaN or infinity, which JSON does not support.
     """
     with written_whole(path) as partial:
         partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def parse_note(text: str) -> dict[str, Any]:
-    """The JSON object that a file of weights carries as its note.
+    """Return the JSON object in the metadata of a weights file.
 
     Raises:
         ValueError: it is no object, no JSON, or nested too deeply to be read.
@@ -100,12 +100,12 @@ def parse_note(text: str) -> dict[str, Any]:
     return note
 
 
-_SMALL = 2**28  # An npz file may unpack to so many bytes, whatever its size
-_RATIO = 100  # and otherwise to so many times its size, which no flight does
+_SMALL = 2**28  # Bytes to which any npz file may unpack
+_RATIO = 100  # Larger files may unpack to this many times their size, more than any flight needs
 
 
 def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return the arrays of an npz file by name; nothing is unpickled.
+    """Return the arrays of an npz file by name, without unpickling anything.
 
     Raises:
         OSError: the file cannot be opened.
@@ -113,7 +113,7 @@ def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
             its size.
     """
     with path.open("rb") as file:
-        if not zipfile.is_zipfile(file):  # numpy would advise to unpickle it
+        if not zipfile.is_zipfile(file):  # numpy's message would suggest to unpickle it
             raise ValueError(f"{path} is not an npz file")
         try:
             with zipfile.ZipFile(file) as archive:
@@ -122,22 +122,22 @@ def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
                 file.seek(0)
                 with np.load(file, allow_pickle=False) as stored:
                     return {name: stored[name] for name in stored.files}
-        except Exception as error:  # whatever zip, zlib and numpy raise of a damaged file
+        except Exception as error:  # zip, zlib and numpy raise many kinds for a damaged file
             raise ValueError(f"{path} is not an npz file, or damaged: {error}") from error
     raise ValueError(f"{path} unpacks to {size / 1e9:.1f} GB, which no file of this package does")
 
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Write into a folder alone: a second process that claims it is refused.
+    """Lock an output folder, so that no other process can write to it.
 
-    The claim ends with its process, however that ends. Once it holds, what killed processes left
-    half written is removed. A folder that it made and that stayed empty is removed at its end.
-    Where the system has no `flock`, nothing is claimed.
+    The lock ends with the process. Incomplete files of killed processes are removed when it is
+    acquired. A folder that was created here and remained empty is removed at the end. On systems
+    without `flock`, there is no lock.
 
     Raises:
-        BlockingIOError: another process writes into the folder; the message names it.
-        OSError: the folder cannot be made or written.
+        BlockingIOError: another process writes to the folder; the message names it.
+        OSError: the folder cannot be created or written.
     """
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
@@ -150,7 +150,7 @@ def claimed(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            with suppress(OSError):  # Windows keeps a lock that is open
+            with suppress(OSError):  # Windows does not remove open files
                 if made and [path.name for path in folder.iterdir()] == [LOCK]:
                     (folder / LOCK).unlink()
                     folder.rmdir()
@@ -163,7 +163,7 @@ def _lock(folder: Path, lock: TextIO) -> None:
         lock.seek(0)
         raise BlockingIOError(
             f"process {lock.read().strip() or 'of another user'} writes into {str(folder)!r}; wait "
-            "for its end, end it, or choose another folder"
+            "for it, end it, or choose another folder"
         ) from error
     lock.truncate(0)
     lock.write(str(os.getpid()))
@@ -171,11 +171,11 @@ def _lock(folder: Path, lock: TextIO) -> None:
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as CSV, whole or not at all; the first row's keys are the columns.
+    """Write rows as CSV atomically; the keys of the first row are the columns.
 
     Raises:
         OSError: the file cannot be written.
-        ValueError: there is no row, or one has other keys.
+        ValueError: there is no row, or a row has other keys.
     """
     if not rows:
         raise ValueError(f"there is no row to write into {str(path)!r}")
@@ -186,14 +186,14 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def pyarrow(what: str, otherwise: str) -> tuple[Any, Any]:
-    """Give the packages pyarrow and pyarrow.parquet, which read and write Parquet.
+    """Return the modules pyarrow and pyarrow.parquet, which read and write Parquet.
 
     Args:
-        what: needs them, for the message.
-        otherwise: how to do without, likewise.
+        what: the task that needs them, for the message.
+        otherwise: the alternative without them, for the message.
 
     Raises:
-        ImportError: they are not installed; the message says how to get them.
+        ImportError: pyarrow is not installed; the message gives the command that installs it.
     """
     try:
         return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")

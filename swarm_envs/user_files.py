@@ -1,4 +1,4 @@
-"""Classes and functions from a user's own Python file, such as `my_agent.py:MyAgent`."""
+"""Classes and functions from a user's Python file, such as `my_agent.py:MyAgent`."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ __all__ = ["file_digest", "find_in", "import_file", "load_from_file", "users_lin
 
 _USERS_MODULE = "swarm_envs_users_file_"
 _imported: dict[str, set[str]] = {}
-"""Modules that users' files have imported from beside them, by the folder."""
-_inserted: list[str] = []  # folder that was put on the path for the last of them
+"""Modules that users' files have imported from their own folders, by folder."""
+_inserted: list[str] = []  # The folder on `sys.path` for the last imported file
 
 
 def load_from_file(name: str) -> Any:
-    """Return what a user's file holds by a name, `path/to/file.py:Class`.
+    """Return the class or function that `path/to/file.py:Class` names.
 
     Raises:
-        ValueError: the name is no such thing, or the file has nothing of this name.
+        ValueError: the name has another form, or the file does not define it.
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
@@ -37,7 +37,7 @@ def load_from_file(name: str) -> Any:
 
 
 def import_file(file: Path) -> ModuleType:
-    """Import a user's file, and let it import those beside it.
+    """Import a user's file, which may import other files of its folder.
 
     Raises:
         ValueError: it is no Python file.
@@ -68,14 +68,14 @@ def import_file(file: Path) -> ModuleType:
 
 
 def _enter(folder: Path) -> None:
-    """Let a file import those beside it, as if it was run, and not those beside other files."""
+    """Let a file import modules of its folder, as if it was run, and none of other folders."""
     for other, modules in _imported.items():
         if other != str(folder):
             for name in modules:
                 sys.modules.pop(name, None)
             modules.clear()
     while _inserted:
-        with suppress(ValueError):  # taken off by the file itself
+        with suppress(ValueError):  # the file itself may have removed it
             sys.path.remove(_inserted.pop())
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
@@ -84,12 +84,12 @@ def _enter(folder: Path) -> None:
 
 
 def _lies_in(folder: Path, module: ModuleType) -> bool:
-    place = getattr(module, "__file__", None)
-    return place is not None and Path(place).parent == folder
+    file = getattr(module, "__file__", None)
+    return file is not None and Path(file).parent == folder
 
 
 def users_line(error: BaseException) -> str | None:
-    """Return the line of a user's file in which an error was raised; None if it was in none."""
+    """Return the line of a user's file in which an error was raised, or None."""
     found = None
     for frame, number in traceback.walk_tb(error.__traceback__):
         if str(frame.f_globals.get("__name__", "")).startswith(_USERS_MODULE):
@@ -98,9 +98,9 @@ def users_line(error: BaseException) -> str | None:
 
 
 def file_digest(name: str) -> str:
-    """Return the SHA-256 of what a name such as `path/to/file.py:Class` depends on; "" of others.
+    """Return the SHA-256 of all Python files in the folder of `path/to/file.py:Class`.
 
-    That is every Python file of its folder: the file may import those beside it.
+    The file may import any of them. The result is "" for other names.
     """
     file, colon, _ = name.rpartition(":")
     if not colon or not file.endswith(".py"):
@@ -112,10 +112,10 @@ def file_digest(name: str) -> str:
 
 
 def find_in(name: str, module: ModuleType, path: str) -> Any:
-    """Return what a user's module holds by a path such as `Class`, named `name` in messages.
+    """Return the attribute of a user's module at a path such as `Class`, called `name` in messages.
 
     Raises:
-        ValueError: it holds no such thing; the message names the nearest.
+        ValueError: it does not exist; the message names the most similar.
     """
     made: Any = module
     for part in path.split("."):
@@ -128,7 +128,7 @@ def find_in(name: str, module: ModuleType, path: str) -> Any:
 
 
 def _defined(module: ModuleType) -> list[str]:
-    """The classes and functions that a file defines and does not hide."""
+    """Return the names of the public classes and functions that a module defines."""
     return [
         name
         for name, value in vars(module).items()

@@ -205,7 +205,7 @@ def test_what_cannot_be_flown_is_told_before_the_flight() -> None:
     odd.requires = {"actions": "acceleration"}
     with pytest.raises(ValueError, match=r"unknown option 'actions'.*'action'"):
         fly_episode(env, odd, seed=0)
-    with pytest.raises(TypeError, match=r"HoverAgent.*of a class, make one"):
+    with pytest.raises(TypeError, match=r"HoverAgent.*give an instance, not a class"):
         fly_episode(env, HoverAgent, seed=0)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="must be an object with `requires`"):
         fly_episode(env, object(), seed=0)  # type: ignore[arg-type]
@@ -294,5 +294,5 @@ def test_what_it_refuses():
         DetourAgent().act({}, None)
     agent = DetourAgent()
     env = swarm_envs.make("crowd_v0", physics="batch", num_drones=2, **agent.requires)
-    with pytest.raises(ValueError, match="in crowd_v0 each drone is given another goal"):
+    with pytest.raises(ValueError, match="in crowd_v0 each drone receives a new goal"):
         fly_episode(env, agent, seed=0)

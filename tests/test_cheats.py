@@ -107,9 +107,9 @@ for folder in (pathlib.Path(TABLE).parent, pathlib.Path('.')):
 # leaves a session that rewrites the table
 SCRIPT = f"while :; do echo work,points > {TABLE}; echo eve,100 >> {TABLE}; sleep 0.1; done"
 subprocess.Popen(['setsid', 'sh', '-c', SCRIPT])
-# asks for the true state | asks for the true state
+# requires the true state | requires the true state
 Agent.privileged = True
-# lies of what it sees | asks for the true state
+# lies of what it sees | requires the true state
 class Agent(Agent):
     asked = 0
     @property
@@ -547,7 +547,7 @@ def test_honest_works_are_not_starred_and_have_the_numbers_of_evaluate(tmp_path)
         expected = Four().points({**scores, "counted": 1.0 - scores["collision_rate"]})
         assert grade.points == expected
     (behind,) = graded(Four(), f"{file}:Behind")
-    assert "write a filter of your own" in behind.error
+    assert "write your own collision avoidance" in behind.error
 
 
 @pytest.mark.slow
@@ -697,7 +697,7 @@ def test_all_cpu_time_of_a_learner_counts(tmp_path, monkeypatch, name):
         pytest.skip("no control groups: children that nobody awaits are not counted")
     honest, cheat = graded(kind, f"{file}:Learner", f"{file}:{name}", episodes=1)
     assert honest.error == ""
-    assert "of CPU time in all, but may use" in cheat.error or "longer than" in cheat.error
+    assert "of CPU time, but may use at most" in cheat.error or "longer than" in cheat.error
 
 
 MODELS = """
@@ -923,7 +923,7 @@ def test_several_works_need_a_sandbox(monkeypatch, tmp_path, capsys):
     assert "install bubblewrap, name a container with --sandbox" in capsys.readouterr().err
     assert main([*words, works[0]]) == 0
     said = capsys.readouterr().out
-    assert "without a sandbox: grade only your own" in said
+    assert "without a sandbox, like any other program: grade only your own" in said
     assert main([*words, *works, "--unprotected"]) == 0
 
 

@@ -146,7 +146,10 @@ def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys)
         ("{mine}:Missing", "unknown class or function 'Missing'"),
         ("{mine}:Picky", "requires num_drones=5, not 2"),
         ("none.py:Agent", "there is no file 'none.py'"),
-        ("ring-dagger", "this policy flies ring, but the environment's task is swap; set the task"),
+        (
+            "ring-dagger",
+            "this policy supports ring, but the environment's task is swap; set the task",
+        ),
     ],
 )
 def test_who_cannot_fly_is_refused_before_anybody_flies(name, why, tmp_path, mine, capsys):
@@ -189,10 +192,10 @@ def test_an_edited_function_or_module_beside_is_another_agent(tmp_path, capsys, 
     arguments = ["evaluate", *QUICK, "--agent", f"{policy}:act", "--out", str(tmp_path / "run")]
     for expected in (False, True):
         assert main(arguments) == 0
-        assert ("flown before" in capsys.readouterr().out) is expected
+        assert ("resumes after" in capsys.readouterr().out) is expected
     (tmp_path / edited).write_text((tmp_path / edited).read_text() + "# edited\n")
     assert main(arguments) == 0
-    assert "flown before" not in capsys.readouterr().out
+    assert "resumes after" not in capsys.readouterr().out
 
 
 def test_an_agent_that_flies_many_at_once_is_asked_for_each_episode():
@@ -230,12 +233,18 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     ("name", "why"),
     [
         ("Late", r"seed \d+, decision \d+: ZeroDivisionError"),
-        ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, though act does not: Ze"),
-        ("Several", r"act gives drone_0 \[0.0, .* but act_batch \[1.0, .* both must give the same"),
-        ("Differs", r"act gives drone_0 \[0.5, .* but act_batch \[0.0, .* both must give the same"),
+        ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, but act does not: Ze"),
+        (
+            "Several",
+            r"act returns \[0.0, .* for drone_0, but act_batch \[1.0, .* both must return",
+        ),
+        (
+            "Differs",
+            r"act returns \[0.5, .* for drone_0, but act_batch \[0.0, .* both must return",
+        ),
         (
             "Spread",
-            r"though act does not: .* shape \(3,\) for rows of shape .* must give \(4, 2, 3\)",
+            r"but act does not: .* shape \(3,\) for rows of shape .* must return \(4, 2, 3\)",
         ),
     ],
 )

@@ -125,7 +125,7 @@ NO_FOLDERS = ["collect --out", "fit --data rows.npz --out", "demo --out"]
         ("/proc/sub/out.json", "cannot be written"),  # root may, says its permission, and cannot
         ("file/out.json", "is a file; name a folder"),
         ("folder.json", "is a folder; name a file"),
-        ("a" * 300 + ".json", "cannot be reached"),
+        ("a" * 300 + ".json", "cannot be accessed"),
     ],
 )
 def test_refused_before_the_work(command, path, said, tmp_path, monkeypatch, capsys):
@@ -166,7 +166,7 @@ def test_a_folder_into_which_another_process_writes_is_refused(words, tmp_path, 
     with claimed(tmp_path):
         assert main([*words, "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err.splitlines()[-1]
-    assert f"process {os.getpid()} writes into {str(tmp_path)!r}; wait for its end" in said
+    assert f"process {os.getpid()} writes into {str(tmp_path)!r}; wait for it, end it" in said
     assert [file.name for file in tmp_path.iterdir()] == [LOCK]
 
 

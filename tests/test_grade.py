@@ -109,7 +109,7 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
     names = [f"{work}:Fine", f"{missing}:Agent"]
     assert main([*GRADE, "--assignment", "swap", "--out", str(table), "--agent", *names]) == 2
     error = capsys.readouterr().err
-    assert f"--agent names what is not there: {missing}; nothing was graded" in error
+    assert f"--agent names no existing file: {missing}; nothing was graded" in error
     assert str(work) not in error
     assert not table.exists()
 
@@ -125,9 +125,9 @@ def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
     works = [f"{file}:Fine" for file in (link, large, pipe)]
     assert main([*GRADE, "--assignment", "swap", "--episodes", "1", "--agent", *works]) == 1
     said = capsys.readouterr().out
-    assert "FAILED: it or its folder is a link to another; hand in the file itself" in said
-    assert "FAILED: it is no plain file" in said
-    assert "bytes, but may have 1048576" in said
+    assert "FAILED: it or its folder is a symbolic link; submit the file itself" in said
+    assert "FAILED: it is no regular file or folder" in said
+    assert "bytes, but may have at most 1048576" in said
 
 
 def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, work):
@@ -181,7 +181,7 @@ def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
         watch.join()
         signal.signal(signal.SIGINT, before)
     shown = capsys.readouterr()
-    assert "interrupted: 1 of 3 are graded" in shown.err
+    assert "interrupted: 1 of 3 submissions are graded" in shown.err
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["work"] for row in rows] == names[:1]
@@ -203,7 +203,7 @@ def test_a_grading_that_was_halted_goes_on_with_its_seed(work, tmp_path, capsys)
     progress_file(table).write_text(kept.replace('"points": 0.0', '"points": 12.5'))
     words = ["grade", "--assignment", "swap", "--episodes", "1", "--unprotected"]
     assert main([*words, "--out", str(table), "--agent", *names]) == 1
-    assert f"the same marks again: --seed {1 << 128}" in capsys.readouterr().out
+    assert f"to reproduce the grades: --seed {1 << 128}" in capsys.readouterr().out
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["points"] for row in rows] == ["12.5", "0.0"]  # the first was not graded again
@@ -288,7 +288,7 @@ def test_a_mistake_in_a_method_of_one_s_own_assignment_is_not_the_work_s(tmp_pat
     work.write_text(OWN, encoding="utf-8")
     words = ["--assignment", str(rings), "--episodes", "1", "--agent", f"{work}:MyAgent"]
     assert main([*GRADE, *words]) == 1
-    assert "a mistake of the assignment, not of the work (line " in capsys.readouterr().out
+    assert "error of the assignment, not of the submission (line " in capsys.readouterr().out
 
 
 def test_one_s_own_assignment_does_not_import_submissions(tmp_path, work, capsys):
@@ -296,7 +296,7 @@ def test_one_s_own_assignment_does_not_import_submissions(tmp_path, work, capsys
     rings = tmp_path / "my.py"
     rings.write_text(own_assignment(), encoding="utf-8")
     assert main([*GRADE, "--assignment", str(rings), "--agent", f"{work}:Fine"]) == 2
-    assert "submissions lie beside it" in capsys.readouterr().err
+    assert "submissions are in the same folder" in capsys.readouterr().err
 
 
 def test_a_number_that_a_work_has_not_is_said(tmp_path):
@@ -369,7 +369,7 @@ def test_a_pattern_names_the_whole_class(tmp_path, capsys):
     assert said.count("unknown class or function 'Agent'") == 2
     assert "ann/swap.py:Agent" in said and "bob/swap.py:Agent" in said
     assert main([*GRADE, "--assignment", "swap", "--agent", f"{tmp_path}/x*/swap.py:Agent"]) == 2
-    assert "no file's name matches" in capsys.readouterr().err
+    assert "no file matches" in capsys.readouterr().err
 
 
 def force_scores(work: str) -> dict[str, float]:
@@ -391,7 +391,7 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(work):
     assert nothing["explained"] == 0.0
     assert nothing["error_g"] == nothing["baseline_g"]
     assert score(truth, truth)["explained"] == 1.0
-    with pytest.raises(WorkFailed, match="must give 200 finite numbers"):
+    with pytest.raises(WorkFailed, match="must return 200 finite numbers"):
         force_scores(f"{work}:Short")
     with pytest.raises(WorkFailed, match="AttributeError"):
         force_scores(f"{work}:Fine")
@@ -501,7 +501,7 @@ def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
     (page,) = tmp_path.rglob("failure.html")  # of who flew
     assert "No success: the time limit was reached" in page.read_text("utf-8")
     assert re.search(r"planner.py:Still +0.0 +[0-9]+%  0\n", said)  # who stands still never arrives
-    assert "accelerates by 6 m/s^2 on one axis, but may by at most 5" in said
+    assert "accelerates by 6 m/s^2 on an axis, but must not exceed 5" in said
 
 
 def test_announced_plans_are_those_of_a_double_integrator():
@@ -550,7 +550,7 @@ def test_the_feedback_says_where_the_class_stands(tmp_path):
     write_feedback(tmp_path, ASSIGNMENTS["swap"], grades)
     for place in tmp_path.iterdir():
         said = json.loads((place / "results.json").read_text())["output"]
-        assert "quartiles of the 3 works so far: 0.15, 0.2, 0.25" in said
+        assert "quartiles of the 3 submissions so far: 0.15, 0.2, 0.25" in said
 
 
 def test_assignments_are_listed_and_begun(tmp_path, capsys):

@@ -172,7 +172,11 @@ def test_actions_stay_within_their_bounds():
     [
         ("swap_v1", {"num_drones": 4}, r"teams of 2 to 3 drones, .* 4; set 2 to 3 \(--drones"),
         ("swap_v1", {"num_drones": 1}, r"teams of 2 to 3 drones, .* 1; set 2 to 3 \(--drones"),
-        ("formation_v1", {"num_drones": 3}, "flies swap, but the environment's task is formation"),
+        (
+            "formation_v1",
+            {"num_drones": 3},
+            "supports swap, but the environment's task is formation",
+        ),
         ("swap_v1", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
         ("swap_v1", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),
         ("swap_v1", {"num_drones": 3, "num_neighbors": 3}, "requires num_neighbors=2"),
@@ -213,7 +217,7 @@ def rewrite(path: Path, **changes: object) -> None:
         ({"num_neighbors": 10**9}, "num_neighbors is 1000000000"),
         ({"provenance": "deep"}, "is damaged"),
         ({"safety": {"margin_m": -1}}, "margin_m is -1, but must be"),
-        ({"weights_sha256": "0" * 64}, "are not those that were written"),
+        ({"weights_sha256": "0" * 64}, "differ from their checksum"),
     ],
 )
 def test_a_note_that_does_not_hold_is_refused(tmp_path, changes, why):
@@ -254,10 +258,10 @@ def test_pickles_and_missing_files_are_refused(tmp_path):
         load(str(tmp_path))
     with pytest.raises(FileNotFoundError, match="train a policy"):
         load(str(tmp_path / "runs" / "a.safetensors"))
-    with pytest.raises(FileNotFoundError, match=r"there is no '.*none' to take an agent from"):
+    with pytest.raises(FileNotFoundError, match=r"there is no '.*none'; a trained policy is given"):
         load(str(tmp_path / "none"))
     (tmp_path / "checkpoint.safetensors").touch()
-    with pytest.raises(FileNotFoundError, match="has kept no policy yet; the same `swarm-envs tra"):
+    with pytest.raises(FileNotFoundError, match="has saved no policy yet; continue it with"):
         load(str(tmp_path))
 
 

@@ -125,7 +125,7 @@ def test_the_table_has_a_row_for_each_drone_at_each_time(flight, tmp_path):
 def test_files_that_hold_no_episode_are_refused(flight, tmp_path):
     np.savez(tmp_path / "a.npz", x=np.zeros(3))
     np.savez(tmp_path / "b.npz", x=np.array([{}], dtype=object))
-    lacking = r"a\.npz holds no episode: it lacks about, time, pos"
+    lacking = r"a\.npz has no episode: it lacks about, time, pos"
     for name, why in (("a", lacking), ("b", "not an npz file")):
         with pytest.raises(ValueError, match=why):
             read_trajectory(tmp_path / f"{name}.npz")
@@ -159,12 +159,12 @@ def test_a_damaged_file_is_refused_or_gives_a_flight(flight, tmp_path, suffix):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda a: a | {"time": a["time"][::-1]}, "time in .* must rise"),
+        (lambda a: a | {"time": a["time"][::-1]}, "time in .* must increase"),
         (lambda a: a | {"goal": a["goal"][:-1]}, r"goal in .* but must be numbers of shape"),
         (lambda a: a | {"quaternion": 0 * a["quaternion"]}, "quaternion in .* has length 0"),
         (lambda a: a | {"position": a["position"] * np.nan}, "position in .* not finite"),
         (lambda a: a | {"about": np.array("[]")}, "not a JSON object"),
-        (lambda a: a | {"about": np.array('{"team": 3, "reward_terms": []}')}, "holds no episode"),
+        (lambda a: a | {"about": np.array('{"team": 3, "reward_terms": []}')}, "has no episode"),
     ],
 )
 def test_an_episode_that_cannot_be_is_refused(flight, tmp_path, change, said):
@@ -183,9 +183,9 @@ def test_tables_of_other_things_are_refused(flight, tmp_path):
     write_trajectory(path, flight)
     table = parquet.read_table(path)
     for wrong, why in (
-        (arrow.table({"x": [1.0]}), "holds no episode"),
+        (arrow.table({"x": [1.0]}), "has no episode"),
         (table.drop_columns(["z"]), "lacks z"),
-        (table.slice(0, 4), "4 rows, no multiple of its 3 drones"),
+        (table.slice(0, 4), "4 rows, but must have a positive multiple of 3"),
     ):
         parquet.write_table(wrong, path)
         with pytest.raises(ValueError, match=why):

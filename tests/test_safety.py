@@ -171,7 +171,7 @@ def test_what_cannot_be_filtered_is_refused():
     with pytest.raises(ValueError, match=r"needs action='acceleration', but DetourAgent requires"):
         load("detour+filter")
     assert isinstance(load("orca"), SafetyFilter)
-    with pytest.raises(ValueError, match="'orca' flies behind a filter already"):
+    with pytest.raises(ValueError, match="'orca' already has a filter"):
         load("orca+filter")
     with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
         load("straight-line+filter+filter")
@@ -298,7 +298,7 @@ def test_too_many_straight_ways_through_one_place_are_refused(name, most):
         agent.reset(env, 0)
     env = swap_v1.parallel_env(num_drones=most + 1, layout="circle", **agent.requires)
     env.reset(seed=0)
-    why = rf"{most + 1} drones .* at most {most} .* 'roundabout' flies this"
+    why = rf"{most + 1} drones .* at most {most}; use the agent 'roundabout'"
     with pytest.raises(ValueError, match=why):
         agent.reset(env, 0)
 

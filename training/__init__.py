@@ -1,4 +1,4 @@
-"""Trainers: interaction models, data collection, reinforcement learning."""
+"""Training: force models, data collection, reinforcement learning and the benchmark."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["SharedPolicyVecEnv"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import `SharedPolicyVecEnv` when it is asked for: it needs Stable-Baselines3 and torch."""
+    """Import `SharedPolicyVecEnv` on access, as it needs Stable-Baselines3 and torch."""
     if name == "SharedPolicyVecEnv":
         from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 

@@ -1,7 +1,7 @@
-"""Episodes of agents, flown by any workers, for the commands `evaluate` and `benchmark`.
+"""Evaluation of agents by parallel workers, for the commands `evaluate` and `benchmark`.
 
-Workers fly chunks of seeds and return the episodes; only the calling process keeps them. Except for
-the times of decisions, the results do not depend on the workers.
+Workers simulate chunks of seeds and return the episodes; only the calling process stores them.
+Except for the times of decisions, the results do not depend on the workers.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ _BAR = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
-    """An agent on a task with the seeds to be flown: all that any machine needs to fly them."""
+    """The episodes of an agent on a task, with everything that a worker needs to simulate them."""
 
     agent: str
-    """Name, as of `swarm_envs.agents.load`."""
+    """The agent's name for `swarm_envs.agents.load`."""
     digest: str
-    """Of its source, by `source_digest`."""
+    """The digest of its source, from `source_digest`."""
     task: str
-    """Versioned name of the environment."""
+    """The versioned name of the environment."""
     setting: Mapping[str, Any]
-    """Options of the environment, ready for JSON; those that the agent requires are added."""
+    """The options of the environment, ready for JSON; those that the agent requires are added."""
     seeds: Sequence[int]
-    """Of the episodes."""
+    """The seeds of the episodes."""
     timed: int = 0
-    """So many of the first seeds are flown one at a time, so that decisions are timed."""
+    """The number of first seeds that are simulated one at a time, to time decisions."""
     batched: bool = False
-    """True if the agent flies many episodes at once."""
+    """True if many episodes can be simulated together."""
     refusals: bool = False
     """True if an episode that the agent refuses counts as one; see `fly_seed`."""
     cost: float = 1.0
-    """Of an episode, relative to those of other flights: expensive flights are flown first."""
+    """The relative cost of an episode; expensive flights are simulated first."""
     version: str = __version__
 
     def without(self, flown: Mapping[int, Episode]) -> Flight:
-        """Return the flight of the seeds that were not flown."""
+        """Return the flight with the seeds that are not in `flown`."""
         missing = [seed for seed in self.seeds if seed not in flown]
         timed = sum(seed not in flown for seed in self.seeds[: self.timed])
         return replace(self, seeds=missing, timed=timed)
@@ -74,32 +74,31 @@ class Flight:
 
 
 class Flown(NamedTuple):
-    """Episodes in the order of the seeds; fewer than those if the agent failed, and then why."""
+    """Episodes in the order of the seeds; fewer than the seeds if the agent failed."""
 
     episodes: list[Episode]
-    error: str = ""
-    trace: str = ""  # Where the agent failed, as Python prints it
+    error: str = ""  # The reason of a failure; empty for none
+    trace: str = ""  # The traceback of a failure
 
 
 def fly_flights(
     kept: Sequence[tuple[Flight, EpisodeFile | None]], scale: ScaleOptions
 ) -> list[Flown]:
-    """Fly what is missing of flights, with a progress bar.
+    """Simulate the missing episodes of flights, with a progress bar.
 
-    A flight in which the agent fails is given up, and the others go on. The failure is that of the
-    first failing seed, as if the seeds had been flown in order.
+    If an agent fails, its flight ends and the others continue. The reported failure is that of the
+    first failing seed, as if the seeds had been simulated in order.
 
     Args:
-        kept: flights, each with the file of its episodes, which has those that were flown before;
-            None if they are not kept.
+        kept: flights, each with the file that stores its episodes, or None.
         scale: the workers.
 
     Returns:
-        Of each flight every episode; or, if the agent failed, those before and why.
+        All episodes of each flight, or, if the agent failed, those that succeeded and the reason.
 
     Raises:
         ConnectionError: there is no such cluster.
-        ImportError: a cluster is asked for, and Ray is not installed.
+        ImportError: a cluster is requested, and Ray is not installed.
         OSError: an episode cannot be written.
     """
     found = [{} if file is None else dict(file.episodes) for _, file in kept]
@@ -130,16 +129,16 @@ def fly_flights(
 def _fly_chunks(
     flights: Sequence[Flight], failed: Container[int], scale: ScaleOptions
 ) -> Iterator[tuple[int, int, Flown]]:
-    """Yield the index of a flight, the position of a seed, and what was flown from there on.
+    """Yield the index of a flight, the position of a seed, and the chunk that begins there.
 
-    What is left of flights that are in `failed` by then is not flown.
+    The remaining chunks of flights in `failed` are skipped.
     """
     order = sorted(range(len(flights)), key=lambda k: -flights[k].cost)
     jobs = (
         ((k, first), chunk)
         for k in order
         for first, chunk in flights[k].chunks()
-        if k not in failed  # what has not begun is of later seeds than the one that failed
+        if k not in failed  # chunks are in order, so the remaining seeds follow the failed one
     )
     with closing(run_jobs(fly_chunk, jobs, scale)) as results:
         for (k, first), result in results:
@@ -150,13 +149,13 @@ def _fly_chunks(
 
 
 def fly_chunk(chunk: Flight) -> Flown:
-    """Fly the seeds of a chunk in this process, in order."""
+    """Simulate the seeds of a chunk in this process, in order."""
     episodes: list[Episode] = []
     try:
         if chunk.version != __version__:
             raise ValueError(
-                f"a worker has swarm-envs {__version__}, but was asked by {chunk.version}; install "
-                "the same version everywhere"
+                f"a worker has swarm-envs {__version__}, but the driver has {chunk.version}; "
+                "install the same version everywhere"
             )
         setting = json.dumps(dict(chunk.setting))
         agent, env = _prepare(chunk.agent, chunk.digest, chunk.task, setting)
@@ -165,20 +164,19 @@ def fly_chunk(chunk: Flight) -> Flown:
         )
     except (Exception, SystemExit) as error:
         _prepare.cache_clear()
-        said = str(error) if isinstance(error, AgentFailed) else f"{type(error).__name__}: {error}"
-        said = " ".join(said.split())  # a line of a table
+        why = str(error) if isinstance(error, AgentFailed) else f"{type(error).__name__}: {error}"
         trace = "".join(traceback.format_exception(error.__cause__ or error))
-        return Flown(episodes, said, trace)
+        return Flown(episodes, " ".join(why.split()), trace)
     return Flown(episodes)
 
 
-@functools.lru_cache(maxsize=1)  # the next chunk is most often of the same flight
+@functools.lru_cache(maxsize=1)  # the next chunk is usually of the same flight
 def _prepare(name: str, digest: str, task: str, setting: str) -> tuple[Agent, SwarmParallelEnv]:
     """Load an agent, and make its environment from options in JSON."""
     agent = load_agent(name)
     if source_digest(agent, name) != digest:
         raise ValueError(
-            f"agent {name!r} is another here than where the command was given: all machines need "
+            f"the source of agent {name!r} differs between worker and driver; all machines need "
             "the same packages, and the same files at the same paths"
         )
     return agent, make_scored(task, {**json.loads(setting), **agent.requires})

@@ -1,4 +1,4 @@
-"""What runs write down: reports as JSON, digests of data files, events for TensorBoard."""
+"""Records of runs: reports as JSON, digests of data files, events for TensorBoard."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ __all__ = [
 
 
 def json_ready(value: object) -> object:
-    """Turn dataclasses and tuples into what JSON holds; a path keeps only its name.
+    """Convert dataclasses and tuples for JSON; of a path only the name is kept.
 
-    A number that is not finite, such as the mean of no rows, becomes null: JSON has none.
+    A number that is not finite, such as the mean of no rows, becomes None.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: json_ready(getattr(value, f.name)) for f in dataclasses.fields(value)}
@@ -40,11 +40,11 @@ def json_ready(value: object) -> object:
 
 
 def differing(there: Mapping[str, object], here: Mapping[str, object]) -> str:
-    """Entries in which two configurations differ, in words: `seed is 0 there, 1 here`.
+    """Return the differences of two configurations as text, such as `seed is 0 there, 1 here`.
 
     Args:
-        there: as JSON holds it; nested ones are named after their place, `noise.velocity`.
-        here: the other, likewise; an entry that one lacks is taken for null.
+        there: a configuration from JSON; nested entries are named `noise.velocity`.
+        here: another one; a missing entry counts as null.
 
     Returns:
         The differences, joined; empty if there are none.
@@ -70,24 +70,24 @@ def _short(content: Mapping[str, object], name: str) -> str:
 
 
 def check_same(path: Path, there: Mapping[str, object], here: Mapping[str, object]) -> None:
-    """Refuse to go on from a file that was made with other options, both as JSON holds them.
+    """Check that a file was made with the same options, both from JSON.
 
     Raises:
-        ValueError: they differ; the message says in what.
+        ValueError: they differ; the message lists the differences.
     """
     differences = differing(there, here)
     if differences:
         raise ValueError(
             f"{str(path)!r} was made with other options: {differences}; "
-            "choose another folder or delete that one"
+            "choose another folder, or delete that one"
         )
 
 
 def begin_manifest(path: Path, origin: Mapping[str, object]) -> None:
-    """Note in a file what its folder comes from, or check that it is the same.
+    """Write the origin of a folder to a manifest, or check that an existing one is the same.
 
     Raises:
-        ValueError: it is not, or the file is damaged.
+        ValueError: it differs, or the file is damaged.
     """
     wanted = json.loads(json.dumps(json_ready(origin)))
     if not path.is_file():
@@ -101,9 +101,9 @@ def begin_manifest(path: Path, origin: Mapping[str, object]) -> None:
 
 
 def changed_options(config: Any, prefix: str = "--", aside: Sequence[str] = ()) -> list[str]:
-    """Return the options of a command that differ from their defaults, but those aside.
+    """Return the options of a command that differ from their defaults, except `aside`.
 
-    Nested ones are named after their place.
+    Nested options have prefixes, such as `--logs.rate-hz`.
     """
     words = []
     for entry in dataclasses.fields(config):
@@ -122,16 +122,16 @@ def changed_options(config: Any, prefix: str = "--", aside: Sequence[str] = ()) 
 
 
 def file_sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file: says exactly which data was fitted."""
+    """Return the hexadecimal SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @contextmanager
 def scalar_writer(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
-    """Open a folder of event files; gives a function that writes one entry of a history.
+    """Open a folder of event files, and yield a function that writes one entry of a history.
 
     Args:
-        folder: where TensorBoard will look (`tensorboard --logdir FOLDER`).
+        folder: the folder for TensorBoard (`tensorboard --logdir FOLDER`).
 
     Raises:
         ImportError: the package tensorboard is not installed.

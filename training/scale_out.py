@@ -1,4 +1,4 @@
-"""Jobs done in parallel, by processes of this machine or over a Ray cluster."""
+"""Parallel jobs in processes of this machine or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from swarm_envs.errors import check_integer
 
 __all__ = ["ScaleOptions", "WorkerDied", "run_jobs"]
 
-RETRIES = 3  # How often Ray restarts a job whose worker or node died
-_REACHED_S = 10.0  # How long an address may take to answer; Ray itself would try for minutes
+RETRIES = 3  # Number of restarts by Ray of a job whose worker or node died
+_REACHED_S = 10.0  # Time limit for an address to answer; Ray itself would try for minutes
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _ADDRESS = re.compile(r"(ray://)?(?P<host>[^\s/:]+):(?P<port>\d{1,5})")
 
@@ -32,21 +32,21 @@ Results = Generator[tuple[Any, Any], None, None]  # Keys and results of jobs
 
 
 class WorkerDied(RuntimeError):
-    """A worker died while it did a job, and again when the job was repeated."""
+    """A worker died during a job, and again when the job was repeated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScaleOptions:
-    """Options for parallel evaluation; the results are the same."""
+    """Options of parallel evaluation, which do not change the results."""
 
     workers: int = 1
-    """number of local processes"""
+    """Number of local processes."""
     ray: str | None = None
-    """run on a Ray cluster: `auto` for the running one, `local` for a new one on this machine (with
-    --workers processors, if more than 1), or an address, such as 10.0.0.1:6379"""
+    """Run on a Ray cluster: `auto` is the running cluster, `local` starts one on this machine (with
+    --workers processors if that is more than 1), and an address is such as 10.0.0.1:6379."""
 
     def __post_init__(self) -> None:
-        """Refuse addresses that are none, and workers that the cluster counts."""
+        """Raise ValueError for an invalid address, or for workers of an existing cluster."""
         check_integer("--workers", self.workers, at_least=1)
         if self.ray not in (None, "local", "auto") and not _ADDRESS.fullmatch(self.ray):
             raise ValueError(
@@ -55,31 +55,31 @@ class ScaleOptions:
             )
         if self.ray not in (None, "local") and self.workers > 1:
             raise ValueError(
-                f"--workers is {self.workers}, but with --ray {self.ray} the cluster says how many "
-                "there are; leave it out"
+                f"--workers is {self.workers}, but the cluster --ray {self.ray} determines the "
+                "number of workers; leave it out"
             )
 
     @property
     def alone(self) -> bool:
-        """Return whether this process does everything."""
+        """True if this process does all jobs."""
         return self.ray is None and self.workers == 1
 
 
 def run_jobs(function: Callable[[Any], Any], jobs: Iterable[Job], scale: ScaleOptions) -> Results:
-    """Call a function for jobs, and yield key and result as they come.
+    """Call a function for jobs, and yield keys and results in order of completion.
 
-    Where a worker died each time, the result is a `WorkerDied`. Only as many jobs are taken as can
-    be under way, so that what a result says may decide on the jobs that follow. To close the
-    iterator ends the workers.
+    If a worker died twice, the result is a `WorkerDied`. Jobs are taken lazily, only as many as are
+    running, so that later jobs may depend on earlier results. Closing the iterator ends the
+    workers.
 
     Args:
-        function: of a module, so that workers can import it; called twice, it gives the same.
-        jobs: keys, each once, and arguments.
+        function: a deterministic function of a module, so that workers can import it.
+        jobs: unique keys, and arguments.
         scale: the workers.
 
     Raises:
         ConnectionError: there is no such cluster.
-        ImportError: a cluster is asked for, and Ray is not installed.
+        ImportError: a cluster is requested, and Ray is not installed.
     """
     if scale.ray is not None:
         return _by_ray(function, iter(jobs), scale)
@@ -89,38 +89,38 @@ def run_jobs(function: Callable[[Any], Any], jobs: Iterable[Job], scale: ScaleOp
 
 
 def _by_processes(function: Callable[[Any], Any], jobs: Iterator[Job], count: int) -> Results:
-    """Use a pool. When a process of it dies, what was under way is repeated, each job alone."""
+    """Use a pool. If a process dies, each job that was running is repeated separately."""
     while suspects := (yield from _until_one_dies(function, jobs, count)):
         for job in suspects:
             if (yield from _until_one_dies(function, iter([job]), 1)):
-                yield job[0], WorkerDied("the process that flew them died twice; is memory short?")
+                yield job[0], WorkerDied("the worker process died twice; the memory may be full")
 
 
 def _until_one_dies(
     function: Callable[[Any], Any], jobs: Iterator[Job], count: int
 ) -> Generator[tuple[Any, Any], None, list[Job]]:
-    """Do jobs until there are none or a process dies; return the jobs that were under way."""
-    under_way: dict[Any, Any] = {}
+    """Do jobs until there are none or a process dies; return the jobs that were running."""
+    running: dict[Any, Any] = {}
     futures: dict[Future[Any], Any] = {}
     with _processes(count) as pool:
         try:
             while True:
                 for key, argument in islice(jobs, count - len(futures)):
-                    under_way[key] = argument
+                    running[key] = argument
                     futures[pool.submit(function, argument)] = key
                 if not futures:
                     return []
                 for future in wait(futures, return_when=FIRST_COMPLETED).done:
                     result, key = future.result(), futures.pop(future)
-                    del under_way[key]
+                    del running[key]
                     yield key, result
         except BrokenProcessPool:
-            return [*under_way.items()]
+            return [*running.items()]
 
 
 @contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Provide a pool whose processes end at once after an exception, or if this one is killed."""
+    """Provide a pool whose processes end after an exception, or if this process is killed."""
     others = multiprocessing.active_children()
     spawn = multiprocessing.get_context("spawn")
     with _one_thread(), ProcessPoolExecutor(count, spawn, _start_process) as pool:
@@ -134,8 +134,8 @@ def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_process() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the driver
-    tqdm.set_lock(threading.RLock())  # its own semaphore would outlive the process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver handles Ctrl-C
+    tqdm.set_lock(threading.RLock())  # the default semaphore would outlive the process
     threading.Thread(target=_end_with_driver, daemon=True).start()
 
 
@@ -148,7 +148,7 @@ def _end_with_driver() -> None:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Let processes that are started here use one thread each for linear algebra."""
+    """Limit linear algebra to one thread in processes that are started here."""
     before = os.environ.copy()
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:
@@ -161,12 +161,12 @@ def _one_thread() -> Iterator[None]:
 
 
 def _by_ray(function: Callable[[Any], Any], jobs: Iterator[Job], scale: ScaleOptions) -> Results:
-    """Use the processors of a cluster. Ray restarts the jobs of workers and nodes that die."""
+    """Use the processors of a cluster; Ray restarts the jobs of workers and nodes that die."""
     with _cluster(scale) as ray:
         remote = ray.remote(num_cpus=1, max_retries=RETRIES)(function)
         running: dict[Any, Any] = {}
         while True:
-            room = max(1, 2 * int(ray.cluster_resources().get("CPU", 1)))  # the next is on its way
+            room = max(1, 2 * int(ray.cluster_resources().get("CPU", 1)))  # one queued per running
             for key, argument in islice(jobs, max(0, room - len(running))):
                 running[remote.remote(argument)] = key
             if not running:
@@ -181,13 +181,13 @@ def _by_ray(function: Callable[[Any], Any], jobs: Iterator[Job], scale: ScaleOpt
 
 @contextmanager
 def _cluster(scale: ScaleOptions) -> Iterator[Any]:
-    """Provide Ray, connected; to leave it ends what is running there."""
+    """Provide a connection to Ray; leaving the context ends its jobs."""
     try:
         import ray
     except ImportError as error:
         raise ImportError(
-            "a cluster needs Ray; install it by: pip install 'swarm-envs[ray]' (or share the work "
-            "among processes of this machine by --workers, without Ray)"
+            "a cluster needs Ray; install it by: pip install 'swarm-envs[ray]', or use --workers "
+            "for processes of this machine without Ray"
         ) from error
     given: dict[str, Any] = {"log_to_driver": False, "logging_level": "WARNING"}
     if scale.ray == "local":

@@ -1,6 +1,6 @@
-"""Stable-Baselines3's interface: every drone of E environments as an environment of its own.
+"""Vectorized environment of Stable-Baselines3, with every drone as a sub-environment.
 
-One policy flies all of them (parameter sharing), and they fly in one batched call.
+One policy controls all drones (parameter sharing), and each step is one batched call.
 """
 
 from __future__ import annotations
@@ -32,39 +32,38 @@ except ImportError as error:
         "SharedPolicyVecEnv needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
     ) from error
 
-Infos = list[dict[str, Any]]  # What a step adds for each sub-environment
+Infos = list[dict[str, Any]]  # The infos of a step, one for each sub-environment
 
 
 class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no types here
-    """E environments of N drones as E * N sub-environments: number e * N + i is drone i of e.
+    """E environments of N drones as E * N sub-environments: e * N + i is drone i of environment e.
 
-    All drones of an environment end together, and restart in the same step. A sub-environment's
-    info has at the end `terminal_observation`, `TimeLimit.truncated` (time limit: what
-    follows still has a value) and `episode_metrics`, of the environment.
+    All drones of an environment end together, and restart in the same step. The info of a
+    sub-environment at the end has `terminal_observation`, `TimeLimit.truncated` (True at the time
+    limit, where the value must be bootstrapped) and `episode_metrics` of the environment.
 
-    With `on_contact="end_pair"` a drone may end before its team: that is an end of the
-    sub-environment, without metrics. Until the team's end it waits: it observes zeros, its rewards
-    are 0, its actions are not used, and `info["active"]` is False, so that a learner can leave
-    these steps out, as `swarm-envs train` does. The team's end ends the wait too, and begins an
-    episode of every drone.
+    With `on_contact="end_pair"` the episode of a drone may end before that of its team: the
+    sub-environment then ends without metrics. Until the team's end its observations are zeros, its
+    rewards are 0, its actions are ignored, and `info["active"]` is False, so that a learner can
+    skip these steps, as `swarm-envs train` does. At the team's end, a new episode of every drone
+    begins.
 
-    Its copies and pickles have simulators of their own, and fly on as it would.
+    Copies and pickles have their own simulators and continue from the same state.
 
     Args:
-        task: name of the task, such as `swap_v1`, or a class of one's own; or a blueprint; or
-            several blueprints, whose teams fly side by side: first all drones of the first, then
-            those of the next.
-        num_envs: E, of each team; or one number for each blueprint.
-        seed: of environment 0, counted up for the others.
-        features: observe what `swarm_envs.agents.features` makes of an observation row, as
-            policies of `swarm-envs train` do, instead of the row.
-        **options: as the task's `parallel_env()` takes them; the batched engine flies unless
-            `physics` says otherwise. None with a blueprint, which has them already.
+        task: name of the task, such as `swap_v1`, or a class; or a blueprint; or several
+            blueprints, whose sub-environments follow one another.
+        num_envs: E, for each team; or one number for each blueprint.
+        seed: the seed of environment 0; environment e has `seed` + e.
+        features: observe the features of `swarm_envs.agents.features`, as policies of
+            `swarm-envs train` do, instead of observation rows.
+        **options: options of the task's `parallel_env()`; the default engine is `batch`. None with
+            a blueprint, which has them already.
 
     Raises:
         TypeError: an option does not exist, or has a wrong type.
-        ValueError: there is no such task, an option has an impossible value, or teams differ in
-            what they observe or in how they act.
+        ValueError: there is no such task, an option has an invalid value, or teams have different
+            observation or action spaces.
     """
 
     def __init__(
@@ -97,9 +96,9 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         for k, core in enumerate(self.cores):
             if (core.form, core.mode) != (self.core.form, self.core.mode):
                 raise ValueError(
-                    f"team {k} observes {core.form} and acts by {core.mode}, but team 0 "
-                    f"{self.core.form} and {self.core.mode}; make them with the same options but "
-                    "for the team"
+                    f"team {k} has observation {core.form} and action {core.mode.name!r}, but team "
+                    f"0 has {self.core.form} and {self.core.mode.name!r}; make them with the same "
+                    "options, but for the team"
                 )
         self._make_shape()
         sizes = [core.num_envs * core.num_drones for core in self.cores]
@@ -122,18 +121,19 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     @property
     def first_drones(self) -> list[int]:
-        """Numbers of the sub-environments that are the first drone of an environment."""
+        """The indices of the sub-environments that are the first drone of an environment."""
         begins = zip(self.cores, self._begins, strict=False)
         return [b + e * core.num_drones for core, b in begins for e in range(core.num_envs)]
 
     def observe(self, rows: Float32Array) -> Any:
-        """Observations of a core's rows (..., width): in its form, or as features."""
+        """Return observations of rows (..., width), in the environment's form or as features."""
         return self._shape(rows)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next reset: environment e by `seed` + e; every drone of it alike.
+        """Seed the next reset: environment e, with all its drones, gets `seed` + e.
 
-        The first environment of a further team has `seed` plus the sub-environments before it.
+        The first environment of a further team gets `seed` plus the number of sub-environments
+        before it.
         """
         if seed is None:
             self._next_seeds = [None] * len(self.cores)
@@ -148,11 +148,11 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         return [s for own, n in zip(seeds, drones, strict=True) for s in own for _ in range(n)]
 
     def reset(self) -> Any:
-        """Begin new episodes everywhere, with what `seed()` and `set_options()` were given.
+        """Begin new episodes in all environments, with the seeds and options that were set.
 
         Raises:
             RuntimeError: the environment is closed.
-            ValueError: an option is unknown or impossible, or differs within an environment.
+            ValueError: an option is unknown or invalid, or differs within an environment.
         """
         self._check_open("reset")
         self._place()
@@ -162,16 +162,16 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         return self._observations()
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Keep the actions (E * N, width) for `step_wait`.
+        """Store the actions (E * N, width) for `step_wait`.
 
         Raises:
             RuntimeError: no episode has begun, or the environment is closed.
-            ValueError: they are of another shape, or no numbers.
+            ValueError: they have another shape, or are no numbers.
         """
         self._check_open("step")
         if not self._begun:
             raise RuntimeError("step() was called, but no episode has begun; call reset() first")
-        # np.split hands the last team all rows that are left, so too many are refused there
+        # np.split gives the last team all remaining rows, so that too many are refused there
         parts = np.split(actions, self._begins[1:-1]) if len(self.cores) > 1 else [actions]
         self._actions = [
             split_teams(part, (core.num_envs * core.num_drones, core.mode.width), core)
@@ -179,10 +179,10 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         ]
 
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
-        """Fly to the next decision, and begin new episodes where one has ended.
+        """Simulate until the next decision, and begin new episodes where one has ended.
 
         Raises:
-            ValueError: an action is not finite or outside its bounds; nothing has changed then.
+            ValueError: an action is not finite or outside its bounds; the state is unchanged.
         """
         rewards, dones = [], []
         infos: Infos = []
@@ -195,7 +195,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             if done.any():
                 cut = result.truncated[:, None] & result.active & ~result.ended
                 self._report_ends(core, done, over, cut, infos[begin:])
-                core.rows[done] = 0.0  # what is observed next: they wait, or begin again
+                core.rows[done] = 0.0  # the next observation, unless the reset replaces it
             if over.any():
                 core.reset(mask=over)
             rewards.append(result.rewards.reshape(-1).astype(np.float32))
@@ -205,7 +205,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def _report_ends(
         self, core: SwarmCore, done: BoolArray, over: BoolArray, cut: BoolArray, infos: Infos
     ) -> None:
-        """Fill the infos of a team's drones that are done (E, N); `over` (E,), `cut` (E, N)."""
+        """Write the infos of a team's drones that are done (E, N); `over` (E,), `cut` (E, N)."""
         drones, places = core.num_drones, np.flatnonzero(done).tolist()
         shown = self._seen(core, places)
         ends = np.flatnonzero(over).tolist()
@@ -218,7 +218,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 info["episode_metrics"] = dict(metrics[e])
 
     def _seen(self, core: SwarmCore, places: list[int]) -> Any:
-        """What the drones at these places of a core observe."""
+        """Return the observations of a core's drones with these indices."""
         return self.observe(core.rows.reshape(-1, core.rows.shape[-1])[places])
 
     def _observations(self) -> Any:
@@ -226,28 +226,24 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         return self.observe(np.concatenate([core.rows.reshape(-1, width) for core in self.cores]))
 
     def close(self) -> None:
-        """Free what physics holds."""
+        """Free the resources of the physics engine."""
         self._closed = True
         for core in self.cores:
             core.close()
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """No pictures: fly an episode with `parallel_env(render_mode="rgb_array")` for those."""
+        """Return no pictures; use `parallel_env(render_mode="rgb_array")` for rendering."""
         return [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of each sub-environment's core."""
+        """Return an attribute of each sub-environment's core."""
         if attr_name == "render_mode":
             return [None for _ in self._get_indices(indices)]
         values = [getattr(core, attr_name) for core in self.cores]
         return [values[self._team_of[k]] for k in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: sub-environments are views of one core.
-
-        Raises:
-            AttributeError: always.
-        """
+        """Raise AttributeError, as sub-environments share one core."""
         raise AttributeError(
             f"cannot set {attr_name!r} on single drones of a batch; make another "
             "SharedPolicyVecEnv with the options you want"
@@ -256,7 +252,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def env_method(
         self, method_name: str, *arguments: Any, indices: Any = None, **options: Any
     ) -> list[Any]:
-        """Call a method of each core that is meant once, and give its result where it is meant."""
+        """Call a method once on each selected core; return the result of each sub-environment."""
         teams = [int(self._team_of[k]) for k in self._get_indices(indices)]
         values = {
             team: getattr(self.cores[team], method_name)(*arguments, **options)
@@ -265,11 +261,11 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         return [values[team] for team in teams]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No sub-environment is wrapped: wrap this one, as with `VecMonitor`."""
+        """Return False for each: wrappers such as `VecMonitor` wrap this environment instead."""
         return [False for _ in self._get_indices(indices)]
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the function that shapes observations, which cannot be pickled."""
+        """Return the state without the observation function, which cannot be pickled."""
         self._check_open("pickling")
         return {name: value for name, value in vars(self).items() if name != "_shape"}
 
@@ -307,13 +303,13 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 for e in range(core.num_envs if before else 0):
                     options = self._options_of(core.num_drones, begin + e * core.num_drones)
                     core.reset(seeds, np.arange(core.num_envs) == e, options)
-        except Exception:  # one is refused: none has begun
+        except Exception:  # if one reset fails, no episode begins
             for core, state in zip(self.cores, before, strict=False):
                 core.set_state(state)
             raise
 
     def _options_of(self, drones: int, begin: int) -> dict[str, Any]:
-        """The reset options of an environment, which all of its drones must have."""
+        """Return the reset options of an environment, which must be the same for its drones."""
         first, *others = self._options[begin : begin + drones]
         if not all(other is first or _equal(first, other) for other in others):
             number = self.first_drones.index(begin)
@@ -339,7 +335,7 @@ def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
 
 
 def _row(batch: Any, k: int) -> Any:
-    """Observation k of a batch, which may be a dictionary of arrays."""
+    """Return observation k of a batch, which may be a dictionary of arrays."""
     if isinstance(batch, dict):
         return {name: part[k] for name, part in batch.items()}
     return batch[k]

@@ -1,7 +1,7 @@
-"""The assignments of a course: what each is worth, and the files that a student begins with.
+"""The assignments of a course.
 
-Each has a folder here with a page, a starter that runs, and tests; `swarm-envs assignment start`
-copies it, and `swarm-envs grade` gives the points.
+Each has a folder here with instructions, starter code and tests, which `swarm-envs assignment
+start` copies; `swarm-envs grade` grades submissions.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["ASSIGNMENTS", "Controller", "DistributedMpc", "ForceModel", "Learnin
 
 
 class Controller(Assignment):
-    """Fly three drones below each other through downwash."""
+    """Write a controller for three drones that pass below each other, in downwash."""
 
     name = "controller"
     work = "controller.py:MyController"
@@ -29,12 +29,12 @@ class Controller(Assignment):
     rate = 48
 
     def counts(self, metrics: Mapping[str, Any]) -> bool:
-        """Return whether the drones kept to their references, which lead below each other."""
+        """Return True if the drones followed their references, which lead below each other."""
         return bool(metrics["success"]) and metrics["worst_tracking_error_m"] < 0.15
 
 
 class Swap(Assignment):
-    """Make 16 drones of two sizes change places without touching."""
+    """Let 16 drones of two sizes exchange positions without collisions."""
 
     name = "swap"
     work = "swap.py:MyAgent"
@@ -44,7 +44,7 @@ class Swap(Assignment):
 
 
 class Learning(Assignment):
-    """Learn to swap in one minute of one core."""
+    """Learn to swap in one minute on one core."""
 
     name = "learning"
     work = "learner.py:MyLearner"
@@ -57,4 +57,4 @@ class Learning(Assignment):
 ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
     {each.name: each for each in (Controller(), ForceModel(), Swap(), DistributedMpc(), Learning())}
 )
-"""The assignments by their names."""
+"""The assignments by name."""

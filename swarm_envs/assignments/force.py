@@ -1,7 +1,7 @@
-"""The assignment `force-model`: fitted and asked in its process, judged in the grader's.
+"""The assignment `force-model`: fit and predict in the submission's process, score in the grader.
 
-The flights, for training and for the mark, are flown for each grading from its secret seed, so that
-no file holds a label and no work can fly them again.
+The flights for fit and score are simulated for each grading from its secret seed, so that no
+submission can know their labels.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS
 
 _SAME = 0.995
-"""Correlation of predictions from which on they are another model's. Those that ship, which were
-fitted to the same flights in different ways, reach 0.988."""
+"""Correlation of predictions at which a model counts as a copy. Included models, which were fitted
+to the same flights by different methods, reach 0.988."""
 
 
 class ForceModel(Assignment):
@@ -39,7 +39,7 @@ class ForceModel(Assignment):
     counted = ""
 
     def grade(self, entry: Entry) -> dict[str, Any]:
-        """Return how good a student's model is, as `score`, and whose it is, as `copied`."""
+        """Return the scores of a student's model (see `score`), and `copied`."""
         rows, held_out = (collected(seed) for seed in (entry.seeds[0], entry.seeds[0] + 1))
         copied = harmless(copied_files, entry.home, entry.work)
         with entry.opened() as (work, _):
@@ -49,7 +49,7 @@ class ForceModel(Assignment):
 
 @cache
 def collected(seed: int) -> InteractionRows:
-    """Fly 20 flights of two small drones in the hall, and return the rows of their logs."""
+    """Simulate 20 flights of two small drones in the hall, and return the rows of their logs."""
     from swarm_envs.training.collection.collect import CollectionConfig, collect
     from swarm_envs.training.collection.table import interaction_rows
 
@@ -59,10 +59,10 @@ def collected(seed: int) -> InteractionRows:
 
 
 def score(predicted: Array, truth: Array) -> dict[str, float]:
-    """Return how good vertical forces (R,) are, gram-force.
+    """Return the scores of vertical forces (R,), gram-force.
 
-    `error_g`: their root mean square error; `baseline_g`: that of no force at all; `explained`: the
-    share of the baseline's square that is gone, 1 for no error, negative for worse than nothing.
+    `error_g`: their root mean square error; `baseline_g`: that of zero force; `explained`: the
+    explained fraction of the squared force, 1 for no error, negative if worse than zero force.
     """
     error, baseline = np.mean(np.square(predicted - truth)), np.mean(np.square(truth))
     return {
@@ -75,19 +75,19 @@ def score(predicted: Array, truth: Array) -> dict[str, float]:
 def grade_model(
     work: RemoteWork, rows: InteractionRows, held_out: InteractionRows, seed: int
 ) -> dict[str, Any]:
-    """Fit a student's model to rows, score it on others, and compare it with those that ship.
+    """Fit a student's model to rows, score it on others, and compare it with included models.
 
-    It is given no label of the others, among which are as many with their velocities exchanged. The
-    truth is the force of the simulation: the noise of labels would change marks with the seed.
+    The model receives the other rows without labels, mixed with as many whose velocities are
+    exchanged. The truth is the simulated force, because the noise of labels would change the score.
 
     Args:
         work: the student's model.
-        rows: to fit it to.
-        held_out: to score it on.
-        seed: a secret one of the order of rows, and of the exchange.
+        rows: the rows for the fit.
+        held_out: the rows for the score.
+        seed: the secret seed of the order of rows and of the exchange.
 
     Raises:
-        WorkFailed: it failed, or does not predict one finite number a row.
+        WorkFailed: it failed, or does not predict one finite number per row.
     """
     work.ask("fit", *_packed(rows))
     rng = np.random.default_rng(seed)
@@ -99,7 +99,7 @@ def grade_model(
     own, other = np.split(predicted, 2)
     typed = _of_large(held_out)
     changes = [(moved, other - own)]
-    with suppress(WorkFailed, ValueError):  # that knows small drones alone is no mistake
+    with suppress(WorkFailed, ValueError):  # a model may support small drones only
         changes.append((typed, _predicted(work, typed) - own))
     copied = harmless(copied_forces, held_out, own, changes)
     truth = modelled_force_g(held_out, "learned")[:, 2]
@@ -109,12 +109,12 @@ def grade_model(
 def copied_forces(
     rows: InteractionRows, own: Array, changes: list[tuple[InteractionRows, Array]]
 ) -> str:
-    """Return the name of the shipped model whose predictions change alike, or "".
+    """Return the name of the included model whose predictions change similarly, or "".
 
     Args:
-        rows: some.
-        own: (R,) predictions of a work for them, gram-force.
-        changes: the rows with something changed, and by how much predictions (R,) change.
+        rows: rows.
+        own: (R,) the submission's predictions for them, gram-force.
+        changes: changed rows, and the changes of the predictions (R,).
     """
     found = {"": ALIKE}
     for name, model in known_forces().items():
@@ -139,7 +139,7 @@ def exchanged(rows: InteractionRows, rng: np.random.Generator) -> InteractionRow
 
 
 def _of_large(rows: InteractionRows) -> InteractionRows:
-    """Return rows whose neighbours are large drones, of which there are none in the flights."""
+    """Return rows whose neighbors are large drones, which do not occur in the flights."""
     large = np.where(rows.has_neighbor, len(rows.types) - 1, rows.neighbor_type)
     return dataclasses.replace(rows, neighbor_type=large)
 
@@ -151,24 +151,24 @@ def _joined(one: InteractionRows, other: InteractionRows) -> InteractionRows:
 
 
 def _predicted(work: RemoteWork, rows: InteractionRows) -> Array:
-    """Return what a work predicts for rows without their labels.
+    """Return the submission's predictions for rows without their labels.
 
     Raises:
-        WorkFailed: it failed, or does not predict one finite number a row.
+        WorkFailed: it failed, or does not predict one finite number per row.
     """
     hidden = dataclasses.replace(rows, force_g=np.zeros_like(rows.force_g), torque=None)
     _, given = work.ask("predict", *_packed(hidden), most=8 * len(rows))
     if len(given) != 1 or given[0].shape != (len(rows),) or not np.isfinite(given[0]).all():
         shape = given[0].shape if given else ()
         raise WorkFailed(
-            f"predict() gave an array of shape {shape}, but must give {len(rows)} finite numbers, "
-            "one a row"
+            f"predict() returned an array of shape {shape}, but must return {len(rows)} finite "
+            "numbers, one per row"
         )
     return given[0].astype(np.float64)
 
 
 def _packed(rows: InteractionRows) -> tuple[Mapping[str, Any], list[Array]]:
-    """Return rows as header and arrays of a message."""
+    """Return header and arrays of a message with rows."""
     names = [name for name in ROW_ARRAYS if getattr(rows, name) is not None]
     header = {"names": names, "types": rows.types, "scenario_names": rows.scenario_names}
     return header, [getattr(rows, name) for name in names]

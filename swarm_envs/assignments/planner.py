@@ -1,8 +1,8 @@
-"""The assignment `distributed-mpc`: six drones, a sandbox each, and a lossy radio.
+"""The assignment `distributed-mpc`: six drones, each in its sandbox, with lossy communication.
 
-Each drone plans in rounds of 0.2 s and announces its plan; every other drone hears it, or does not.
-Drones are points with limited acceleration that fly their plans exactly: what is graded is what
-they promise each other. The sandboxes share nothing but what this radio delivers.
+Each drone plans in rounds of 0.2 s and broadcasts its plan, which other drones may not receive.
+Drones are points with limited acceleration that follow their plans exactly. The sandboxes share
+only the plans that are received.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from swarm_envs.viewing import Recording
 from swarm_envs.viewing.record import Recorder
 
 DRONES, HORIZON, ROUND_S, CLOCK_S = 6, 15, 0.2, 12.0
-"""Drones, rounds of a plan, length of a round, and the time in which all are to arrive."""
-MAX_ACCELERATION = 5.0  # Of each axis, m/s^2
-LEAST_DISTANCE = 0.3  # Between two drones; less is a crash, m
-ARRIVED = 0.05  # From its goal, at less than this many m/s too: a drone has arrived, m
-_SUBSTEPS = 10  # at which distances are looked at, each round
-_BOX = np.array([1.2, 1.2, 0.6])  # half of the volume, m
+"""Number of drones, rounds of a plan, duration of a round, and time limit."""
+MAX_ACCELERATION = 5.0  # Largest acceleration per axis, m/s^2
+LEAST_DISTANCE = 0.3  # Smallest allowed distance of two drones, m
+ARRIVED = 0.05  # Largest position error per axis, m, and velocity, m/s, at the goal
+_SUBSTEPS = 10  # Times per round at which distances are checked
+_BOX = np.array([1.2, 1.2, 0.6])  # Half of the size of the volume, m
 
 
 class Scenario(NamedTuple):
@@ -37,21 +37,21 @@ class Scenario(NamedTuple):
 
     starts: FloatArray  # (N, 3) m
     goals: FloatArray  # (N, 3) m
-    loss: float  # Probability that a drone does not hear a plan
+    loss: float  # Probability that a drone does not receive a plan
 
 
 def draw_scenario(rng: np.random.Generator) -> Scenario:
-    """Starts and goals at random, goals being others' starts, and a loss of up to 40 %."""
+    """Return random starts, goals at other drones' starts, and a random loss of up to 40 %."""
     starts = rng.uniform(-_BOX, _BOX, (1, 3))
     while len(starts) < DRONES:
-        place = rng.uniform(-_BOX, _BOX)
-        if np.linalg.norm(starts - place, axis=1).min() >= 2.0 * LEAST_DISTANCE:
-            starts = np.vstack([starts, place])
+        start = rng.uniform(-_BOX, _BOX)
+        if np.linalg.norm(starts - start, axis=1).min() >= 2.0 * LEAST_DISTANCE:
+            starts = np.vstack([starts, start])
     return Scenario(starts, np.roll(starts, 1, axis=0), float(rng.uniform(0.0, 0.4)))
 
 
 def positions_of(state: FloatArray, plan: FloatArray) -> FloatArray:
-    """(HORIZON, 3) positions at the rounds' ends under accelerations (HORIZON, 3), exactly."""
+    """Return positions (HORIZON, 3) at the ends of rounds for accelerations (HORIZON, 3)."""
     speed = state[3:] + ROUND_S * np.cumsum(plan, axis=0)
     before = speed - ROUND_S * plan
     return np.asarray(state[:3] + np.cumsum(ROUND_S * (before + speed) / 2.0, axis=0))
@@ -60,39 +60,39 @@ def positions_of(state: FloatArray, plan: FloatArray) -> FloatArray:
 def fly_scenario(
     planners: list[RemoteWork], scenario: Scenario, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Fly one episode.
+    """Simulate one episode.
 
     Args:
         planners: a process for each drone.
-        scenario: what is flown.
-        rng: decides what is lost.
+        scenario: the scenario.
+        rng: the generator of lost messages.
 
     Returns:
-        `success`, `collided`, `time_s` until the last one has arrived or the end,
+        `success`, `collided`, `time_s` until the last drone has arrived or the episode ends,
         `least_distance_m`, `states` (T, N, 6) of the rounds, and `goals`.
 
     Raises:
-        WorkFailed: a planner failed, or planned what no drone can fly.
+        WorkFailed: a planner failed, or its plan is invalid.
     """
     state = np.concatenate([scenario.starts, np.zeros((DRONES, 3))], axis=1)
-    places = [state]
-    heard = np.full((DRONES, DRONES, HORIZON, 3), np.nan)  # receiver, sender
+    states = [state]
+    received = np.full((DRONES, DRONES, HORIZON, 3), np.nan)  # receiver, sender
     ages = np.full((DRONES, DRONES), -1.0)
     least = np.inf
     for drone, planner in enumerate(planners):
         planner.ask("reset", {"drone": drone}, [scenario.goals[drone]])
     time_s, arrived = 0.0, False
     while time_s < CLOCK_S and not arrived and least >= LEAST_DISTANCE:
-        asked = zip(planners, state, scenario.goals, heard, ages, strict=True)
-        plans = np.stack([_plan(planner, *given) for planner, *given in asked])
+        inputs = zip(planners, state, scenario.goals, received, ages, strict=True)
+        plans = np.stack([_plan(planner, *given) for planner, *given in inputs])
         ages[ages >= 0.0] += 1.0
         reaches = rng.random((DRONES, DRONES)) >= scenario.loss
         announced = [positions_of(own, plan) for own, plan in zip(state, plans, strict=True)]
-        heard[reaches] = np.broadcast_to(announced, heard.shape)[reaches]
+        received[reaches] = np.broadcast_to(announced, received.shape)[reaches]
         ages[reaches] = 1.0
         least = min(least, _least_distance(state, plans[:, 0]))
         state = _after(state, plans[:, 0], ROUND_S)
-        places.append(state)
+        states.append(state)
         off = np.abs(state - np.concatenate([scenario.goals, np.zeros((DRONES, 3))], axis=1))
         arrived = bool((off < ARRIVED).all())
         time_s += ROUND_S
@@ -102,7 +102,7 @@ def fly_scenario(
         "collided": collided,
         "time_s": time_s,
         "least_distance_m": least,
-        "states": np.stack(places),
+        "states": np.stack(states),
         "goals": scenario.goals,
     }
 
@@ -112,34 +112,34 @@ def _plan(planner: RemoteWork, *given: FloatArray) -> FloatArray:
     if len(answer) != 1:
         raise WorkFailed("plan() must return one array of accelerations")
     try:
-        plan = check_array("what plan() returns", answer[0], (HORIZON, 3))
+        plan = check_array("the result of plan()", answer[0], (HORIZON, 3))
     except (ValueError, TypeError) as error:
         raise WorkFailed(str(error)) from error
     if np.abs(plan).max() > MAX_ACCELERATION + 1e-6:
         raise WorkFailed(
-            f"plan() accelerates by {np.abs(plan).max():.3g} m/s^2 on one axis, but may by at "
-            f"most {MAX_ACCELERATION:g}"
+            f"plan() accelerates by {np.abs(plan).max():.3g} m/s^2 on an axis, but must not exceed "
+            f"{MAX_ACCELERATION:g}"
         )
     return plan
 
 
 def _after(state: FloatArray, acceleration: FloatArray, seconds: float) -> FloatArray:
-    """(N, 6) states after some time of constant accelerations (N, 3)."""
+    """Return states (N, 6) after some time of constant accelerations (N, 3)."""
     position, speed = state[:, :3], state[:, 3:]
     moved = position + seconds * speed + 0.5 * seconds**2 * acceleration
     return np.concatenate([moved, speed + seconds * acceleration], axis=1)
 
 
 def _least_distance(state: FloatArray, acceleration: FloatArray) -> float:
-    """The least distance of two drones in the round that begins."""
+    """Return the smallest distance of two drones in the next round."""
     times = ROUND_S * np.arange(1, _SUBSTEPS + 1) / _SUBSTEPS
-    places = np.stack([_after(state, acceleration, time)[:, :3] for time in times])
-    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+    positions = np.stack([_after(state, acceleration, time)[:, :3] for time in times])
+    apart = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
     return float(apart[:, *np.triu_indices(DRONES, 1)].min())
 
 
 class DistributedMpc(Assignment):
-    """Plan for six drones that hear each other over a lossy radio."""
+    """Plan for six drones with lossy communication."""
 
     name = "distributed-mpc"
     work = "planner.py:MyPlanner"
@@ -147,10 +147,10 @@ class DistributedMpc(Assignment):
     zero, full = 0.0, 0.95
 
     def grade(self, entry: Entry) -> dict[str, Any]:
-        """Return the share of episodes in which all arrive, and of those that count.
+        """Return the success rate with its Wilson interval, and the share of episodes that count.
 
-        Also Wilson's interval of the first, the median `time_s` of the successes, `copied`, and
-        `failure`, a recording of the first episode that was no success.
+        Also the median `time_s` of the successes, `copied`, and `failure`, a recording of the first
+        episode that failed.
         """
         with ExitStack() as stack:
             planners = [stack.enter_context(entry.opened())[0] for _ in range(DRONES)]
@@ -173,7 +173,7 @@ class DistributedMpc(Assignment):
 
 
 def _recorded(flight: dict[str, Any], recorder: Recorder) -> Recording:
-    """A flight of points as one of level drones, a metre and a half above the ground."""
+    """Return an episode of points as a recording of level drones, shifted up by 1.5 m."""
     env = make("swap_v1", num_drones=DRONES, physics="batch", layout="random")
     drones, environments, _ = env.core.world
     env.reset(seed=0)
@@ -184,6 +184,6 @@ def _recorded(flight: dict[str, Any], recorder: Recorder) -> Recording:
         recorder.take(env)
     env.close()
     recording = recorder.record()
-    said = {name: flight[name] for name in ("success", "time_s", "least_distance_m")}
-    about = replace(recording.about, task="distributed-mpc", metrics=said)
+    metrics = {name: flight[name] for name in ("success", "time_s", "least_distance_m")}
+    about = replace(recording.about, task="distributed-mpc", metrics=metrics)
     return replace(recording, about=about)

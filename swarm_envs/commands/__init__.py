@@ -1,1 +1,1 @@
-"""What the longer subcommands of `swarm-envs` do; `swarm_envs.cli` lists them all."""
+"""The subcommands of `swarm-envs`, one module each; `swarm_envs.cli` lists them."""

@@ -20,35 +20,36 @@ from swarm_envs.errors import unknown_name
 class AssignmentOptions:
     """List the assignments of the course, or begin one in a new folder.
 
-    `start` writes the page of the assignment, a starter that runs, its tests, and a notebook.
+    The command `start` writes the instructions of the assignment, starter code that runs, its
+    tests, and a notebook.
     """
 
     command: Annotated[Literal["list", "start"], tyro.conf.Positional]
-    """`list`, or `start` with the assignment's name and the folder"""
+    """`list` prints the assignments; `start` writes the files of one."""
     name: Annotated[str | None, tyro.conf.Positional] = None
-    """which assignment to start"""
+    """The name of the assignment to start."""
     out: Annotated[Path | None, tyro.conf.Positional] = None
-    """the new folder; by default it has the assignment's name"""
+    """The new folder. If None, it has the assignment's name."""
 
 
 def run_assignment(options: AssignmentOptions) -> None:
-    """Print the assignments, or write one's files."""
+    """Print the assignments, or write the files of one."""
     if options.command == "list":
         if options.name is not None:
-            raise Misuse(f"list takes no name, but got {options.name!r}; `start` takes one")
+            raise Misuse(f"`list` takes no name, but got {options.name!r}; leave it out")
         width = max(map(len, ASSIGNMENTS))
         for name, assignment in ASSIGNMENTS.items():
             print(f"{name.ljust(width)}  {assignment.summary}\n{' ' * width}  {assignment.rubric}")
         return
     if options.name is None:
-        raise Misuse(f"start needs the name of an assignment: {', '.join(ASSIGNMENTS)}")
+        raise Misuse(f"`start` needs the name of an assignment: {', '.join(ASSIGNMENTS)}")
     if (name := options.name) not in ASSIGNMENTS:
         raise Misuse(unknown_name("assignment", name, ASSIGNMENTS))
     folder = options.out or Path(name)
     if folder.exists():
         raise Misuse(f"{str(folder)!r} exists; name a new folder, so that nothing is overwritten")
     source, work = Path(assignments.__file__).parent / name, ASSIGNMENTS[name].work
-    partial = folder.with_name(f".{folder.name}.partial")  # what a killed one left is removed
+    partial = folder.with_name(f".{folder.name}.partial")  # a killed command may have left one
     shutil.rmtree(partial, ignore_errors=True)
     try:
         shutil.copytree(source, partial, ignore=shutil.ignore_patterns("__pycache__"))
@@ -56,11 +57,11 @@ def run_assignment(options: AssignmentOptions) -> None:
         partial.rename(folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    print(f"wrote {folder}: read {folder / 'README.md'}, and change {folder / work.split(':')[0]}")
+    print(f"wrote {folder}; read {folder / 'README.md'} and edit {folder / work.split(':')[0]}")
 
 
 def _write_notebook(folder: Path, name: str, work: str) -> None:
-    """A notebook with the page and the starter, which writes the file that is handed in."""
+    """Write a notebook with the instructions and the starter code, which writes the submission."""
     file = work.split(":")[0]
     page = (folder / "README.md").read_text(encoding="utf-8")
     starter = (folder / file).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`swarm-envs benchmark`: every agent on every task, with tables and plots."""
+"""`swarm-envs benchmark`: evaluate every agent on every task, with tables and plots."""
 
 from __future__ import annotations
 
@@ -32,35 +32,35 @@ class BenchmarkOptions:
     """
 
     out: Path
-    """output folder for episodes.parquet, report.md, success.png and scores.png"""
+    """Output folder for episodes.parquet, report.md, success.png and scores.png."""
     agent: list[str] = field(default_factory=lambda: ["*"])
-    """agents: included names or patterns, such as `swap-*` (quoted), and custom agents as of
-    `evaluate`, path/to/file.py:Class"""
+    """Names of included agents or patterns, such as `swap-*` (in quotes), and custom agents as
+    path/to/file.py:Class."""
     task: list[str] = field(default_factory=lambda: ["*"])
-    """task ids, such as `swap-circle-4-v2`, or patterns (quoted)"""
+    """Ids of benchmark tasks, such as `swap-circle-4-v2`, or patterns (in quotes)."""
     episodes: int | None = None
-    """number of episodes per agent and task; default: depends on the task and the speed of the
-    agent"""
+    """Number of episodes per agent and task. If None, it depends on the task and on the speed of
+    the agent."""
     quick: bool = False
-    """fly a sixteenth of the episodes"""
+    """Simulate a sixteenth of the episodes."""
     seed: int = SEED
-    """random seed of the episodes; scores of other seeds are not comparable"""
+    """Random seed of the episodes. Scores of different seeds are not comparable."""
     json: Path | None = None
-    """also write all metrics of every agent and task, with intervals, to this file"""
+    """Also write all metrics of every agent and task, with 95 % intervals, to this file."""
     scale: ScaleOptions = field(default_factory=ScaleOptions)
-    """parallel evaluation"""
+    """Options of parallel evaluation; they do not change the results."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers that are none, and two numbers of episodes."""
+        """Raise ValueError for invalid numbers, or for two numbers of episodes."""
         check_integer("--seed", self.seed, at_least=0)
         if self.episodes is not None:
             check_integer("--episodes", self.episodes, at_least=1)
         if self.episodes is not None and self.quick:
-            raise ValueError("--quick and --episodes both say how many are flown; give one")
+            raise ValueError("--quick and --episodes both set the number of episodes; give one")
 
 
 def run_benchmark(options: BenchmarkOptions) -> int:
-    """Fly, write and print; return how many agents failed on how many tasks."""
+    """Run the benchmark, and write and print its results; return the number of failures."""
     if options.json is not None:
         check_file("--json", options.json, (".json",))
     check_folder("--out", options.out)

@@ -1,4 +1,4 @@
-"""Checks of a command's options before it begins its work."""
+"""Checks of a command's options before the command begins its work."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tqdm import tqdm
 
 
 class Misuse(ValueError):
-    """Options with which a command cannot do its job, found before it begins."""
+    """Options with which a command cannot run, detected before it begins."""
 
 
 @contextmanager
 def as_misuse(*kinds: type[Exception]) -> Iterator[None]:
-    """Turn ValueError, and errors of these kinds, into Misuse."""
+    """Convert ValueError, and exceptions of these kinds, to Misuse."""
     expected: tuple[type[Exception], ...] = (ValueError, *kinds)
     try:
         yield
@@ -29,12 +29,12 @@ def as_misuse(*kinds: type[Exception]) -> Iterator[None]:
 
 
 class FlightBar:
-    """Counts decisions in a bar that begins with the first: planning and compiling do not count."""
+    """Progress bar of decisions that begins with the first, after planning and compilation."""
 
     def __init__(self, total: int) -> None:
         self._total = total
         self.bar: Any = None
-        """From the first decision on."""
+        """The tqdm bar; None before the first decision."""
 
     def __call__(self, *_: object) -> None:
         """Count a decision."""
@@ -43,18 +43,18 @@ class FlightBar:
         self.bar.update()
 
     def close(self) -> None:
-        """End the bar."""
+        """Close the bar."""
         if self.bar is not None:
             self.bar.close()
 
 
 def check_folder(option: str, folder: Path) -> None:
-    """Refuse a folder that cannot be made or written, before hours are spent on its content."""
+    """Raise Misuse if a folder cannot be created or written."""
     _check_writable(f"{option} is {str(folder)!r}", folder)
 
 
 def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse a file that cannot be written, or whose name ends otherwise than it may."""
+    """Raise Misuse if a file cannot be written, or has none of the allowed suffixes."""
     given = f"{option} is {str(file)!r}"
     if suffixes and file.suffix not in suffixes:
         raise Misuse(f"{given}, but must end in {' or '.join(suffixes)}")
@@ -64,15 +64,16 @@ def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
 
 
 def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str, Path]:
-    """Files that a command is to write, by their options; `--out` is a folder for all of them.
+    """Return the output files of a command by option; `--out` is a folder for all of them.
 
     Args:
-        options: of the command: `out`, and one of each name in `kinds`; None where not given.
-        kinds: by option the name in the folder, empty if it is not written there, then the
-            suffixes that are allowed.
+        options: the command's options, with the fields `out` and every name in `kinds`; a field
+            is None if the option was not given.
+        kinds: for each option, the file's name in the folder (empty if it is not written there),
+            then the allowed suffixes.
 
     Raises:
-        Misuse: a wrong suffix, or a place that cannot be written.
+        Misuse: a suffix is not allowed, or a file cannot be written.
     """
     files = {}
     if options.out is not None:
@@ -88,7 +89,7 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
 
 
 def check_outputs(out: Path, json: Path | None, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse an `--out` that is no folder to write into, or a `--json` that is no such file."""
+    """Raise Misuse if the folder `--out` or the file `--json` cannot be written."""
     check_folder("--out", out)
     if json is not None:
         check_file("--json", json, suffixes)
@@ -98,13 +99,13 @@ def _exists(given: str, path: Path) -> bool:
     try:
         return path.exists()
     except OSError as error:  # such as a name that is too long
-        raise Misuse(f"{given}, which cannot be reached: {error.strerror}") from error
+        raise Misuse(f"{given}, but that cannot be accessed: {error.strerror}") from error
 
 
 def _check_writable(given: str, folder: Path) -> None:
-    """Write a file in the folder, or where it would be made, and forget it.
+    """Raise Misuse if no temporary file can be written to the folder or its nearest parent.
 
-    Permissions do not say all: a file system may be read-only, and root may do anything.
+    Permission bits are not enough: a file system may be read-only, and root may write anywhere.
     """
     tree = (folder, *folder.absolute().parents)
     existing = next(path for path in tree if _exists(given, path))
@@ -114,21 +115,21 @@ def _check_writable(given: str, folder: Path) -> None:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        what = f"{str(existing)!r} cannot be written: {error.strerror}"
-        raise Misuse(f"{given}, but {what}") from error
+        raise Misuse(
+            f"{given}, but {str(existing)!r} cannot be written: {error.strerror}"
+        ) from error
 
 
 def check_inputs(options: Any) -> None:
-    """Refuse options that name data, a force model or an agent that is not there."""
+    """Raise Misuse if the data, a force model or an agent that an option names does not exist."""
     from swarm_envs.agents import load as load_agent
     from swarm_envs.interactions import load
 
     data = getattr(options, "data", None)
     if data is not None and not data.exists():
         raise Misuse(f"--data is {str(data)!r}, but there is no such file or folder")
-    forces = (("interactions", load), ("feedforward", load))
-    named = (*forces, ("agent", load_agent), ("start", load_agent))
-    for name, read in named:
+    readers = {"interactions": load, "feedforward": load, "agent": load_agent, "start": load_agent}
+    for name, read in readers.items():
         value = getattr(options, name, None)
         if isinstance(value, str | Path):
             with as_misuse(FileNotFoundError):
@@ -136,16 +137,16 @@ def check_inputs(options: Any) -> None:
 
 
 def need_torch() -> None:
-    """Refuse to train where torch is not installed."""
+    """Raise ImportError if torch is not installed."""
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
             "training needs torch; install it by: pip install 'swarm-envs[train]' "
-            "(and where CUDA is not wanted, a CPU build of torch first)"
+            "(without a GPU, install a CPU build of torch first)"
         )
 
 
 def forget_output() -> None:
-    """Let the end of the process not fail a second time over what it could not print."""
+    """Discard output that cannot be written, so that Python's exit does not fail on it again."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""`swarm-envs collect`: flight logs, in simulation."""
+"""`swarm-envs collect`: collect flight logs in simulation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from swarm_envs.training.collection.__main__ import CollectOptions
 
 
 def run_collect(options: CollectOptions) -> None:
-    """Collect, write and print."""
+    """Check the options, and collect, write and print."""
     check_outputs(options.out, options.json)
     check_inputs(options.config)
     with claimed(options.out):

@@ -1,4 +1,4 @@
-"""`swarm-envs compile`: the kernels, ahead of the first flight."""
+"""`swarm-envs compile`: compile the kernels before the first episode."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from swarm_envs.agents.recommendation import benchmark_rows
 from swarm_envs.commands.fly import find_task
 from swarm_envs.physics import bullet_available
 
-WORLDS = ("ideal", "hall")  # Each has kernels of its own
+WORLDS = ("ideal", "hall")  # They use different kernels
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompileOptions:
-    """Compile what flights need into the cache, so that the first flight begins at once.
+    """Compile all kernels into the cache, so that the first episode starts without a delay.
 
-    Every task flies for a moment, in both worlds and on each physics engine that is installed, and
-    so does every shipped agent in one of its tasks.
+    The command simulates two steps of every task, in both worlds and with each installed physics
+    engine, and 0.1 s of every included agent in one of its tasks.
     """
 
     progress: bool = True
-    """show a progress bar"""
+    """Show a progress bar."""
 
 
 def run_compile(options: CompileOptions) -> None:
-    """Fly every task for two decisions, and every agent for a moment."""
+    """Simulate every task for two decisions, and every agent for 0.1 s."""
     engines = ("batch", "bullet") if bullet_available() else ("batch",)
     runs = [*itertools.product(TASKS, WORLDS, engines)]
     agents = _flown_by_agents()
@@ -54,6 +54,6 @@ def run_compile(options: CompileOptions) -> None:
 
 
 def _flown_by_agents() -> dict[str, Mapping[str, Any]]:
-    """The smallest task of the benchmark that each shipped agent flies, by its name."""
+    """Return the smallest benchmark task of each included agent, by the agent's name."""
     rows = sorted(benchmark_rows(), key=lambda row: int(row["drones"]), reverse=True)
     return {name: row for row in rows for name in row["agents"]}

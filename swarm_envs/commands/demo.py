@@ -12,30 +12,31 @@ from swarm_envs.files import claimed, write_json
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Fly stacked swaps with and without compensation of the downwash.
+    """Simulate stacked swaps with and without compensation of the downwash.
 
-    Prints the worst height error of the lowest drone; writes a picture, a video and all results.
+    In a stacked swap, drones fly above one another and exchange horizontal positions. The command
+    prints the worst height error of the lowest drone, and writes a plot, a video and all results.
     """
 
     out: Path = Path("demo")
-    """output folder for summary.json, demo.png and demo.mp4"""
+    """Output folder for summary.json, demo.png and demo.mp4."""
     seed: int = 0
-    """random seed of the swaps"""
+    """Random seed of the swaps."""
     swaps: int = 6
-    """number of random swaps per scenario; each is flown twice"""
+    """Number of random swaps per scenario; each is simulated with and without compensation."""
     video: bool = True
-    """render the video, which takes most of the time"""
+    """Render the video, which takes most of the time."""
     json: Path | None = None
-    """also write the results to this file"""
+    """Also write the results to this file."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no demonstration has."""
+        """Raise ValueError if a number is out of range."""
         check_integer("--seed", self.seed, at_least=0)
         check_integer("--swaps", self.swaps, at_least=1, at_most=1000)
 
 
 def run_demo(options: DemoOptions) -> int:
-    """Fly, write and print; return how many flights crashed."""
+    """Simulate, write and print; return the number of flights that crashed."""
     check_outputs(options.out, options.json)
     from swarm_envs.baselines.neural_swarm import demo
 

@@ -1,4 +1,4 @@
-"""`swarm-envs evaluate`: many episodes of one or more agents, all on the same seeds."""
+"""`swarm-envs evaluate`: evaluate agents on many episodes with the same seeds."""
 
 from __future__ import annotations
 
@@ -48,42 +48,43 @@ class EvaluateOptions(EpisodeOptions):
     """Evaluate agents on many episodes with the same seeds, and report rates and means.
 
     An interrupted command resumes after the last complete episode when it is run again. An agent
-    that fails during an episode is reported with its error, and the exit status is 1. Agents that
-    cannot fly the task are refused before the first episode.
+    that fails during an episode is reported with its error, and the exit status is 1. An agent
+    that does not support the task is refused before the first episode.
     """
 
     agent: list[str] | None = None
-    """agents, as of `fly`: names, folders of trained policies, path/to/file.py:Class or :function;
-    the suffix +filter adds a safety filter (default: the best for the task in the benchmark)"""
+    """One or more agents; the help of `swarm-envs fly` lists their names. Also folders of trained
+    policies, path/to/file.py:Class or path/to/file.py:function. The suffix +filter adds a safety
+    filter. If None, the best agent of the benchmark for the task is evaluated."""
     episodes: int = 256
-    """number of episodes per agent"""
+    """Number of episodes per agent."""
     seed: int = 0
-    """random seed from which the seeds of the episodes are drawn, the same for every agent"""
+    """Random seed from which the seeds of the episodes are drawn, the same for every agent."""
     physics: str = "batch"
-    """`batch` or `bullet`"""
+    """Physics engine, `batch` or `bullet`."""
     force_rate: int = 240
-    """force evaluations per second: 240 over an integer"""
+    """Rate at which interaction forces are computed, Hz; a divisor of 240."""
     out: Path | None = None
-    """output folder for report.json, and for the results of every episode in episodes/"""
+    """Output folder for report.json, and for the results of every episode in episodes/."""
     json: Path | None = None
-    """write the report to this file; until then, episodes are stored next to it"""
+    """Write the report to this file. Until it is written, episodes are stored next to it."""
     scale: ScaleOptions = field(default_factory=ScaleOptions)
-    """parallel evaluation"""
+    """Options of parallel evaluation; they do not change the results."""
 
     def __post_init__(self) -> None:
-        """Refuse names that would be flown twice, and two numbers of drones."""
+        """Raise ValueError for invalid numbers, no agents, or an agent that is named twice."""
         super().__post_init__()
         check_integer("--episodes", self.episodes, at_least=1)
         check_integer("--seed", self.seed, at_least=0)
         check_divisor("--force-rate", self.force_rate, PHYSICS_RATE)
         if self.agent == []:
-            raise ValueError("--agent names no agent; name one, or leave it out")
+            raise ValueError("--agent is empty; name an agent, or leave the option out")
         if self.agent is not None and len(set(self.agent)) < len(self.agent):
-            raise ValueError(f"--agent is {self.agent}; name each once")
+            raise ValueError(f"--agent is {self.agent}, but must name each agent once")
 
 
 def run_evaluate(options: EvaluateOptions) -> int:
-    """Fly, print and write; return how many agents failed."""
+    """Evaluate, print and write; return the number of agents that failed."""
     reports = [] if options.json is None else [options.json]
     if options.out is not None:
         check_folder("--out", options.out)
@@ -104,7 +105,7 @@ def run_evaluate(options: EvaluateOptions) -> int:
 
 
 def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[str, Made]:
-    """Every agent with its environment, or what its own file raises."""
+    """Return every agent with its environment, or the exception that its own file raises."""
     from swarm_envs.agents.evaluation import frozen_seeds
 
     found: dict[str, Made] = {}
@@ -139,7 +140,7 @@ def _prepared(
 def _evaluate(
     options: EvaluateOptions, task: str, made: Mapping[str, Made], reports: list[Path]
 ) -> int:
-    """Fly all agents and write the reports; return how many failed."""
+    """Evaluate all agents and write the reports; return the number of agents that failed."""
     about = {"task": task, **options.setting(), "seed": options.seed}
     agents = _reports(options, about, made)
     failed = sum("error" in report for report in agents)
@@ -150,12 +151,12 @@ def _evaluate(
     print(_head(options, task, made), _table(agents), sep="")
     kept = _kept(options)
     if options.out is None and kept is not None and kept.is_dir() and not failed:
-        shutil.rmtree(kept)  # the report is whole: nothing is left to resume
+        shutil.rmtree(kept)  # the report is complete, so there is nothing to resume
     return failed
 
 
 def _kept(options: EvaluateOptions) -> Path | None:
-    """Folder in which episodes are kept, if any."""
+    """Return the folder in which episodes are stored, or None."""
     if options.out is not None:
         return options.out / "episodes"
     return None if options.json is None else options.json.with_suffix(".episodes")
@@ -164,7 +165,7 @@ def _kept(options: EvaluateOptions) -> Path | None:
 def _reports(
     options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
 ) -> list[dict[str, Any]]:
-    """Each agent's scores; or, under `error`, why it has none."""
+    """Return each agent's scores, or an entry `error` with the reason that it has none."""
     from swarm_envs.agents.evaluation import score_episodes
     from swarm_envs.training.flights import fly_flights
 
@@ -172,7 +173,7 @@ def _reports(
     flights: dict[str, tuple[Flight, EpisodeFile | None]] = {}
     for name, each in made.items():
         if isinstance(each, BaseException):
-            found[name]["error"] = f"cannot be flown: {type(each).__name__}: {each}"
+            found[name]["error"] = f"cannot be loaded: {type(each).__name__}: {each}"
             continue
         agent, env = each
         rate = env.core.config.decision_rate
@@ -185,13 +186,13 @@ def _reports(
     flown = fly_flights([*flights.values()], options.scale)
     for name, (episodes, why, trace) in zip(flights, flown, strict=True):
         found[name] |= {"error": why} if why else score_episodes(episodes)
-        if ":" in name:  # its author needs to see where it failed
+        if ":" in name:  # the author of a custom agent needs the traceback
             sys.stderr.write(trace)
     return [*found.values()]
 
 
 def _flight(name: str, agent: Agent, env: SwarmParallelEnv, options: EvaluateOptions) -> Flight:
-    """The episodes that an agent is to fly."""
+    """Return the episodes of an agent."""
     from swarm_envs.agents.evaluation import TIMED, frozen_seeds, source_digest
     from swarm_envs.agents.protocol import flies_batches
     from swarm_envs.training.flights import Flight
@@ -210,7 +211,7 @@ def _flight(name: str, agent: Agent, env: SwarmParallelEnv, options: EvaluateOpt
 def _open_episodes(
     flight: Flight, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
-    """Where the episodes of a flight are kept; None if they are not."""
+    """Return the file that stores an agent's episodes; None if they are not stored."""
     from swarm_envs.agents.evaluation import EpisodeFile
 
     folder = _kept(options)
@@ -222,21 +223,19 @@ def _open_episodes(
     depends |= {f"file of {name}": digest for name, digest in own.items() if digest}
     file = EpisodeFile(folder, flight.agent, depends)
     if before := sum(seed in file.episodes for seed in flight.seeds):
-        print(
-            f"{flight.agent}: {before} of {options.episodes} episodes were flown before", flush=True
-        )
+        print(f"{flight.agent}: resumes after {before} of {options.episodes} episodes", flush=True)
     return file
 
 
 def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
-    """What was flown, on a line above the table."""
+    """Return the line above the table: task, team, number of episodes and seed."""
     teams = [each[1].core.task.team for each in made.values() if isinstance(each, tuple)]
     team = f"{team_text(teams[0])}, " if teams else ""  # the same for all
     return f"\n{task}, {team}{options.episodes} episodes, seed {options.seed}\n"
 
 
 def _table(agents: list[dict[str, Any]]) -> str:
-    """The reports in a few columns; a number that no agent has is left out."""
+    """Return the reports as a table; a column that is empty for all agents is left out."""
     from swarm_envs.training.scoreboard.summary import align_columns
 
     known = [report for report in agents if "error" not in report]
@@ -245,9 +244,9 @@ def _table(agents: list[dict[str, Any]]) -> str:
     lines = align_columns([heads, *(_row(report, [*shown]) for report in known)])
     lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]
     if any(report.get("privileged") for report in agents):
-        lines.append("* sees the true state")
+        lines.append("* sees the true state of the simulation")
     if known:
-        lines.append("decision: median (99th percentile) of the agent's time for the whole team")
+        lines.append("decision: median (99th percentile) time per decision of the whole team")
     return "\n" + "\n".join(lines)
 
 
@@ -259,7 +258,7 @@ _COLUMNS = {
     "gates_per_min": "gates per minute",
     "energy_j": "energy, J",
 }
-"""Numbers of a report and their heads, in the order of the table."""
+"""Fields of a report and their column headings, in the order of the table."""
 
 
 def _row(report: dict[str, Any], shown: list[str]) -> tuple[str, ...]:

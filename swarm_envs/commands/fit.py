@@ -1,4 +1,4 @@
-"""`swarm-envs fit`: a force model, or what a force model leaves over."""
+"""`swarm-envs fit`: fit a force model, or identify its residual force."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from swarm_envs.training.force_model.force_fit_config import FitConfig, Residual
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions(FitConfig):
-    """Fit a model of the interaction forces to flight logs or to rows of measured force.
+    """Fit a model of the aerodynamic forces between drones to flight logs or measured forces.
 
-    Writes the model and a report of its errors. Most fits need no more than --data, --out, --model,
-    --mode and --seed. With --residual, it identifies what a force model leaves over, the random
-    force of the hall.
+    The command writes the model and a report of its errors. Most fits need only --data, --out,
+    --model, --mode and --seed. With --residual, it fits no model but identifies the residual force,
+    the part of the measured force that a model does not explain, which acts at random in the world
+    `hall`.
 
     Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
     vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to
@@ -23,16 +24,16 @@ class FitOptions(FitConfig):
     """
 
     residual: bool = False
-    """fit no model, but write into residual.json what --force leaves over; of the other options,
-    this takes --data, --out, --steps, --seed, --progress, --json and --logs.* alone"""
+    """Write the statistics of the residual force of the model --force to residual.json. Used with
+    --data, --out, --steps, --seed, --progress, --json, --logs.* and the options below only."""
     force: str = "composed"
-    """with --residual: `composed`, that of environments, or `wake`, refitted for each fold of
-    flights; or the file of a model, which is taken as it is, so that flights it was fitted to
-    flatter it"""
+    """With --residual, the force model: `composed` (that of the environments) or `wake`, refitted
+    for each fold of the flights; or the file of a model, whose error is too small on flights that
+    it was fitted to."""
     folds: int = 5
-    """with --residual: parts into which the flights of each scenario are dealt"""
+    """With --residual, the number of folds of cross-validation of the flights of each scenario."""
     bootstrap: int = 400
-    """with --residual: draws of flights for the 95 % intervals"""
+    """With --residual, the number of bootstrap samples for the 95 % intervals."""
 
     def config(self) -> FitConfig | ResidualConfig:
         """Return the configuration of the fit, or of the identification with `residual`."""
@@ -41,7 +42,7 @@ class FitOptions(FitConfig):
 
 
 def run_fit(options: FitOptions) -> None:
-    """Fit, write and print."""
+    """Check the options, fit, write and print."""
     check_outputs(options.out, options.json)
     need_torch()
     check_inputs(options)

@@ -46,23 +46,23 @@ _GOOD_HEIGHT_M = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeFields:
-    """What is flown: these come first in the help."""
+    """The main options of an episode, which come first in the help."""
 
     task: str = "swap"
-    """swap, ring, formation, columns, delivery, gates, pursuit or crowd, or one with its version,
-    `swap_v1`; or a task of one's own, path/to/file.py:Class"""
+    """Task: swap, ring, formation, columns, delivery, gates, pursuit or crowd, optionally with a
+    version, such as `swap_v1`; or a custom task, path/to/file.py:Class."""
     layout: str | None = None
-    """layout of the task, such as `random` or `stacked`; default: the task's"""
+    """Layout of the task, such as `random` or `stacked`. If None, the task's default."""
     drones: int | None = None
-    """number of drones if no team is given; default: 4 in swap, ring and formation, otherwise the
-    task's"""
+    """Number of drones, unless --team is given. If None, 4 in swap, ring and formation, and the
+    task's default otherwise."""
     physics: str | None = None
-    """`bullet` or `batch`; default: Bullet if it is installed"""
+    """Physics engine, `bullet` or `batch`. If None, Bullet if it is installed."""
     interactions: str = "learned"
-    """interaction forces: `none`, `wake`, `learned`, `deep-set`, a weights file, or
-    path/to/file.py:function"""
+    """Model of the aerodynamic forces between drones: `none`, `wake`, `learned`, `deep-set`, a
+    weights file, or path/to/file.py:function."""
     horizon_s: float | None = None
-    """time limit, s; default: the task's"""
+    """Time limit of an episode, s. If None, the task's default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,13 +70,14 @@ class EpisodeOptions(WorldOptions, EpisodeFields):
     """Options of the episodes of `fly` and `evaluate`."""
 
     team: str | None = None
-    """the vehicles, such as `LLSS`, instead of a number of drones; S is small, L large, `S*`
-    small with strong motors. The 2 of `L2S` only separates them: S passes below L"""
+    """Vehicle types of the team, such as `LLSS`, instead of a number of drones: S is small, L is
+    large, S* is small with strong motors. A 2 only separates letters; in stacked layouts, `L2S`
+    is L above S."""
     neighbors: int | None = None
-    """K, the number of observed neighbors"""
+    """Number of nearest neighbors that each drone observes. If None, the task's default."""
 
     def __post_init__(self) -> None:
-        """Refuse two numbers of drones, a layout of another task, and texts that say nothing."""
+        """Raise ValueError for invalid or contradictory options."""
         if self.drones is not None:
             check_integer("--drones", self.drones, at_least=1, at_most=MOST_DRONES)
         if self.neighbors is not None:
@@ -123,30 +124,30 @@ class FlyOptions(EpisodeOptions):
     """
 
     agent: str | None = None
-    """agent; default: the best for the task in the benchmark. Simple baselines: hover, random,
-    straight-line. Scripts that avoid other drones: fast-line, orca, roundabout. Planners: detour,
-    mlr-dmpc, rth3d (each also with +compensated), neural-swarm-planner. Tracking of moving
-    references: tracking (also with +compensated, +adaptive or both, in this order). Precise flight
-    in downwash: pid (also with +adaptive), downwash-aware, heavy-on-top. Policies: swap-dagger,
-    gates-dagger, pursuit-dagger, crowd-dagger, stack-dagger, mixed-dagger, sprint-dagger,
-    delivery-dagger, ring-dagger, swap-ppo. Also the folder of a trained policy,
-    path/to/file.py:Class, or path/to/file.py:function, which maps observation rows to actions. The
-    suffix +filter, the last one, adds a safety filter"""
+    """Agent that controls the drones. If None, the best agent of the benchmark for the task. Simple
+    baselines: hover, random, straight-line. Scripted collision avoidance: fast-line, orca,
+    roundabout. Planners: detour, mlr-dmpc, rth3d (each also with +compensated) and
+    neural-swarm-planner. Tracking of moving references: tracking (also with +compensated, +adaptive
+    or both, in this order). Precise flight in downwash: pid (also with +adaptive), downwash-aware,
+    heavy-on-top. Trained policies: swap-dagger, gates-dagger, pursuit-dagger, crowd-dagger,
+    stack-dagger, mixed-dagger, sprint-dagger, delivery-dagger, ring-dagger, swap-ppo. Custom
+    agents: the folder of a trained policy, path/to/file.py:Class, or path/to/file.py:function,
+    which maps observation rows to actions. The last suffix, +filter, adds a safety filter."""
     seed: int = 0
-    """random seed of the episode and the agent"""
+    """Random seed of the episode and the agent."""
     out: Path | None = None
-    """output folder for flight.json, trajectory.parquet (.npz without pyarrow) and replay.html"""
+    """Output folder for flight.json, trajectory.parquet (.npz without pyarrow) and replay.html."""
     video: Path | None = None
-    """write a film, .mp4 (needs ffmpeg) or .gif"""
+    """Write a video to this file, .mp4 (needs ffmpeg) or .gif."""
     replay: Path | None = None
-    """write a replay page for browsers, .html"""
+    """Write a replay page for web browsers to this file, .html."""
     trajectory: Path | None = None
-    """write positions, forces, rewards and more, .parquet or .npz"""
+    """Write positions, forces, rewards and more to this file, .parquet or .npz."""
     json: Path | None = None
-    """write metrics and events, .json"""
+    """Write metrics and events to this file, .json."""
 
     def __post_init__(self) -> None:
-        """Refuse a seed that is none, and what no episode has."""
+        """Raise ValueError for an invalid seed, or invalid options of the episode."""
         super().__post_init__()
         check_integer("--seed", self.seed, at_least=0)
 

@@ -1,4 +1,4 @@
-"""`swarm-envs grade`: the files of a whole course, each in a sandbox of its own, and its points."""
+"""`swarm-envs grade`: grade the submissions of a course, each in its own sandbox."""
 
 from __future__ import annotations
 
@@ -16,46 +16,47 @@ if TYPE_CHECKING:
     from swarm_envs.grading.sandbox import Sandbox
 
 LEAST_SEED = 1 << 128
-"""Seeds from here on have 128 bits below their first: no submission can guess them."""
+"""The least seed with 128 random bits, which no submission can guess."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:
-    """Grade submissions of students and print a table with one line for each.
+    """Grade the submissions of students, and print a table with one line for each.
 
     A submission that cannot be imported, raises an error, returns invalid actions or takes too long
-    gets no points, and the table names the error; the others are still graded. Interrupted and run
-    again with the same --out, the command resumes.
+    gets no points, and the table names the error; the others are still graded. An interrupted
+    command resumes when it is run again with the same --out.
     """
 
     assignment: str
-    """assignment; `swarm-envs assignment list` describes each; or path/to/my.py with one's own"""
+    """Name of an assignment of `swarm-envs assignment list`, or path/to/file.py that defines a
+    custom one."""
     agent: list[str] = field(default_factory=list)
-    """submissions: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
-    also folders of trained policies"""
+    """Submissions: path/to/file.py:Class, patterns such as 'class/*/swap.py:Class' (in quotes), or
+    folders of trained policies."""
     out: Path | None = None
-    """write the table to this file after each submission: .csv, or .json with the columns of
-    nbgrader"""
+    """Write the table to this file after each submission: .csv, or .json with the columns of
+    nbgrader."""
     feedback: Path | None = None
-    """folder for each student's results.json (Gradescope's format), and failure.html, a page that
-    plays the first episode that failed"""
+    """Output folder, with each student's results.json (Gradescope's format) and failure.html, a
+    replay page of the first episode that failed."""
     episodes: int = 256
-    """number of episodes of each submission"""
+    """Number of episodes per submission."""
     seed: int | None = None
-    """seed of the episodes, the same for all, as an earlier run printed it; by default a secret one
-    is drawn"""
+    """Random seed of the episodes, the same for all submissions. If None, a secret seed is drawn;
+    it is printed at the end."""
     limit_s: float = 600.0
-    """time limit of each submission, s"""
+    """Time limit of each submission, s."""
     allow_copies: bool = False
-    """give copies of included agents and reference solutions their points"""
+    """Give points to copies of included agents and of reference solutions."""
     sandbox: str | None = None
-    """command that runs a submission in place of bubblewrap, where {work} is its folder, such as
-    'docker run -i --rm --network none -v {work}:/work:ro -w /work IMAGE'"""
+    """Command that runs a submission instead of bubblewrap; {work} is replaced by its folder:
+    'docker run -i --rm --network none -v {work}:/work:ro -w /work IMAGE'."""
     unprotected: bool = False
-    """grade without a sandbox: for a container or virtual machine that serves nothing else"""
+    """Grade without a sandbox, in a container or virtual machine that serves nothing else."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be graded."""
+        """Raise ValueError if an option is invalid."""
         check_integer("--episodes", self.episodes, at_least=1)
         if self.seed is not None:
             check_integer("--seed", self.seed, at_least=0)
@@ -65,15 +66,15 @@ class GradeOptions:
         if not self.assignment.endswith(".py"):
             check_name("assignment", self.assignment, ASSIGNMENTS)
         if not self.agent:
-            raise ValueError("--agent is empty; name one file.py:Class or more")
+            raise ValueError("--agent is empty; name one or more submissions, file.py:Class")
 
 
 def run_grade(options: GradeOptions) -> int:
-    """Grade, print and write; return how many failed.
+    """Grade, print and write; return the number of submissions that failed.
 
     Raises:
-        Misuse: there is no such assignment or work, or no sandbox; nothing was graded.
-        KeyboardInterrupt: with what was graded until then; the table has it.
+        Misuse: the assignment, a submission or a sandbox does not exist; nothing was graded.
+        KeyboardInterrupt: the command was interrupted; the table has the grades until then.
     """
     from tqdm import tqdm
 
@@ -83,8 +84,8 @@ def run_grade(options: GradeOptions) -> int:
 
     if options.seed is not None and options.seed < LEAST_SEED:
         print(
-            f"warning: submissions can guess the seed {options.seed} and fly the episodes before; "
-            "to grade those of others leave it out, and one of 128 bits is drawn and printed",
+            f"warning: submissions can guess the seed {options.seed} and prepare for its episodes; "
+            "leave out --seed to grade other people's work, and a secret seed is drawn and printed",
             file=sys.stderr,
         )
     if options.out is not None:
@@ -116,19 +117,21 @@ def run_grade(options: GradeOptions) -> int:
             grades.append(grade)
     except KeyboardInterrupt:
         print(grade_table(assignment, grades))
-        raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None
+        raise KeyboardInterrupt(
+            f"interrupted: {len(grades)} of {len(works)} submissions are graded"
+        ) from None
     print(grade_table(assignment, grades))
-    print(f"the same marks again: --seed {seed}")
-    for place in filter(None, (options.out, options.feedback)):
-        print(f"wrote {place}")
+    print(f"to reproduce the grades: --seed {seed}")
+    for path in filter(None, (options.out, options.feedback)):
+        print(f"wrote {path}")
     return sum(bool(grade.error) for grade in grades)
 
 
 def _sandbox(options: GradeOptions, works: list[str]) -> Sandbox:
-    """Return what keeps works apart; one's own single file needs nothing.
+    """Return the sandbox of the submissions; a single submission may run without one.
 
     Raises:
-        Misuse: there are several works, and there is no sandbox.
+        Misuse: there are several submissions, and no sandbox.
     """
     from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
 
@@ -138,39 +141,35 @@ def _sandbox(options: GradeOptions, works: list[str]) -> Sandbox:
         raise Misuse(
             f"{len(works)} submissions could read and change your files and each other's here; "
             "install bubblewrap, name a container with --sandbox 'docker run ...', or add "
-            "--unprotected in a machine that serves nothing else"
+            "--unprotected on a machine that serves nothing else"
         )
-    print(f"{works[0]} runs as any other program here, without a sandbox: grade only your own")
+    print(f"{works[0]} runs without a sandbox, like any other program: grade only your own work")
     return Sandbox(unprotected=True)
 
 
 def _expanded(works: list[str]) -> list[str]:
-    """Works by name; shells leave a pattern alone that a class follows."""
+    """Return the submissions that match names and patterns (shells expand none before `:Class`)."""
     found = []
     for work in works:
         path, colon, name = work.rpartition(":") if ".py:" in work else (work, "", "")
         files = sorted(glob.glob(path)) if glob.has_magic(path) else [path]  # noqa: PTH207
         if not files:
-            raise Misuse(f"--agent is {work!r}, but no file's name matches that pattern")
+            raise Misuse(f"--agent is {work!r}, but no file matches that pattern")
         found += [f"{file}{colon}{name}" for file in files]
     return found
 
 
 def _check_works(works: list[str], assignment: Path) -> None:
-    """Refuse works that are not there, or that one's own assignment would import.
-
-    Raises:
-        Misuse: naming the files.
-    """
+    """Raise Misuse if a submission does not exist, or could be imported by a custom assignment."""
     from swarm_envs.grading.submission import path_of
 
     paths = [path_of(work) for work in works]
     missing = [str(path) for path in paths if not path.exists()]
     if missing:
-        raise Misuse(f"--agent names what is not there: {', '.join(missing)}; nothing was graded")
+        raise Misuse(f"--agent names no existing file: {', '.join(missing)}; nothing was graded")
     folder = assignment.resolve().parent
     if assignment.suffix == ".py" and folder in [path.resolve().parent for path in paths]:
         raise Misuse(
-            f"--assignment is {str(assignment)!r}, but submissions lie beside it, and it could "
-            "import them; move it into a folder of its own"
+            f"--assignment is {str(assignment)!r}, but submissions are in the same folder, and it "
+            "could import them; move it to another folder"
         )

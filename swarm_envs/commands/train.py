@@ -1,4 +1,4 @@
-"""`swarm-envs train`: a policy by reinforcement learning."""
+"""`swarm-envs train`: train a policy by reinforcement or imitation learning."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TrainOptions = RlConfig
 
 
 def check_training(config: RlConfig) -> str:
-    """The versioned name of the task, if the options make a run."""
+    """Return the versioned name of the task; raise Misuse if the options are invalid."""
     check_outputs(config.out, config.json, (".json",))
     from swarm_envs.training.rl.choosing import with_defaults
 
@@ -29,7 +29,7 @@ def check_training(config: RlConfig) -> str:
 
 
 def check_teachers(teachers: Sequence[str]) -> None:
-    """Refuse teachers that are no agents; parts of the training may stand before a name."""
+    """Raise Misuse if a teacher is no agent; a layout and a team size may precede its name."""
     from swarm_envs.agents import load
 
     with as_misuse(FileNotFoundError):
@@ -38,7 +38,7 @@ def check_teachers(teachers: Sequence[str]) -> None:
 
 
 def check_algorithm(config: RlConfig, task: str) -> None:
-    """Refuse an algorithm that does not exist, and arguments that it does not take."""
+    """Raise Misuse if the algorithm does not exist, or does not take the given arguments."""
     from swarm_envs.training.rl.runs import make_setting
     from swarm_envs.training.rl.sb3 import algorithm_of, arguments_of
 
@@ -47,12 +47,12 @@ def check_algorithm(config: RlConfig, task: str) -> None:
         taken = [name for name in found if name not in ("self", "policy", "env")]
         for name in arguments_of(make_setting(config, task)):
             if name not in taken and "kwargs" not in taken:
-                said = unknown_name("argument", name, taken)
-                raise ValueError(f"--algo {config.algo} refuses its arguments: {said}")
+                why = unknown_name("argument", name, taken)
+                raise ValueError(f"--algo {config.algo} refuses its arguments: {why}")
 
 
 def run_train(config: RlConfig) -> None:
-    """Train, or say that it was done before; print what came out."""
+    """Train unless the run is complete, and print the results."""
     task = check_training(config)
     check_inputs(config)
     if config.imitates:
@@ -69,7 +69,7 @@ def run_train(config: RlConfig) -> None:
 
     report = finished_report(config, task)
     if report is not None:
-        print(f"the run in {config.out} was finished before, and stays as it is")
+        print(f"the run in {config.out} is already complete and was not changed")
     else:
         try:
             report = train_policy(config, task)
@@ -85,7 +85,7 @@ def run_train(config: RlConfig) -> None:
 
 
 def setting(config: RlConfig) -> list[str]:
-    """The largest team and the place that the run was trained with, as `evaluate` takes them."""
+    """Return the environment of the run with its largest team, as options of `evaluate`."""
     words = ["--task", config.task]
     for name in ("layout", "obstacles", "world"):
         if value := getattr(config, name):
@@ -102,7 +102,7 @@ def _summary(report: dict[str, Any]) -> str:
     chosen = dict(report["chosen"])
     lines = [
         f"{report['steps']:,} steps in {report['wall_s']:.0f} s ({report['cpu_s']:.0f} s of CPU)",
-        f"kept: the policy at {chosen.pop('step'):,.0f} steps, on the seeds for choosing",
+        f"best policy, after {chosen.pop('step'):,.0f} steps, on the validation seeds:",
     ]
     for name, value in chosen.items():
         shown = f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.4g}"
@@ -110,5 +110,5 @@ def _summary(report: dict[str, Any]) -> str:
             shown = f"{value:.1%}"
         lines.append(f"  {name}: {shown}")
     if suggested := report.get("next"):
-        lines += ["to try next:", *(f"- {said}" for said in suggested)]
+        lines += ["suggestions:", *(f"- {each}" for each in suggested)]
     return "\n".join(lines)

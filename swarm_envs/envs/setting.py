@@ -15,26 +15,27 @@ MOST_OBSERVED = 10_000
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions:
-    """Options of the world; by default those of the task."""
+    """Options of the world. An option that is None has the task's default."""
 
     world: Literal["ideal", "hall"] | None = None
-    """`ideal`, or `hall` with random forces and a state estimate; default: the task's"""
+    """World: `ideal`, or `hall`, a motion-capture hall with random forces and state estimation
+    errors. If None, the task's default."""
     randomization: str | None = None
-    """domain randomization, such as `mass=0.9:1.1,gust_acceleration=1`: fields of
-    `swarm_envs.envs.randomization.Randomization`"""
+    """Domain randomization, such as `mass=0.9:1.1,gust_acceleration=1`; the names are fields of
+    `swarm_envs.envs.randomization.Randomization`. If None, the task's default."""
     obstacles: str | None = None
-    """obstacles, such as `buildings=2:2,column=1:1:0.15` (x, y, radius, m) or
-    `box=0:0:0:1:1:2` (two corners, m)"""
+    """Obstacles, such as `buildings=2:2,column=1:1:0.15` (x, y and radius, m) or
+    `box=0:0:0:1:1:2` (two corners, m). If None, the task's default."""
     on_contact: Literal["end_team", "end_pair", "bounce"] | None = None
-    """effect of a contact: it ends the episode of the team or of the pair, or drones bounce off;
-    default: the task's"""
+    """Effect of a contact: `end_team` ends the episode of the whole team, `end_pair` that of the
+    drones in contact; with `bounce`, they bounce off and continue. If None, the task's default."""
 
     observe_range_m: float | None = None
-    """communication range, m: neighbors farther away are not observed"""
+    """Communication range, m; neighbors farther away are not observed. If None, unlimited."""
     observe_delay_s: float | None = None
-    """communication delay, s: neighbors are observed as they were this long ago"""
+    """Communication delay of observed neighbors, s, a whole number of decisions. If None, 0."""
     observe_loss: float | None = None
-    """packet loss: probability that a neighbor is not observed in a decision"""
+    """Packet loss: probability that a neighbor is not observed in a decision. If None, 0."""
 
     def world_options(self) -> dict[str, Any]:
         """Return the options that were given, as values for JSON."""

@@ -1,7 +1,6 @@
-"""Grading of submissions: they answer with numbers, and cannot influence their marks.
+"""Grading of submissions, which run in sandboxes and exchange only numbers with the grader.
 
-Order of reading: `pipes` (what passes between grader and work), `sandbox` (what the work's process
-sees), `work` (what runs there), `submission` (the work as the grader sees it), `assignment` (what
-is asked for, with `planner` and `force`), `copies` (what others have written, recognised), `grade`
-(the table and its files).
+Order of reading: `pipes` (messages between grader and submission), `sandbox`, `work` (the process
+in the sandbox), `submission` (the grader's side of it), `assignment`, `copies` (detection of
+copies), `grade` (the table and its files).
 """

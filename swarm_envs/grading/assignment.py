@@ -1,4 +1,4 @@
-"""An assignment: what is flown, the number that counts, and what it is worth."""
+"""Assignments: their environment, metric and points."""
 
 from __future__ import annotations
 
@@ -21,46 +21,46 @@ if TYPE_CHECKING:
 __all__ = ["Assignment", "load_assignment"]
 
 MOST_CODE, MOST_CONSTANTS, MOST_NAMES = 20_000, 2_000, 4_000
-"""Characters of a learner's code without comments, of all constants, and of different names."""
-_NEEDED = ("name", "work", "metric", "zero", "full")  # attributes without a default
-_SETUP_S = 60.0  # CPU time for imports and compilation, before a work trains
+"""Most characters of a learner's code without comments, of all constants, and of distinct names."""
+_NEEDED = ("name", "work", "metric", "zero", "full")  # Attributes without a default
+_SETUP_S = 60.0  # CPU time for imports and compilation before training
 _EPISODE_S = 0.25  # CPU time for the decisions of an episode
 
 
 class Assignment:
-    """A task for students and its marks: subclass it, and grade with `--assignment my.py`.
+    """Base class of assignments; grade a subclass with `--assignment my.py`.
 
-    The class attributes say everything about flights in an environment; override `grade` for what
-    is no flight. The docstring is the one line that describes it.
+    The class attributes define an assignment in an environment; override `grade` for others. The
+    docstring is a description of one line.
     """
 
     name: ClassVar[str]
-    """Its name."""
+    """The name of the assignment."""
     work: ClassVar[str]
-    """The submission that is asked for, as `file.py:Class`."""
+    """The name of submissions, as `file.py:Class`."""
     task: ClassVar[str] = "swap_v1"
-    """Name of the environment."""
+    """The name of the environment."""
     options: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Options of the environment."""
+    """The options of the environment."""
     metric: ClassVar[str]
-    """The number that counts, as `swarm_envs.agents.evaluation.score_episodes` names it."""
+    """The metric that is graded, a key of `swarm_envs.agents.evaluation.score_episodes`."""
     zero: ClassVar[float]
-    """Its value that is worth nothing."""
+    """The value of the metric that is worth 0 points."""
     full: ClassVar[float]
-    """Its value, or better, that is worth 100 points."""
+    """The value of the metric that is worth 100 points."""
     counted: ClassVar[str] = "without a crash"
-    """Which episodes `counts` takes, in words."""
+    """A description of the episodes for which `counts` returns True, as "share of episodes ..."."""
     rate: ClassVar[int] = 0
-    """Decisions a second at which errors are taken at least; 0 for the work's own rate."""
+    """The lowest rate at which errors are evaluated, Hz; 0 for the submission's decision rate."""
     train_s: ClassVar[float] = 0.0
-    """Time that the work's `train` is given before the flights, s; 0 if it has none."""
+    """The duration of the submission's `train`, s; 0 for no training."""
 
     def check(self) -> None:
-        """Refuse what no work can mend.
+        """Check the assignment itself.
 
         Raises:
-            ValueError: an attribute is missing or impossible; or the environment's options.
-            TypeError: there is no such option.
+            ValueError: an attribute is missing or invalid, or an option of the environment.
+            TypeError: an option of the environment does not exist.
         """
         from swarm_envs import make
 
@@ -72,11 +72,11 @@ class Assignment:
         check_number("zero", self.zero)
         check_number("full", self.full)
         if self.zero == self.full:
-            raise ValueError(f"zero and full are both {self.zero:g}; they must differ")
+            raise ValueError(f"zero and full are both {self.zero:g}, but must differ")
         make(self.task, **{**self.options, "physics": "batch"}).close()
 
     def counts(self, metrics: Mapping[str, Any]) -> bool:
-        """Return whether an episode counts; points are multiplied by the share of these."""
+        """Return True if an episode counts; points are multiplied by the share of these."""
         from swarm_envs.agents.evaluation import collided
 
         return not collided(metrics)
@@ -101,8 +101,8 @@ class Assignment:
     @property
     def rubric(self) -> str:
         """The rule of the points in one sentence."""
-        said = f"{self.metric}: {self.zero:g} gives 0 points, {self.full:g} gives 100"
-        return f"{said}, times the share of episodes {self.counted}" if self.counted else said
+        rule = f"{self.metric}: {self.zero:g} gives 0 points, {self.full:g} gives 100"
+        return f"{rule}, times the share of episodes {self.counted}" if self.counted else rule
 
     @property
     def summary(self) -> str:
@@ -110,10 +110,12 @@ class Assignment:
         return (inspect.getdoc(type(self)) or "").partition("\n")[0].rstrip(".")
 
     def grade(self, entry: Entry) -> dict[str, Any]:
-        """Return the scores of a work, the share of episodes `counted`, and whom it has `copied`.
+        """Return the scores of a submission, the share of episodes `counted`, and `copied`.
+
+        `copied` is the name of the copied agent, or "".
 
         Raises:
-            WorkFailed: it failed.
+            WorkFailed: the submission failed.
         """
         from swarm_envs import make
         from swarm_envs.agents import record_episode
@@ -145,22 +147,22 @@ class Assignment:
         return {**score(episodes), "counted": counted}
 
     def _check_cpu(self, work: RemoteWork, episodes: int) -> None:
-        """Refuse a learner that computes outside `train` what it should learn there."""
+        """Raise WorkFailed if a learner used too much CPU time, such as outside `train`."""
         most = 1.5 * self.train_s + _SETUP_S + _EPISODE_S * episodes
         if self.train_s and (spent := work.process.cpu_s()) > most:
-            raise WorkFailed(f"used {spent:.0f} s of CPU time in all, but may use {most:.0f} s")
+            raise WorkFailed(f"used {spent:.0f} s of CPU time, but may use at most {most:.0f} s")
 
 
 def _keep_code(entry: Entry) -> None:
-    """Leave of a learner its code alone, which has no room for weights.
+    """Reduce a learner to its code without comments and docstrings, so that it brings no weights.
 
     Raises:
-        WorkFailed: it is no Python file, or has more code or constants than it may.
-        SyntaxError: it is no Python.
+        WorkFailed: it is no Python file, or its code, constants or names are too long.
+        SyntaxError: it is not valid Python.
     """
     path = path_of(entry.work)
     if path.suffix != ".py":
-        raise WorkFailed("it is no class in a Python file, so that it cannot learn")
+        raise WorkFailed("the submission must be a class in a Python file, so that it can learn")
     tree = ast.parse((entry.home / path).read_bytes())
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
@@ -180,22 +182,22 @@ def _keep_code(entry: Entry) -> None:
     ):
         if size > most:
             raise WorkFailed(
-                f"its {what} {size} characters, but may have {most}: what counts is learned in "
-                "train()"
+                f"its {what} {size} characters, but may have at most {most}; learn parameters in "
+                "train() instead"
             )
     (entry.home / path).write_text(source, encoding="utf-8")
 
 
 def _is_text(line: ast.stmt) -> bool:
-    """Return whether a statement is a docstring, or another constant that does nothing."""
+    """Return True if a statement is a docstring or another constant."""
     return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
 
 
 def load_assignment(name: str) -> Assignment:
-    """Return an assignment that ships, or the one of a file.
+    """Return an included assignment, or the one that a file defines.
 
     Raises:
-        ValueError: there is none of this name, or the file does not define one.
+        ValueError: no assignment has this name, or the file does not define exactly one.
         FileNotFoundError: there is no such file.
         ImportError: it cannot be imported.
     """

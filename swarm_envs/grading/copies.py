@@ -1,8 +1,8 @@
-"""The recognition of copies: work of others in a submission, by weights, source and actions.
+"""Detection of copies in a submission, by weights, source code and actions.
 
-Known are the agents and force models that ship, and in a checkout the reference solutions of
-`tests/solutions`. Two policies are alike if what no simple law of their observations explains of
-one is that of the other, turned and scaled: so much two people do not write independently.
+Submissions are compared with the included agents and force models, and in a checkout with the
+reference solutions of `tests/solutions`. The similarity of two policies is the correlation, up to
+rotation and scale, of their actions without the part that simple control laws explain.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions import load as load_forces
 
 ALIKE = 0.88
-"""Likeness from which on one policy is a copy of another. Agents and solutions that were written or
-trained independently reach 0.65, one that imitates the teacher of another 0.7; a copy that is
-turned, scaled or filtered has 0.97, and one with noise of a quarter of the largest action 0.9."""
-_LINEAR = 0.05  # share of actions that a law must leave unexplained to be told from others
-_BENT = 200  # random features that tell a policy from noise
-_PLAIN = ("straight-line",)  # laws that everybody writes
-_SHORTEST = 400  # characters of a function's syntax tree: of less, two people write the same
-_MOST_READ = 4 << 20  # bytes of files that are looked at as sources
-_LONG = 100  # characters of a constant from which on its value is not compared
-_NOBODYS = ("hover", "random")  # who does nothing has not copied it
+"""Similarity at which a policy counts as a copy. Agents and solutions that were written or trained
+independently reach 0.65, and students of the same teacher 0.7; a copy that is rotated, scaled or
+filtered has 0.97, and one with noise of a quarter of the largest action 0.9."""
+_LINEAR = 0.05  # Least fraction of actions that simple laws must leave unexplained for a comparison
+_BENT = 200  # Number of random nonlinear features that separate a policy from noise
+_PLAIN = ("straight-line",)  # Control laws that anybody may write
+_SHORTEST = 400  # Length of a function's syntax tree below which functions are not compared
+_MOST_READ = 4 << 20  # Bytes of files that are parsed as source code
+_LONG = 100  # Length of a constant from which its value is not compared
+_NOBODYS = ("hover", "random")  # Trivial agents, which are not compared
 _PACKAGE = Path(swarm_envs.__file__).parent
 SOLUTIONS = _PACKAGE.resolve().parent / "tests" / "solutions"
-"""Reference solutions, where the package is a checkout."""
+"""Folder of the reference solutions, in a checkout of the repository."""
 
 
 def harmless(check: Callable[..., str], *given: Any) -> str:
-    """Return what a check finds; "" if it fails, for which no work is to pay."""
+    """Return the result of a check, or "" if it raises, so that no submission suffers from it."""
     with suppress(Exception):
         return check(*given)
     return ""
 
 
 def copied_files(home: Path, work: str) -> str:
-    """Return what is in the files of a work that others wrote: weights, or a function; or ""."""
+    """Return the name of copied weights or source code in the files of a submission, or ""."""
     own, left = home / work.rpartition(":")[0], _MOST_READ
-    for file in sorted(filter(Path.is_file, home.rglob("*")), key=own.__ne__):  # its own first
+    for file in sorted(filter(Path.is_file, home.rglob("*")), key=own.__ne__):  # `own` first
         known = _known_weights() if file.suffix in (".safetensors", ".json") else {}
         if known and (name := known.get(_digest(file))):
             return name
@@ -68,7 +68,7 @@ def copied_files(home: Path, work: str) -> str:
 
 
 def _digest(file: Path) -> str:
-    """Return the digest of a file; of safetensors without the header, written in many ways."""
+    """Return the digest of a file; of safetensors without the header, which may vary."""
     content = file.read_bytes()
     start = 8 + int.from_bytes(content[:8], "little") if file.suffix == ".safetensors" else 0
     return hashlib.sha256(content[start:]).hexdigest()
@@ -76,7 +76,7 @@ def _digest(file: Path) -> str:
 
 @cache
 def _known_weights() -> dict[str, str]:
-    """Names of shipped weights by their digests."""
+    """Return the names of included weights by their digests."""
     folders = [(_PACKAGE / part).resolve() for part in ("agents", "baselines", "interactions")]
     files = [file for folder in folders for file in folder.rglob("weights/*.safetensors")]
     files.append(_PACKAGE / "interactions" / "weights" / "wake.json")
@@ -85,7 +85,7 @@ def _known_weights() -> dict[str, str]:
 
 @cache
 def known_forces() -> dict[str, InteractionModel]:
-    """Return the force models that ship, by name."""
+    """Return the included force models by name."""
     folders = [(_PACKAGE / part).resolve() for part in ("baselines", "interactions")]
     files = [file for folder in folders for file in folder.rglob("weights/*.safetensors")]
     return {"wake": load_forces("wake"), **{file.stem: load_forces(file) for file in files}}
@@ -93,7 +93,7 @@ def known_forces() -> dict[str, InteractionModel]:
 
 @cache
 def _known_functions() -> dict[str, str]:
-    """Names of known classes or files by the functions in them, but for those of starters."""
+    """Return the names of known files by the functions in them, except those of starters."""
     given = {said for file in (_PACKAGE / "assignments").rglob("*.py") for said in _functions(file)}
     places = [place.partition(":")[0].replace(".", "/") for place in SHIPPED.values()]
     files = [_PACKAGE.parent / f"{place}.py" for place in places]
@@ -103,9 +103,9 @@ def _known_functions() -> dict[str, str]:
 
 
 def _functions(file: Path) -> Iterator[str]:
-    """Say what each function of a source does: without names of variables, and docstrings.
+    """Yield the syntax tree of each function of a file, without names of variables and docstrings.
 
-    Functions in others are said once, alone: else the time would grow with the square of a source.
+    Nested functions are yielded separately, so that the time does not grow quadratically.
     """
     for node in [*ast.walk(ast.parse(file.read_bytes()))]:
         if isinstance(node, ast.FunctionDef):
@@ -117,25 +117,25 @@ def _functions(file: Path) -> Iterator[str]:
 
 
 class _Nameless(ast.NodeTransformer):
-    """Takes names of variables, long constants and docstrings out of a syntax tree."""
+    """Transformer that removes names of variables, long constants and docstrings."""
 
     def visit_Name(self, node: ast.Name) -> ast.AST:
-        """Forget the name."""
+        """Remove the name."""
         return ast.Name("name", node.ctx)
 
     def visit_Constant(self, node: ast.Constant) -> ast.AST:
-        """Forget a value that is long."""
+        """Remove a long value."""
         return ast.Constant(node.value if len(repr(node.value)) < _LONG else "long")
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
-        """Forget a docstring."""
+        """Remove a docstring."""
         return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
 
     def visit_Pass(self, node: ast.Pass) -> None:
-        """Forget a statement that does nothing."""
+        """Remove a `pass` statement."""
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-        """Forget a function in another."""
+        """Remove a nested function."""
 
 
 def basis(columns: Array) -> Array:
@@ -147,18 +147,19 @@ def basis(columns: Array) -> Array:
 
 
 def unexplained(laws: Array, acts: Array) -> Array:
-    """Return (S, A) what a basis of laws leaves of actions (S, A); zeros if that is little."""
+    """Return the residual (S, A) of actions (S, A) after a basis of laws; zeros if it is small."""
     left: Array = acts - laws @ (laws.T @ acts)
     little = len(laws) < 4 * laws.shape[1] or norm(left) < _LINEAR * norm(acts)
     return np.zeros_like(left) if little else left
 
 
 def likenesses(rows: Array, acts: Array, known: dict[str, Array]) -> dict[str, float]:
-    """Return how alike actions (S, A) are to those of known agents in the same situations.
+    """Return the similarity of actions (S, A) to those of known agents in the same situations.
 
-    What linear laws of the rows explain, or the saturated law of `straight-line`, everybody writes.
-    Of the rest noise is taken away: only what known agents and bent features of the rows explain of
-    it counts. The likeness is its correlation with the other's, turned and scaled at best.
+    The part of the actions that linear laws of the rows or `straight-line` explain is removed. The
+    rest is projected onto the known agents' actions and random nonlinear features of the rows,
+    which removes noise. The similarity is its correlation with the rest of another agent's actions
+    after the best rotation and scaling.
     """
     rows = np.asarray(rows, np.float64)
     rows = rows[:, rows.std(axis=0) > 1e-6]
@@ -177,22 +178,22 @@ def likenesses(rows: Array, acts: Array, known: dict[str, Array]) -> dict[str, f
 
 
 def _correlation(one: Array, other: Array) -> float:
-    """Return the correlation of two policies (S, A), one turned and scaled."""
+    """Return the correlation of two policies (S, A) after the best rotation and scaling of one."""
     turned = np.linalg.svd(one.T @ other, compute_uv=False).sum()
     return float(turned / max(norm(one) * norm(other), 1e-9))
 
 
 def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]]) -> str:
-    """Return the name of the known agent that acts alike, or "".
+    """Return the name of the known agent with similar actions, or "".
 
     Args:
-        env: in which the work flew.
-        kept: its decisions: rows (N, row width) of the environment, and actions (N, width).
+        env: the environment of the decisions.
+        kept: decisions: rows (N, row width) of the environment, and actions (N, width).
     """
     rows, acts = (np.stack(part) for part in zip(*kept, strict=True))
     known = {}
     for name in _known_agents():
-        with suppress(Exception):  # it flies no such episodes, or not by rows
+        with suppress(Exception):  # it may not support the task or the action
             known[name] = _flat(_acts_of(name, env, rows))
     alike = {"": ALIKE, **likenesses(_flat(rows), _flat(acts), known)}
     name = max(alike, key=alike.__getitem__)
@@ -204,7 +205,7 @@ def _flat(array: Array) -> Array:
 
 
 def _known_agents() -> list[str]:
-    """Names of agents that act on rows; those of `baselines` plan from the true state."""
+    """Return the names of agents that act on rows; those of `baselines` need the true state."""
     own = [name for name, place in SHIPPED.items() if place.startswith("swarm_envs.agents.")]
     files = [f"{file}:{name}" for file in SOLUTIONS.glob("*.py") for name in _classes(file)]
     return [*(name for name in own if name not in _NOBODYS), *files]
@@ -215,14 +216,14 @@ def _classes(file: Path) -> list[str]:
 
 
 def _acts_of(name: str, env: SwarmParallelEnv, rows: Float32Array) -> Array:
-    """Return the actions of a known agent for the rows of another.
+    """Return the actions of a known agent for the rows of another agent.
 
     Raises:
-        ValueError: it acts otherwise.
+        ValueError: it needs the true state or has another action space.
     """
     agent = _loaded(name)
     if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
-        raise ValueError(f"{name} acts otherwise")
+        raise ValueError(f"{name} has other observations or actions")
     if isinstance(agent, PolicyAgent):
         layout = observation_layout(*agent.policy.note.form)
     else:
@@ -242,10 +243,10 @@ def _loaded(name: str) -> Any:
 def _observed(
     rows: Float32Array, env: SwarmParallelEnv, layout: Sequence[ObservationField]
 ) -> Float32Array:
-    """Return rows (..., width) as another layout has them, without neighbours that nobody saw."""
-    places = {field.name: field.where for field in env.observation_layout}
+    """Return rows (..., width) in another layout, with zeros for fields that they lack."""
+    columns = {field.name: field.where for field in env.observation_layout}
     found = np.zeros((*rows.shape[:-1], layout[-1].where.stop), np.float32)
     for field in layout:
-        if field.name in places:
-            found[..., field.where] = rows[..., places[field.name]]
+        if field.name in columns:
+            found[..., field.where] = rows[..., columns[field.name]]
     return found

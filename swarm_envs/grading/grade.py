@@ -1,4 +1,4 @@
-"""The grades of a class: one work after the other, the table, and its files."""
+"""Grading of a class: the loop over submissions, the table, and its files."""
 
 from __future__ import annotations
 
@@ -37,43 +37,43 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
 class Grade(NamedTuple):
-    """The marks of one work."""
+    """The grade of a submission."""
 
-    work: str  # Its name, as it can be printed
+    work: str  # Its printable name
     points: float  # From 0 to 100
-    value: float | None = None  # The assignment's number; None if the work failed
-    crashes: float | None = None  # Share of episodes with a crash; None where nothing flies
-    error: str = ""  # Why it has no points; empty if it has
-    copied: str = ""  # What it is a copy of, if of anything
+    value: float | None = None  # The assignment's metric; None if the submission failed
+    crashes: float | None = None  # Share of episodes with a crash; None for no episodes
+    error: str = ""  # The reason of a failure; empty for none
+    copied: str = ""  # The name of the copied agent; empty for none
 
     @property
     def said(self) -> str:
-        """The number in words, or why there is none, and a star for a copy."""
+        """The metric as text, with a star for a copy, or the reason of the failure."""
         number = "-" if self.value is None else f"{self.value:.4g}"
         star = f" * as {self.copied}" if self.copied else ""
         return f"FAILED: {self.error}" if self.error else number + star
 
 
 class Course(NamedTuple):
-    """The grading of a class: works, seed and limits, the same for all."""
+    """The grading of a class: submissions and common settings."""
 
     assignment: Assignment
-    works: list[str]  # Their names, as of `swarm_envs.agents.load`
-    seed: int  # Of the episodes; 128 bits that nobody can guess
-    episodes: int  # Of each work
+    works: list[str]  # The submissions' names for `swarm_envs.agents.load`
+    seed: int  # Seed of the episodes; secret if it has 128 random bits
+    episodes: int  # Number of episodes of each submission
     sandbox: Sandbox = Sandbox()
     limits: Limits = Limits()
-    allow_copies: bool = False  # Whether copies of what others wrote have their points
-    out: Path | None = None  # Table to write after each work, .csv or nbgrader's .json
+    allow_copies: bool = False  # True to give points to copies
+    out: Path | None = None  # Table to write after each submission, .csv or nbgrader's .json
     feedback: Path | None = None  # Folder for the feedback of each student
 
     def check(self) -> None:
-        """Refuse an assignment or a sandbox with which every work would fail.
+        """Raise an exception if every submission would fail.
 
         Raises:
-            ValueError: the assignment is impossible, as of `Assignment.check`.
+            ValueError: the assignment is invalid; see `Assignment.check`.
             TypeError: it has an option that does not exist.
-            WorkFailed: not even an empty work starts in the sandbox.
+            WorkFailed: an empty submission does not start in the sandbox.
         """
         self.assignment.check()
         with tempfile.TemporaryDirectory() as home:
@@ -87,7 +87,7 @@ class Course(NamedTuple):
                 raise WorkFailed(f"the sandbox starts no submission: {error}") from None
 
     def grade(self) -> Iterator[Grade]:
-        """Grade one work after the other, but for those that were graded before a halt."""
+        """Grade the submissions one after another; reuse the grades of an interrupted run."""
         done, grades = self._resumed(), list[Grade]()
         for work in self.works:
             key = f"{printable(work)} {digest(work)}"
@@ -105,7 +105,7 @@ class Course(NamedTuple):
             progress_file(self.out).unlink(missing_ok=True)
 
     def _grade_one(self, work: str) -> tuple[Grade, Recording | None]:
-        """Grade a work; whatever goes wrong with it is its own."""
+        """Grade a submission; any exception is a failure of this submission only."""
         shown = None if self.feedback is None else printable(Path(work).name)
         seeds = episode_seeds(self.seed, self.episodes)
         how: dict[str, Any] = {"seeds": seeds, "shown": shown}
@@ -116,7 +116,7 @@ class Course(NamedTuple):
             value, crashes = found.get(self.assignment.metric), found.get("collision_rate")
             if value is not None and not math.isfinite(value):
                 raise WorkFailed(f"{self.assignment.metric} is {value}")
-        except Exception as error:  # a stranger's work may fail in any way, and the next is graded
+        except Exception as error:  # a submission may fail in any way; the next one is still graded
             kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
             said = printable(f"{self._blame(error)}{kind}{error}")
             return Grade(printable(work), 0.0, error=said), None
@@ -125,15 +125,15 @@ class Course(NamedTuple):
         return Grade(printable(work), points, value, crashes, "", copied), found.get("failure")
 
     def _blame(self, error: Exception) -> str:
-        """Say so if an error is none of the work, but of the assignment's own file."""
+        """Return a prefix of the message of an error in the assignment's own file."""
         last = traceback.extract_tb(error.__traceback__)[-1]
         own = inspect.getfile(type(self.assignment))
         if last.filename != own or isinstance(error, WorkFailed):
             return ""
-        return f"a mistake of the assignment, not of the work (line {last.lineno} of {own}): "
+        return f"error of the assignment, not of the submission (line {last.lineno} of {own}): "
 
     def _setting(self) -> dict[str, Any]:
-        """Return what grades depend on beside the work."""
+        """Return the settings on which grades depend besides the submission."""
         setting = {"assignment": self.assignment.name, "episodes": self.episodes}
         return {**setting, "seed": self.seed, "copies": self.allow_copies}
 
@@ -154,39 +154,39 @@ class Course(NamedTuple):
 
 
 def progress_file(out: Path) -> Path:
-    """Return the file that remembers grades until all are there, with their secret seed."""
+    """Return the file that stores grades and their secret seed until grading is complete."""
     return out.with_name(f".{out.name}.progress.json")
 
 
 def seed_of(out: Path | None) -> int | None:
-    """Return the seed of a grading that was halted, to go on with; None if there is none."""
+    """Return the seed of an interrupted grading; None if there is none."""
     if out is None or not progress_file(out).is_file():
         return None
     return int(json.loads(progress_file(out).read_text(encoding="utf-8"))["seed"])
 
 
 def episode_seeds(seed: int, count: int) -> list[int]:
-    """Return the seeds of episodes, 128 bits each; fewer are the first of more."""
+    """Return the seeds of episodes, 128 bits each; a smaller count gives the first of these."""
     words = np.random.SeedSequence(seed).generate_state(4 * count, np.uint32)
     return [int.from_bytes(four.tobytes(), "little") for four in words.reshape(count, 4)]
 
 
 def digest(work: str) -> str:
-    """Return what changes with the files of a work."""
+    """Return a digest of the files of a submission."""
     path, found = path_of(work), hashlib.sha256()
     files = [path] if path.is_file() else sorted(path.rglob("*"))
     for file in filter(Path.is_file, files):
         state = file.stat()
-        if state.st_size <= MOST_FOLDER:  # a larger one is refused later
+        if state.st_size <= MOST_FOLDER:  # larger files are refused later
             found.update(file.read_bytes())
         found.update(f"{file.name} {state.st_size} {state.st_mtime_ns}".encode())
     return found.hexdigest()
 
 
 def student_ids(works: Sequence[str]) -> list[str]:
-    """Return who handed in which work: the first part of its path that is not the same for all.
+    """Return the student of each submission: the first part of its path that differs.
 
-    With one file for each student that is its name, with one folder each the folder's.
+    With one file per student this is its name, with one folder per student the folder's.
     """
     paths = [path_of(work).absolute() for work in works]
     if len(set(paths)) < 2:
@@ -197,7 +197,7 @@ def student_ids(works: Sequence[str]) -> list[str]:
 
 
 def cell(words: str) -> str:
-    """Return words that no spreadsheet takes for a formula, as OWASP says of CSV injection."""
+    """Return a text escaped against CSV injection (OWASP): spreadsheets run formulas."""
     return f"'{words}" if words.startswith(_FORMULAS) else words
 
 
@@ -210,7 +210,7 @@ def grade_table(assignment: Assignment, grades: Sequence[Grade]) -> str:
         name = grade.work.ljust(width)
         lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {grade.said}")
     if any(grade.copied for grade in grades):
-        lines.append("* acts, or is written, as what others wrote")
+        lines.append("* similar to the named agent or file in actions, weights or source code")
     return "\n" + "\n".join(lines)
 
 
@@ -226,7 +226,7 @@ def _table_row(assignment: Assignment, grade: Grade) -> dict[str, Any]:
 
 
 def _nbgrader_row(name: str, student: str, grade: Grade) -> dict[str, Any]:
-    """Return a row as `nbgrader export` has it."""
+    """Return a row in the format of `nbgrader export`."""
     points = {"raw_score": grade.points, "score": grade.points, "max_score": 100.0}
     return {"assignment": name, "student_id": student, "late_submission_penalty": 0.0, **points}
 
@@ -241,33 +241,33 @@ def write_feedback(
     """Write `results.json` in Gradescope's format for all, and `failure.html` for the last.
 
     Args:
-        folder: where; each student has a folder in it.
-        assignment: what was asked for.
-        grades: of the works so far.
-        failure: the first episode of the last work that was no success; None if all were.
-        fresh: whether the last was graded just now.
+        folder: the output folder, in which each student has a folder.
+        assignment: the assignment.
+        grades: the grades so far.
+        failure: the first failed episode of the last submission; None if all succeeded.
+        fresh: True if the last submission was graded in this run.
     """
-    place = folder
+    own = folder
     for number, grade in enumerate(grades):
-        place = folder / f"{number:03d}-{re.sub(r'[^A-Za-z0-9]+', '-', grade.work)[-60:]}"
-        place.mkdir(parents=True, exist_ok=True)
-        write_json(place / "results.json", _gradescope(assignment, grade, grades))
+        own = folder / f"{number:03d}-{re.sub(r'[^A-Za-z0-9]+', '-', grade.work)[-60:]}"
+        own.mkdir(parents=True, exist_ok=True)
+        write_json(own / "results.json", _gradescope(assignment, grade, grades))
     if fresh:
-        (place / "failure.html").unlink(missing_ok=True)
+        (own / "failure.html").unlink(missing_ok=True)
     if failure is not None:
         from swarm_envs.viewing import write_replay
 
-        write_replay(place / "failure.html", failure)
+        write_replay(own / "failure.html", failure)
 
 
 def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
     """Return Gradescope's results: gradescope-autograders.readthedocs.io/en/latest/specs."""
     reached = [other.value for other in grades if other.value is not None]
-    said = [assignment.rubric, f"yours: {grade.said}"]
+    lines = [assignment.rubric, f"yours: {grade.said}"]
     if grade.crashes is not None:
-        said.append(f"share of episodes with a crash: {grade.crashes:.0%}")
+        lines.append(f"share of episodes with a crash: {grade.crashes:.0%}")
     if len(reached) > 1:
         quarters = ", ".join(f"{q:.4g}" for q in statistics.quantiles(reached, method="inclusive"))
-        said.append(f"quartiles of the {len(reached)} works so far: {quarters}")
-    shown = {"output": "\n".join(said), "visibility": "visible"}
+        lines.append(f"quartiles of the {len(reached)} submissions so far: {quarters}")
+    shown = {"output": "\n".join(lines), "visibility": "visible"}
     return {"score": grade.points, "max_score": 100.0, **shown}

@@ -1,7 +1,7 @@
-"""Control groups: the memory, processes, cores and CPU time of a work and of all that it begins.
+"""Control groups, which limit memory, processes, cores and CPU time of a submission.
 
-A group is made in the system's tree where this user may (root), else by systemd. Where neither can
-be, limits hold for each process alone, and CPU time is summed over the processes that there are.
+A group is created in the system's tree if the user has permission (root), else by systemd. If
+neither works, limits apply to each process, and CPU time is summed over existing processes.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from functools import cache
 from pathlib import Path
 
 PROCESSES = 256
-"""Processes and threads that a work may have."""
+"""Largest number of processes and threads of a submission."""
 _ROOT = Path("/sys/fs/cgroup")
 _JOIN = 'for g in $0; do echo $$ > "$g/cgroup.procs" || exit 1; done; exec "$@"'
 _SCOPE = ["systemd-run", "--user", "--scope", "--quiet", "--collect", "-p", "CPUQuota=100%"]
-_CPU_TIME = {"cpuacct.usage": 1e-9, "cpu.stat": 1e-6}  # files and their units, s
+_CPU_TIME = {"cpuacct.usage": 1e-9, "cpu.stat": 1e-6}  # Files and their units, s
 _numbers = itertools.count()
 
 
 class ControlGroup:
-    """A group of processes with limits, if the system lets one be made.
+    """A group of processes with limits, if the system supports it.
 
     Args:
-        memory: of all of them together, bytes.
+        memory: the limit of their total memory, bytes.
     """
 
     def __init__(self, memory: int) -> None:
@@ -35,18 +35,18 @@ class ControlGroup:
         scope = [*_SCOPE, "-p", f"MemoryMax={memory}", "-p", f"TasksMax={PROCESSES}"]
         join = ["sh", "-c", _JOIN, " ".join(map(str, self._places))]
         self.words = join if self._places else scope if runs(*scope, "true") else []
-        """Words of a command that puts what follows them into the group."""
+        """The prefix of a command that starts it in the group."""
 
     def cpu_s(self, process: int) -> float:
-        """CPU time of the group, s; without a group of ours that of a process and its children."""
+        """Return the CPU time of the group, s, or of a process and its children without one."""
         for file, place in itertools.product(_CPU_TIME, self._places):
             if (place / file).exists():
-                said = (place / file).read_text().removeprefix("usage_usec").split()
-                return _CPU_TIME[file] * int(said[0])
+                values = (place / file).read_text().removeprefix("usage_usec").split()
+                return _CPU_TIME[file] * int(values[0])
         return _tree_cpu_s(process)
 
     def remove(self) -> None:
-        """Remove the group; its last processes may be about to end."""
+        """Remove the group after its last processes have ended."""
         until = time.monotonic() + 5.0
         for place in filter(Path.exists, self._places):
             while (place / "cgroup.procs").read_text() and time.monotonic() < until:
@@ -57,7 +57,7 @@ class ControlGroup:
 
 @cache
 def runs(*command: str) -> bool:
-    """Return whether a command is there, and does its work."""
+    """Return True if a command exists and succeeds."""
     with suppress(OSError):
         quiet = subprocess.DEVNULL
         return not subprocess.run(command, stdin=quiet, capture_output=True).returncode
@@ -65,7 +65,7 @@ def runs(*command: str) -> bool:
 
 
 def _made(memory: int) -> list[Path]:
-    """Make groups of version 2 or 1 with limits; none where the system refuses."""
+    """Create groups of version 2 or 1 with limits, or none without permission."""
     limits = {"memory.max": memory, "memory.swap.max": 0, "pids.max": PROCESSES, "cpu.max": 100_000}
     if not (_ROOT / "cgroup.controllers").exists():
         limits = {"memory/memory.limit_in_bytes": memory, "pids/pids.max": PROCESSES}
@@ -86,12 +86,12 @@ def _made(memory: int) -> list[Path]:
 
 
 def _tree_cpu_s(process: int) -> float:
-    """CPU time of a process, of its children that run, and of those that they awaited, s."""
+    """Return the CPU time of a process and its descendants, ended ones included, s."""
     spent: dict[int, tuple[int, int]] = {}
     for file in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError, ValueError, IndexError):
-            said = file.read_text(errors="replace").rpartition(")")[2].split()
-            spent[int(file.parent.name)] = int(said[1]), sum(map(int, said[11:15]))
+            values = file.read_text(errors="replace").rpartition(")")[2].split()
+            spent[int(file.parent.name)] = int(values[1]), sum(map(int, values[11:15]))
     ticks, ahead = 0, {process}
     while ahead:
         ticks += sum(spent[each][1] for each in ahead if each in spent)

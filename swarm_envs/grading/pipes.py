@@ -1,8 +1,7 @@
-"""Messages between the grader and the process of a work: a header in JSON, then raw numbers.
+"""Messages between the grader and the process of a submission: a JSON header, and arrays.
 
-A message is 16 bytes (`SWRM`, and the lengths of header and numbers, little-endian), the header,
-and arrays as safetensors. Nothing in it can become code. What is longer than allowed, or does not
-fit what it says of itself, is refused.
+A message is 16 bytes (`SWRM`, and the lengths of header and arrays, little-endian), the header, and
+arrays as safetensors. It cannot contain code. Messages that are too long or malformed are refused.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from safetensors.numpy import load, save
 _PREFIX = struct.Struct("<4sIQ")
 _MAGIC = b"SWRM"
 MOST_HEADER = 1 << 16
-"""Bytes of a header."""
+"""Largest number of bytes of a header."""
 
 Array = npt.NDArray[Any]
 
 
 class BadMessage(ValueError):
-    """The bytes that were received are no message."""
+    """The received bytes are not a valid message."""
 
 
 def send(
@@ -35,10 +34,10 @@ def send(
     header: Mapping[str, Any] | None = None,
     arrays: Sequence[Array] = (),
 ) -> None:
-    """Write a message: what JSON can say, and numbers or truth values.
+    """Write a message with a header and numeric or boolean arrays.
 
     Raises:
-        OSError: there is no other side.
+        OSError: the pipe is closed.
     """
     head = json.dumps({**(header or {}), "kind": kind}).encode()
     numbers = save({str(k): np.ascontiguousarray(array) for k, array in enumerate(arrays)})
@@ -50,8 +49,8 @@ def receive(source: IO[bytes], most: int) -> tuple[dict[str, Any], list[Array]]:
     """Read a message, and return its header and its arrays.
 
     Raises:
-        BadMessage: it is none, or its numbers have more than `most` bytes.
-        EOFError: there is no other side.
+        BadMessage: it is malformed, or its arrays have more than `most` bytes.
+        EOFError: the pipe is closed.
     """
     magic, length, size = _PREFIX.unpack(_read(source, _PREFIX.size))
     if magic != _MAGIC or length > MOST_HEADER or size > most:

@@ -1,4 +1,4 @@
-"""A work that flies, as an agent of the grader."""
+"""A submission in its sandbox as an agent of the grader."""
 
 from __future__ import annotations
 
@@ -25,45 +25,48 @@ OPTIONS = (
     *("action", "decision_rate", "observation"),
     *("num_neighbors", "num_obstacles", "observe_load", "observe_setpoint"),
 )
-"""Options that a work may require. All others say what is flown and when it is a success."""
+"""Options that a submission may require; the others are part of the assignment."""
 SEEN = 8
-"""Neighbours that the grader observes, with loads and set-points, whatever a work asks for."""
+"""Least number of neighbors in the grader's rows, which also have loads and set-points."""
 MOST_SEEN = 64
-"""Neighbours, or obstacles, that it may ask to observe."""
+"""Largest number of neighbors, or obstacles, that a submission may observe."""
 KEPT = 512
-"""Decisions of a work that are kept, to be compared with those of others."""
+"""Number of stored decisions of a submission, for the comparison with other agents."""
 
 
 def remote_agent(
     work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any], rate: int = 0
 ) -> RemoteAgent:
-    """Return a work as an agent, by what it says of itself; arguments are those of `RemoteAgent`.
+    """Return a submission as an agent; the arguments are those of `RemoteAgent`.
 
     Raises:
-        WorkFailed: it requires what it may not.
+        WorkFailed: it requires options that it may not choose, or the true state.
     """
     if made.get("privileged") is True:
-        raise WorkFailed("it asks for the true state (privileged = True), which no work is shown")
+        raise WorkFailed(
+            "it requires the true state (privileged = True), which submissions do not receive; "
+            "use observations"
+        )
     try:
         every = _repeats(_checked(made.get("requires")).get("decision_rate"), rate)
         batched = made.get("batched") is True and every == 1
         return (RemoteBatchAgent if batched else RemoteAgent)(work, made, flown, rate)
     except (ValueError, TypeError) as error:
-        raise WorkFailed(printable(f"cannot be flown: {error}")) from error
+        raise WorkFailed(printable(f"cannot be evaluated: {error}")) from error
 
 
 class RemoteAgent:
-    """A work that flies, as an agent of the grader.
+    """A submission in its sandbox as an agent of the grader.
 
     Args:
         work: its process.
-        made: what it says of itself.
-        flown: the task's name and the options of the environment, which it is told.
-        rate: decisions a second, at least, that are counted; of a work that decides more rarely
-            each action is repeated. 0 for its own rate.
+        made: its attributes, which are not trusted.
+        flown: the task's name and the options of the environment, which the process receives.
+        rate: the least decision rate of the evaluation, Hz; each action of a slower submission is
+            repeated. 0 for its own rate.
 
     Raises:
-        ValueError: it requires what it may not.
+        ValueError: it requires options that it may not choose.
     """
 
     privileged = False
@@ -86,26 +89,26 @@ class RemoteAgent:
             "observe_setpoint": own.core.mode.level == SETPOINTS,
         }
         own.close()
-        self._where: npt.NDArray[np.intp] = np.zeros(0, np.intp)  # Of its fields in rows
+        self._where: npt.NDArray[np.intp] = np.zeros(0, np.intp)  # Columns of its fields
         self.kept: list[tuple[Float32Array, Array]] = []
-        """Some of its decisions: rows (N, row width) of the environment, and actions (N, width)."""
+        """Stored decisions: rows (N, row width) of the environment, and actions (N, width)."""
         self._work, self._flown, self._held = work, flown, Actions()
         self._resets = self._decisions = self._steps = 0
         self._rng = np.random.default_rng(0)
         self._env: SwarmParallelEnv | None = None
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Prepare the work for an episode; of its seed it learns nothing, it is given another."""
-        if not self._resets:  # the seed is of the episode, which the work does not know
+        """Prepare the submission for an episode; it receives another, public seed."""
+        if not self._resets:
             self._rng = np.random.default_rng(seed)
         self._env, self._steps = env, 0
-        places = {field.name: field.where for field in env.observation_layout}
-        self._where = np.concatenate([np.r_[places[field.name]] for field in self._layout])
+        columns = {field.name: field.where for field in env.observation_layout}
+        self._where = np.concatenate([np.r_[columns[field.name]] for field in self._layout])
         self._work.ask("reset", {"seed": self._resets, **self._flown})
         self._resets += 1
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """Return the work's actions for what its drones observe."""
+        """Return the submission's actions for the drones' observations."""
         if self._steps % self.every == 0:
             assert self._env is not None
             rows = self._env.core.rows
@@ -121,13 +124,13 @@ class RemoteAgent:
         seen = [rows[..., self._where]]
         _, given = self._work.ask(kind, {}, seen, 8 * math.prod(shape))
         if len(given) != 1 or given[0].dtype != np.float64:
-            raise WorkFailed("answered nonsense: no array of actions")
+            raise WorkFailed("gave an invalid answer: no array of actions")
         if kind == "act" and given[0].shape != shape:
-            raise WorkFailed(f"answered actions of shape {given[0].shape}, not {shape}")
+            raise WorkFailed(f"returned actions of shape {given[0].shape}, but must return {shape}")
         return given[0]
 
     def _keep(self, rows: Float32Array, actions: Array) -> None:
-        """Keep decisions of all flights evenly, of one team each: which, no work can foresee."""
+        """Store a uniform random sample of decisions, unpredictable for the submission."""
         self._decisions += 1
         place, team = self._rng.integers((self._decisions, len(rows)))
         if len(self.kept) < KEPT:
@@ -137,20 +140,20 @@ class RemoteAgent:
 
 
 class RemoteBatchAgent(RemoteAgent):
-    """A work that flies many episodes at once."""
+    """A submission that acts for many episodes at once."""
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
-        """Return the work's actions for the rows of many teams."""
+        """Return the submission's actions for the rows of many teams."""
         actions: Any = self._asked("batch", rows, rows.shape[:-1])
         self._keep(rows, actions)
         return actions
 
 
 def _checked(requires: Any) -> dict[str, Any]:
-    """Return what a work requires of the environment.
+    """Return the options that a submission requires after a check.
 
     Raises:
-        ValueError: it is no mapping, or requires what it may not choose.
+        ValueError: they are no mapping, or it may not choose one of them.
     """
     if not isinstance(requires, dict):
         raise ValueError(f"requires is {requires!r:.80}, but must be a mapping of options")
@@ -162,8 +165,8 @@ def _checked(requires: Any) -> dict[str, Any]:
 
 
 def _repeats(own: Any, rate: int) -> int:
-    """Return how often an action is repeated, so that decisions are no rarer than a rate."""
-    if not isinstance(own, int) or own < 1:  # the environment's own, or one that it refuses
+    """Return the number of repetitions of an action that gives at least a decision rate."""
+    if not isinstance(own, int) or own < 1:  # None, or an invalid value that is refused later
         return 1
     times = range(1, PHYSICS_RATE // own + 1)
     return next((k for k in times if own * k >= rate and PHYSICS_RATE % (own * k) == 0), 1)

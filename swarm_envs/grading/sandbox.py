@@ -1,7 +1,7 @@
-"""The sandbox of a work: bubblewrap, or a command of the teacher's.
+"""The sandbox of a submission: bubblewrap, or a command of the teacher.
 
-The work sees the system read-only, a copy of its own folder, and no other process, keyring or
-network (github.com/containers/bubblewrap).
+A submission has read-only access to the system and a copy of its own folder, and no access to other
+processes, keyrings or the network (github.com/containers/bubblewrap).
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from swarm_envs.compiled import kernel_folder
 from swarm_envs.grading.groups import ControlGroup, runs
 
 HOME = "/submission"
-"""Folder of a work in its sandbox."""
+"""Folder of a submission in its sandbox."""
 _ALONE = ["bwrap", "--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL"]
 _SYSTEM = ["/usr", "/bin", "/sbin", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/alternatives"]
-_COMPUTER = ("/proc/cpuinfo", "/sys/devices/system/cpu")  # what libraries ask about it
+_COMPUTER = ("/proc/cpuinfo", "/sys/devices/system/cpu")  # Information that libraries need
 
 
 class Sandbox(NamedTuple):
-    """The separation of works from the system and from each other."""
+    """The isolation of submissions from the system and from each other."""
 
     command: str | None = None
-    """A command that runs what follows it, where `{work}` is the work's folder; None for bwrap."""
-    unprotected: bool = False  # Whether works run as any other program of the grader's
-    memory: int = 8 << 30  # Most memory of a work, bytes
-    weights: bool = False  # Whether works may read the weights that ship
+    """The command prefix, where `{work}` is the submission's folder; None for bubblewrap."""
+    unprotected: bool = False  # True to run submissions without isolation
+    memory: int = 8 << 30  # Largest memory of a submission, bytes
+    weights: bool = False  # True if submissions may read the included weights
 
 
 class Confined:
-    """The process of a work in a sandbox, with pipes for its input and output.
+    """The process of a submission in a sandbox, with pipes for its input and output.
 
     Args:
-        sandbox: what keeps it apart.
-        home: its working directory, a copy of the work's folder.
-        errors: file for what it says on stderr.
-        flies: whether it needs the forces of environments.
+        sandbox: the sandbox.
+        home: its working directory, a copy of the submission's folder.
+        errors: the file for its stderr.
+        flies: True if it needs the force models of environments.
     """
 
     def __init__(self, sandbox: Sandbox, home: Path, errors: IO[bytes], flies: bool) -> None:
@@ -64,21 +64,21 @@ class Confined:
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
             words, **pipes, env=variables, cwd=home, start_new_session=True
         )
-        self.sink = cast(IO[bytes], self._process.stdin)  # where to write what it is asked
-        self.source = cast(IO[bytes], self._process.stdout)  # where to read what it answers
+        self.sink = cast(IO[bytes], self._process.stdin)  # for requests
+        self.source = cast(IO[bytes], self._process.stdout)  # for answers
 
     def cpu_s(self) -> float:
-        """CPU time of the process and of all that it began, s."""
+        """Return the CPU time of the process and its descendants, s."""
         return self._group.cpu_s(self._process.pid) if self._group else 0.0
 
     def kill(self) -> None:
-        """End the process and all that it began, without waiting."""
+        """Kill the process and its descendants without waiting."""
         with suppress(ProcessLookupError, PermissionError, AttributeError):  # Windows has none
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
 
     def end(self, patience_s: float = 0.0) -> int:
-        """End the process, which may do so by itself for a while, s; return its exit code."""
+        """Wait for the process for a time, s, then kill it; return its exit code."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(patience_s)
         self.kill()
@@ -89,12 +89,12 @@ class Confined:
 
 
 def has_bubblewrap() -> bool:
-    """Return whether bubblewrap is installed, and may do its work."""
+    """Return True if bubblewrap is installed and works."""
     return runs("bwrap", "--unshare-all", "--ro-bind", "/", "/", "true")
 
 
 def _weights(flies: bool) -> list[str]:
-    """Folders of weights that ship; those of the forces, too, of a work that needs none."""
+    """Return the folders of included weights that are hidden from a submission."""
     hidden = {"agents": "weights", "baselines": "neural_swarm/weights"}
     hidden |= {} if flies else {"interactions": "weights"}
     package = Path(swarm_envs.__file__).parent
@@ -102,11 +102,11 @@ def _weights(flies: bool) -> list[str]:
 
 
 def _bubble(home: Path, hidden: list[str]) -> list[str]:
-    """Words of bubblewrap, and of the program that gives a session keyring of its own.
+    """Return the command prefix of bubblewrap, with a new session keyring if possible.
 
     Args:
-        home: folder of the work.
-        hidden: folders that are empty for it.
+        home: the submission's folder.
+        hidden: folders that appear empty.
     """
     package = Path(swarm_envs.__file__).parent
     parts = [package, *(part.resolve() for part in package.iterdir() if part.is_symlink())]
@@ -119,7 +119,7 @@ def _bubble(home: Path, hidden: list[str]) -> list[str]:
 
 
 def _clean() -> list[str]:
-    """Words that leave nothing of the grader's environment."""
+    """Return the command prefix that replaces the grader's environment variables."""
     own = {**_variables(), "PATH": "/usr/bin:/bin", "HOME": "/tmp", "TMPDIR": "/tmp"}
     own |= {"NUMBA_CACHE_DIR": "/tmp/kernels", "KERNELS": str(kernel_folder() or "")}
     own |= {"USER": "work", "LANG": "C.UTF-8"}

@@ -1,4 +1,4 @@
-"""A submission as the grader sees it: a file or folder, and what answers from its sandbox."""
+"""The grader's side of a submission: its files, and the process in its sandbox."""
 
 from __future__ import annotations
 
@@ -17,69 +17,69 @@ from swarm_envs.grading.pipes import Array, BadMessage, receive, send
 from swarm_envs.grading.sandbox import Confined, Sandbox
 
 MOST_SOURCE, MOST_FOLDER = 1 << 20, 1 << 28
-"""Bytes of a source, and of what is copied with it."""
+"""Most bytes of a source file, and of the files that are copied with it."""
 LONGEST = 500
-"""Characters that are kept of a work's message."""
-_SPARE = 1 << 20  # bytes by which an answer may be too long and still be understood
+"""Most characters of a submission's message."""
+_SPARE = 1 << 20  # Bytes that an answer may have in excess to be reported as wrong in shape
 _DECISIONS = ("act", "batch", "plan")
 
 
 class WorkFailed(RuntimeError):
-    """A work raised, answered nonsense, took too long or ended. The message says which."""
+    """A submission raised an exception, gave an invalid answer, took too long or ended."""
 
 
 class Limits(NamedTuple):
-    """The limits of a work, beside those of its sandbox."""
+    """The time limits of a submission."""
 
     work_s: float = 600.0  # Time until its first decision, and again for all others, s
     decision_s: float = 30.0  # Time for a decision after the first, of one team or of many, s
 
 
 def printable(words: str) -> str:
-    """Return words on one line: control characters as escapes, and at most `LONGEST` of them."""
+    """Return a text on one line, with control characters escaped, of at most `LONGEST`."""
     shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words[: LONGEST + 1])
     return shown if len(shown) <= LONGEST else shown[: LONGEST - 1] + "…"
 
 
 def path_of(name: str) -> Path:
-    """Return the file or folder of a work."""
+    """Return the file or folder of a submission."""
     return Path(name.rpartition(":")[0] if ".py:" in name else name)
 
 
 class Clock:
-    """The time that a work has left, in all its processes together."""
+    """The time that a submission has left, for all its processes together."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits, self.left_s, self._decides = limits, limits.work_s, False
 
     def begin_decisions(self) -> None:
-        """Give the time for decisions, once: nothing is compiled any more."""
+        """Restart the time at the first decision, after compilation."""
         if not self._decides:
             self.left_s, self._decides = self.limits.work_s, True
 
 
 class Entry(NamedTuple):
-    """A work, and how it is graded."""
+    """A submission, and the settings of its grading."""
 
-    work: str  # Its name in its own copy of the folder
+    work: str  # Its name in the copy of its folder
     home: Path  # The copy
     sandbox: Sandbox
     clock: Clock
-    seeds: Sequence[int] = ()  # Of the episodes
+    seeds: Sequence[int] = ()  # Seeds of the episodes
     shown: str | None = None  # Its name in the recording of the first failure; None for none
 
     @contextmanager
     def opened(self, flies: bool = False) -> Iterator[tuple[RemoteWork, dict[str, Any]]]:
-        """Start the process of the work, and end it and all that it began.
+        """Start the process of the submission, and end it with its descendants.
 
         Args:
-            flies: whether it is an agent; else its class is called without arguments.
+            flies: True if it is an agent; else its class is called without arguments.
 
-        Returns:
-            The work, and what it says of itself; nothing of it is checked.
+        Yields:
+            The submission, and its attributes, which are not checked.
 
         Raises:
-            WorkFailed: it cannot be made.
+            WorkFailed: it cannot be loaded.
         """
         with tempfile.TemporaryDirectory(prefix="swarm-envs-") as folder:
             errors = Path(folder, "errors")
@@ -95,24 +95,24 @@ class Entry(NamedTuple):
 
 @contextmanager
 def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) -> Iterator[Entry]:
-    """Copy a work into a folder of its own.
+    """Copy a submission to a temporary folder.
 
-    What lies beside its file is copied if the file has the name that is asked for: then the folder
-    is the student's. A file of another name may lie among those of others.
+    The other files of its folder are copied too if the file has the name of the assignment, because
+    the folder is then the student's. A file with another name may be among files of others.
 
     Args:
-        name: of the work.
-        asked: the work that an assignment asks for, `file.py:Class`.
-        sandbox: where it runs.
+        name: the name of the submission.
+        asked: the name of submissions in the assignment, `file.py:Class`.
+        sandbox: its sandbox.
         clock: its time.
         **more: other fields of the entry.
 
     Raises:
-        WorkFailed: it is a link, no plain file, or too large.
+        WorkFailed: it is a link, no regular file, or too large.
     """
     path = path_of(name)
     with tempfile.TemporaryDirectory(prefix="swarm-envs-work-") as home:
-        Path(home).chmod(0o755)  # a container's user may be another
+        Path(home).chmod(0o755)  # the user in a container may differ
         _copy(path, path.is_dir() or path.name == path_of(asked).name, Path(home))
         chosen = f":{name.rpartition(':')[2]}" if path.suffix == ".py" else ""
         work = f"{path.name}{chosen}" if path.is_file() else "."
@@ -121,11 +121,11 @@ def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) 
 
 def _copy(path: Path, with_folder: bool, home: Path) -> None:
     if path.is_symlink() or path.parent.is_symlink():
-        raise WorkFailed("it or its folder is a link to another; hand in the file itself")
+        raise WorkFailed("it or its folder is a symbolic link; submit the file itself")
     if not (path.is_file() or path.is_dir()):
-        raise WorkFailed("it is no plain file")
+        raise WorkFailed("it is no regular file or folder; submit one")
     if path.suffix == ".py" and (size := path.stat().st_size) > MOST_SOURCE:
-        raise WorkFailed(f"its source has {size} bytes, but may have {MOST_SOURCE}")
+        raise WorkFailed(f"its source has {size} bytes, but may have at most {MOST_SOURCE}")
     if with_folder:
         _copy_folder(path if path.is_dir() else path.parent, home)
     else:
@@ -133,7 +133,7 @@ def _copy(path: Path, with_folder: bool, home: Path) -> None:
 
 
 def _copy_folder(folder: Path, home: Path) -> None:
-    """Copy the plain files of a folder; links and pipes stay behind, and hidden folders."""
+    """Copy the regular files of a folder, without links, pipes and hidden files and folders."""
     left = MOST_FOLDER
     for place, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith((".", "__pycache__"))]
@@ -142,21 +142,21 @@ def _copy_folder(folder: Path, home: Path) -> None:
             if file.is_symlink() or not file.is_file():
                 continue
             size = file.stat().st_size
-            left -= size + (MOST_FOLDER >> 12)  # so that there are no more than 4096
+            left -= size + (MOST_FOLDER >> 12)  # so that there are at most 4096 files
             if left < 0:
                 raise WorkFailed(
-                    f"its folder has more than {MOST_FOLDER >> 20} MB, or too many files; hand in "
-                    "fewer, or grade it in a folder of its own"
+                    f"its folder has more than {MOST_FOLDER >> 20} MB, or too many files; submit "
+                    "fewer, or grade it in a separate folder"
                 )
             if file.suffix == ".py" and size > MOST_SOURCE:
                 raise WorkFailed(
-                    f"its source {file.name} has {size} bytes, but may have {MOST_SOURCE}"
+                    f"its source {file.name} has {size} bytes, but may have at most {MOST_SOURCE}"
                 )
             shutil.copy(file, home / file.relative_to(folder))
 
 
 class RemoteWork:
-    """A work in its process, which is asked and answers. Make one with `Entry.opened`."""
+    """A submission in its process, which answers requests; created by `Entry.opened`."""
 
     def __init__(self, process: Confined, clock: Clock, errors: Path) -> None:
         self.process, self._clock, self._errors = process, clock, errors
@@ -165,7 +165,7 @@ class RemoteWork:
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _watch(self) -> None:
-        """End the process once an answer is late; then its pipe ends, too."""
+        """Kill the process if an answer is late, which closes its pipe."""
         while not self._over.wait(0.05):
             if time.monotonic() > self._until:
                 self.process.kill()
@@ -179,17 +179,17 @@ class RemoteWork:
         most: int = 0,
         limit_s: float = math.inf,
     ) -> tuple[dict[str, Any], list[Array]]:
-        """Ask, and wait for the answer. Only this waiting counts against the work's time.
+        """Send a request, and return the answer; the wait counts against the submission's time.
 
         Args:
-            kind: of what is asked.
-            header: what is said with it.
-            arrays: likewise.
-            most: bytes of the answer's numbers.
-            limit_s: on this answer, s.
+            kind: the kind of request.
+            header: its header.
+            arrays: its arrays.
+            most: the largest size of the answer's arrays, bytes.
+            limit_s: the time limit of this answer, s.
 
         Raises:
-            WorkFailed: it failed.
+            WorkFailed: the submission failed.
         """
         clock, begun = self._clock, time.monotonic()
         limit = clock.limits.decision_s if kind in self._known else limit_s
@@ -214,20 +214,20 @@ class RemoteWork:
         return answer, given
 
     def _explained(self, error: Exception, limit: float) -> str:
-        """Say why there is no answer."""
+        """Return the reason that there is no answer."""
         if isinstance(error, BadMessage):
-            return printable(f"answered nonsense: {error}")
+            return printable(f"gave an invalid answer: {error}")
         if time.monotonic() > self._until:
             slow = f"an answer took longer than {limit:g} s"
             most = f"took longer than {self._clock.limits.work_s:g} s"
             return slow if limit < self._clock.left_s else most
-        code = self.process.end(1.0)  # whose pipe is closed is about to end
-        said = self._errors.read_bytes()[-2000:].decode(errors="replace")
-        lines = said.strip().splitlines() or ["no message"]
+        code = self.process.end(1.0)  # its pipe is closed, so it is about to end
+        errors = self._errors.read_bytes()[-2000:].decode(errors="replace")
+        lines = errors.strip().splitlines() or ["no message"]
         return printable(f"ended with exit code {code}: {lines[-1]}")
 
     def close(self) -> None:
-        """End the process and all that it began."""
+        """End the process and its descendants."""
         self._over.set()
         self.process.end()
         for pipe in (self.process.sink, self.process.source):

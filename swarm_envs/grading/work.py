@@ -1,8 +1,8 @@
-"""The process of a work: reads a student's file, asks it, and answers the grader with numbers.
+"""The process of a submission: loads a student's file and answers the grader's requests.
 
-`python -m swarm_envs.grading.work`, with messages on its standard input and output, in the work's
-folder. The student's code may replace anything here, so nothing that it says is believed: it can
-only act badly.
+It is run as `python -m swarm_envs.grading.work` in the submission's folder, with messages on its
+standard input and output. The student's code may replace anything in this process, so the grader
+trusts nothing that it sends.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import numpy as np
 
 from swarm_envs.grading.pipes import Array, receive, send
 
-_MOST = 1 << 31  # bytes of a message from the grader
-_LONGEST = 2000  # characters of an error; the grader keeps fewer
+_MOST = 1 << 31  # Most bytes of a message from the grader
+_LONGEST = 2000  # Most characters of an error; the grader shortens it further
 _TRUTH = ("state", "goals", "setpoint", "reference", "oracle_force", "contacts", "time")
-_LIMITS = {"FSIZE": 64 << 20, "NOFILE": 256, "CORE": 0}  # of each process
+_LIMITS = {"FSIZE": 64 << 20, "NOFILE": 256, "CORE": 0}  # Resource limits of each process
 
 
 class _Flyer:
-    """A work that flies; its methods answer messages of their names."""
+    """A submission that is an agent; its methods answer requests of their names."""
 
     def __init__(self, name: str) -> None:
         from swarm_envs.agents import SafetyFilter
@@ -49,7 +49,7 @@ class _Flyer:
         self._agent.train(header["seconds"])
 
     def reset(self, header: Mapping[str, Any]) -> None:
-        """Prepare the agent for an episode, in an environment where nothing flies."""
+        """Prepare the agent for an episode with an environment that is not simulated."""
         self._env = self._env or _twin(header["task"], {**header["options"], **self._requires})
         self._agent.reset(self._env, header["seed"])
 
@@ -65,7 +65,7 @@ class _Flyer:
 
 def _refuse_filter(*_: object) -> None:
     raise RuntimeError(
-        "SafetyFilter flies for you, which is not graded; write a filter of your own"
+        "SafetyFilter is not allowed in submissions; write your own collision avoidance"
     )
 
 
@@ -77,7 +77,10 @@ def _twin(task: str, options: Mapping[str, Any]) -> Any:
     class Shown(View):
         def __getattribute__(self, name: str) -> Any:
             if name in _TRUTH:
-                raise RuntimeError(f"env.view.{name} is true, which a graded work is not shown")
+                raise RuntimeError(
+                    f"env.view.{name} is part of the true state, which submissions do not "
+                    "receive; use observations"
+                )
             return super().__getattribute__(name)
 
     class Twin(SwarmParallelEnv):
@@ -91,12 +94,12 @@ def _twin(task: str, options: Mapping[str, Any]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON cannot say as a number, or in words, which no option takes."""
+    """Convert a value for JSON, to a number or to a text, which is refused as an option later."""
     return value.item() if hasattr(value, "item") else repr(value)
 
 
 class _Made:
-    """A work whose class is called without arguments."""
+    """A submission whose class is called without arguments."""
 
     def __init__(self, name: str) -> None:
         from swarm_envs.user_files import load_from_file
@@ -129,7 +132,7 @@ def _rows(header: Mapping[str, Any], arrays: tuple[Array, ...]) -> Any:
 
 
 def run_work() -> None:
-    """Answer until the grader asks no more."""
+    """Answer requests until the grader closes the pipe."""
     with os.fdopen(os.dup(0), "rb") as source, os.fdopen(os.dup(1), "wb") as sink:
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.dup2(2, 1)
@@ -148,7 +151,7 @@ def run_work() -> None:
 
 
 def _prepare(memory: int) -> None:
-    """Limit this process and each that it begins, and link compiled kernels where it may write."""
+    """Set resource limits, and link compiled kernels into a writable cache."""
     if kernels := os.environ.get("KERNELS"):
         own = os.environ["NUMBA_CACHE_DIR"]
         shutil.copytree(kernels, own, copy_function=os.symlink, dirs_exist_ok=True)
@@ -156,7 +159,7 @@ def _prepare(memory: int) -> None:
         import resource
 
         for kind, most in {**_LIMITS, "AS": memory}.items():
-            with suppress(ValueError, OSError):  # macOS refuses some
+            with suppress(ValueError, OSError):  # macOS does not support all of them
                 resource.setrlimit(getattr(resource, f"RLIMIT_{kind}"), (most, most))
 
 
@@ -171,15 +174,15 @@ def _answer(source: IO[bytes], sink: IO[bytes], work: Any, name: str) -> None:
 
 
 def _complain(sink: IO[bytes], error: BaseException, name: str) -> None:
-    """Say an error's kind and words, and where in the student's file it came from."""
+    """Send an error's type and message, and its line in the student's file."""
     file = Path(name.rpartition(":")[0]).resolve()
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file]
     place = f" (line {lines[-1]} of {file.name})" if lines else ""
     try:
         words = f"{type(error).__name__}: {error}"[:_LONGEST]
-    except (Exception, SystemExit):  # the error's own words are the student's code too
-        words = f"{type(error).__name__[:_LONGEST]}, which cannot say why"
+    except (Exception, SystemExit):  # the error's `__str__` may be the student's code too
+        words = f"{type(error).__name__[:_LONGEST]}, which has no readable message"
     send(sink, "error", {"words": words + place})
 
 

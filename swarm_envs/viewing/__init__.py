@@ -1,4 +1,4 @@
-"""Pictures of flights: recordings and their files, replay pages, a camera that needs no display."""
+"""Visualization: recordings and their files, replay pages, and a camera without a display."""
 
 from swarm_envs.viewing.record import Recorder, Recording
 from swarm_envs.viewing.replay import write_replay

@@ -1,4 +1,4 @@
-"""The looks of the drones: a dark body on two bars, and four coloured rotors."""
+"""The shapes of the drones: a dark body on two bars, and four colored rotors."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Airframes"]
 _DARK = (38, 38, 46)
 _BODY_HALF_M, _BAR_HALF_M = 0.009, 0.004
 _ROTOR_M = (0.0105, 0.0135)  # Heights of a rotor's lower and upper side
-_RIM = 20  # Corners of a rotor
+_RIM = 20  # Number of corners of a rotor
 _AMBIENT, _DIFFUSE = 0.8, 0.2
 
-Face = tuple[list[float], tuple[int, int, int]]  # x, y, x, y, ... of its corners; its colour
+Face = tuple[list[float], tuple[int, int, int]]  # x, y, x, y, ... of its corners; its color
 
 
 class Airframes:
-    """The faces of N drones, as a lens sees them.
+    """The faces of N drones in the view of a lens.
 
     Args:
         team: the vehicles.
@@ -45,10 +45,10 @@ class Airframes:
         """Return the visible faces of each drone, in the order in which they are drawn.
 
         Args:
-            lens: of the canvas.
+            lens: the lens of the canvas.
             position: (N, 3) m.
             quaternion: (N, 4) attitudes, body to world.
-            inks: N colours of the rotors: red, green, blue, 0 to 255.
+            inks: N colors of the rotors: red, green, blue, 0 to 255.
         """
         n = len(position)
         turn = Rotation.from_quat(quaternion).as_matrix()
@@ -72,12 +72,12 @@ class Airframes:
 
 
 def _placed(points: FloatArray, turn: FloatArray, position: FloatArray) -> FloatArray:
-    """Points (N, F, K, 3) of bodies with rotations (N, 3, 3) at positions (N, 3)."""
+    """Transform points (N, F, K, 3) by rotations (N, 3, 3) and positions (N, 3)."""
     return np.asarray(points @ turn.swapaxes(1, 2)[:, None] + position[:, None, None])
 
 
 def _light(lens: Lens) -> FloatArray:
-    """Where the light comes from: above the camera, a little from the right."""
+    """Return the direction to the light: above the camera, slightly to the right."""
     toward = 0.4 * lens.right + 2.0 * lens.up - lens.forward
     return np.asarray(toward / np.linalg.norm(toward))
 
@@ -88,7 +88,7 @@ def _shaded(colors: FloatArray, cosine: FloatArray) -> npt.NDArray[np.int64]:
 
 
 def _boxes(vehicle: Vehicle) -> FloatArray:
-    """Faces (18, 4, 3) of the bars and the body, counter-clockwise from outside, m."""
+    """Return the faces (18, 4, 3) of bars and body, counter-clockwise from outside, m."""
     arm = vehicle.arm
     bars = [_box((arm, 0.08 * arm, _BAR_HALF_M), yaw) for yaw in (math.pi / 4, -math.pi / 4)]
     return np.concatenate([*bars, _box((0.25 * arm, 0.25 * arm, _BODY_HALF_M), 0.0)])
@@ -98,7 +98,7 @@ def _box(half: tuple[float, float, float], yaw: float) -> FloatArray:
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     top = np.column_stack([square, np.ones(4)])
     faces = []
-    for axis in range(3):  # top is +z; turning its coordinates round gives +x and +y
+    for axis in range(3):  # `top` is +z; cyclic permutations give +x and +y
         face = np.roll(top, axis + 1, axis=1)
         faces += [face, -face[::-1]]
     c, s = math.cos(yaw), math.sin(yaw)
@@ -107,7 +107,7 @@ def _box(half: tuple[float, float, float], yaw: float) -> FloatArray:
 
 
 def _rotors(vehicle: Vehicle) -> FloatArray:
-    """Rims (8, 20, 3) of both sides of the rotors, m."""
+    """Return the rims (8, 20, 3) of both sides of the rotors, m."""
     angle = 2 * np.pi * np.arange(_RIM) / _RIM
     rim = vehicle.rotor_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_RIM)])
     offset = vehicle.arm / math.sqrt(2.0)

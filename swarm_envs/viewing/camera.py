@@ -1,6 +1,6 @@
-"""A camera that draws a swarm on the CPU: it needs no display.
+"""A camera that draws a swarm on the CPU, without a display.
 
-`Screen` is what `render()` gives with `render_mode="rgb_array"`.
+`Screen` draws the pictures of `render()` with `render_mode="rgb_array"`.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ __all__ = ["Camera", "Screen"]
 
 Picture = npt.NDArray[np.uint8]  # (height, width, 3) red, green, blue
 
-_PIXELS = {"at_least": 16, "at_most": 4096}  # of a picture, along each side
+_PIXELS = {"at_least": 16, "at_most": 4096}  # Allowed sizes of a picture
 
 
 class Camera:
-    """Draws pictures of a team from states of any engine.
+    """A camera that draws a team from states of any physics engine.
 
-    It stands still: it aims at the drones of the first picture, or at what `aim` was given, and
+    It does not move: it aims at the drones of the first picture, or at the points of `aim`, and
     aims again only when a drone leaves the picture.
 
     Args:
-        team: the vehicles, N of them.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        azimuth_deg: where the camera stands seen from the swarm, counter-clockwise from x.
-        elevation_deg: how far above the swarm's horizon it stands, 0 to 89.
-        field_of_view_deg: vertical, 5 to 120.
+        team: the N vehicles.
+        width: width of the picture, pixels.
+        height: height of the picture, pixels.
+        azimuth_deg: direction from the swarm to the camera, counter-clockwise from x.
+        elevation_deg: angle of the camera above the horizon, 0 to 89.
+        field_of_view_deg: vertical field of view, 5 to 120.
         solids: the obstacles.
         arena: (2, 3) corners of the arena, m, whose edges are drawn.
 
     Raises:
-        ValueError: the picture would be empty, or an angle is impossible.
+        ValueError: a size or an angle is out of range.
     """
 
     def __init__(
@@ -80,17 +80,17 @@ class Camera:
 
     @property
     def lens(self) -> Lens:
-        """Where the camera stands and what it sees.
+        """The lens: position, direction and field of view.
 
         Raises:
-            RuntimeError: it has not aimed yet.
+            RuntimeError: the camera has not aimed yet.
         """
         if self._scene is None:
             raise RuntimeError("the camera has not aimed yet; call aim() or picture() first")
         return self._scene[0].lens
 
     def aim(self, points: npt.ArrayLike) -> None:
-        """Stand so that points (..., 3), m, are in the picture, with room around them."""
+        """Place the camera so that points (..., 3), m, are in the picture, with a margin."""
         margin = 2.0 * float(self._radius.max()) + 0.05
         lens = aim(points, self.width, self.height, *self._angles, margin)
         large = replace(lens, width=ZOOM * self.width, height=ZOOM * self.height)
@@ -101,19 +101,19 @@ class Camera:
         """Draw a state.
 
         Args:
-            state: its arrays lead with N alone, as those of `env.view.state`.
-            overlay: what to draw besides the drones.
+            state: the state of one environment, with arrays (N, ...), as `env.view.state`.
+            overlay: the marks to draw besides the drones.
 
         Returns:
             (height, width, 3) RGB, a new array.
 
         Raises:
-            ValueError: the state is not one of this team.
+            ValueError: the state has another shape, or is not finite.
         """
         return np.array(self.canvas(state, overlay).reduce(ZOOM))
 
     def canvas(self, state: SwarmState, overlay: Overlay = NOTHING) -> Image:
-        """The same before it is averaged: an image twice as wide and high, to be drawn on."""
+        """Return the picture before it is averaged: an image of twice the width and height."""
         from PIL import Image
 
         position, quaternion = self._poses(state)
@@ -127,7 +127,7 @@ class Camera:
         return image
 
     def _poses(self, state: SwarmState) -> tuple[FloatArray, FloatArray]:
-        """Positions and quaternions, or an error as of `picture`."""
+        """Return positions and quaternions; raise ValueError as `picture`."""
         position, quaternion = np.asarray(state.position), np.asarray(state.quaternion)
         n = len(self.team)
         if position.shape != (n, 3) or quaternion.shape != (n, 4):
@@ -136,23 +136,23 @@ class Camera:
                 f"({n}, 3): give the state of one environment, without the leading axis"
             )
         if not (np.isfinite(position).all() and np.isfinite(quaternion).all()):
-            raise ValueError("the state holds NaN or infinity; it cannot be drawn")
+            raise ValueError("the state has NaN or infinity; give a finite state")
         return position, quaternion
 
 
 _SCREEN = 640, 480  # Size of a picture, pixels
 _TRAIL_S = 2.0
-_PATH_POINTS = 24  # Of each drone's reference, for the camera's aim
+_PATH_POINTS = 24  # Points of each drone's reference at which the camera aims
 
 
 class Screen:
-    """Draws an environment as it is now: drones, arena, obstacles, goals, references, trails.
+    """Renderer of an environment: drones, arena, obstacles, goals, references and trails.
 
-    The camera aims once an episode, at what the drones are going to pass. Trails join what was
-    drawn, so they are as fine as `render()` is called often.
+    The camera aims once per episode, at starts, goals and references. Trails connect the positions
+    of previous calls of `render`.
 
     Args:
-        task: what is flown.
+        task: the task of the environment.
     """
 
     def __init__(self, task: Task) -> None:
@@ -161,7 +161,7 @@ class Screen:
         self._camera = self._make_camera(task.team)
 
     def render(self, view: View) -> Picture:
-        """A new RGB picture (480, 640, 3)."""
+        """Return a new RGB picture (480, 640, 3)."""
         time, position = view.time, np.array(view.state.position)
         if not self._past or time < self._past[-1][0] or self._is_new(view):
             self._begin(view)
@@ -184,13 +184,13 @@ class Screen:
         return Camera(team, *_SCREEN, solids=parts, arena=arena)
 
     def _is_new(self, view: View) -> bool:
-        """Whether another episode has begun although time did not go back."""
+        """Return True if another episode has begun although time did not decrease."""
         begun = view.time == 0.0 and not np.array_equal(self._past[-1][1], view.state.position)
         return bool(begun) or view.team != self._camera.team
 
     def _begin(self, view: View) -> None:
         self._past.clear()
-        if view.team != self._camera.team:  # a reset may name another
+        if view.team != self._camera.team:  # a reset may change the team
             self._camera = self._make_camera(view.team)
         times = np.linspace(0.0, view.horizon_s, _PATH_POINTS)
         paths = [view.reference(float(t)).position for t in times]

@@ -1,4 +1,4 @@
-"""Flights without and with compensation, side by side: plots of them, and frames of a video."""
+"""Comparison of flights without and with compensation: plots, and frames of a video."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 __all__ = ["COMPENSATED_COLOR", "WITHOUT_COLOR", "Comparison", "SideBySide", "plot_comparisons"]
 
 WITHOUT_COLOR = "#D55E00"
-"""Vermilion of Okabe and Ito's palette, which colour-blind readers can tell from the blue."""
+"""Vermilion of Okabe and Ito's palette for color-blind readers."""
 COMPENSATED_COLOR = "#0072B2"
-"""Blue of the same."""
+"""Blue of the same palette."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The same flights by two controllers: flight `i` of one has the same task as of the other."""
+    """Flights with two controllers, pairwise with the same task."""
 
     title: str
-    """Such as `L2S`."""
+    """The title, such as `L2S`."""
     without: Sequence[FlightRecord]
-    """Flown without compensation."""
+    """The flights without compensation."""
     compensated: Sequence[FlightRecord]
-    """Flown with it."""
+    """The flights with compensation."""
 
     @property
     def without_cm(self) -> FloatArray:
@@ -53,9 +53,9 @@ class Comparison:
 
 
 def plot_comparisons(path: Path, comparisons: Sequence[Comparison], headline: str) -> None:
-    """Plot height error and force of the lowest drone over time, one column a comparison.
+    """Plot height error and force of the lowest drone over time, one column per comparison.
 
-    Thin lines are flights, bold ones their median at each time. Drawn without a display.
+    Thin lines are flights, bold lines their median at each time.
     """
     if not comparisons:
         raise ValueError("no comparison was given; plot at least one")
@@ -87,9 +87,9 @@ def _plot_column(comparison: Comparison, upper: Axes, lower: Axes) -> None:
     for axis in (upper, lower):
         axis.grid(True)
         axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
-        meeting = _meeting_time(comparison.without[0])
-        if meeting is not None:
-            axis.axvline(meeting, color=GREY, linewidth=0.8, linestyle=":", zorder=1)
+        crossing = _crossing_time(comparison.without[0])
+        if crossing is not None:
+            axis.axvline(crossing, color=GREY, linewidth=0.8, linestyle=":", zorder=1)
     before, after = np.median(comparison.without_cm), np.median(comparison.compensated_cm)
     upper.set_title(
         f"{comparison.title}\nmedian of worst errors: {before:.1f} → {after:.1f} cm", loc="center"
@@ -106,8 +106,8 @@ def _plot_lines(axis: Axes, time: FloatArray, rows: Sequence[FloatArray], color:
     axis.plot(time, np.nanmedian(table, axis=0), color=color, linewidth=2.0)
 
 
-def _meeting_time(flight: FlightRecord) -> float | None:
-    """When the drones should be above one another, s; None if the team is a single drone."""
+def _crossing_time(flight: FlightRecord) -> float | None:
+    """Return the time at which the references are above one another, s; None for one drone."""
     if len(flight.team) < 2:
         return None
     across = flight.reference[:, :, :2] - flight.reference[:, -1:, :2]
@@ -122,7 +122,7 @@ def _add_legend(figure: Figure, axis: Axes, flights: int) -> None:
         Line2D([], [], color=COMPENSATED_COLOR, linewidth=2.0, label="with compensation"),
         Line2D([], [], color=GREY, linewidth=0.7, label=f"one of {flights} swaps"),
         Line2D([], [], color=GREY, linewidth=2.0, label="median"),
-        Line2D([], [], color=GREY, linewidth=0.8, linestyle=":", label="drones in line"),
+        Line2D([], [], color=GREY, linewidth=0.8, linestyle=":", label="drones above each other"),
     ]
     figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False)
 
@@ -137,15 +137,15 @@ _COLORS = (WITHOUT_COLOR, COMPENSATED_COLOR)
 
 
 class SideBySide:
-    """Draws frames of two flights side by side, with their height errors below.
+    """Renderer of two flights side by side, with their height errors below.
 
-    Each half shows the way that the lowest drone should fly (dashed), the way that it flew, and
-    the force of the air on it as an arrow.
+    Each half shows the reference path of the lowest drone (dashed), its actual path, and the
+    interaction force on it as an arrow.
 
     Args:
-        title: stands above.
+        title: the title above the pictures.
         flights: the flight without compensation, then the one with it; of one team and task.
-        duration_s: of the video, s; it ends earlier if both flights do.
+        duration_s: the duration of the video, s, or that of the longer flight if it is less.
     """
 
     def __init__(
@@ -165,11 +165,11 @@ class SideBySide:
         )
 
     def count(self, fps: int) -> int:
-        """How many frames `frames` gives."""
+        """Return the number of frames."""
         return math.floor(self.duration_s * fps) + 1
 
     def frames(self, fps: int) -> Iterator[npt.NDArray[np.uint8]]:
-        """Frames (720, 1280, 3) of both flights, in real time.
+        """Yield the frames (720, 1280, 3) of both flights, in real time.
 
         Args:
             fps: frames per second.
@@ -178,7 +178,7 @@ class SideBySide:
             yield self.frame(k / fps)
 
     def frame(self, time: float) -> npt.NDArray[np.uint8]:
-        """The frame (720, 1280, 3) at a time, s."""
+        """Return the frame (720, 1280, 3) at a time, s."""
         from PIL import Image, ImageDraw
 
         canvas = Image.new("RGB", (ZOOM * WIDTH, ZOOM * HEIGHT), _PAPER)
@@ -213,7 +213,7 @@ class SideBySide:
         error = float(flight.height_error_cm()[index])
         _write(pen, (20, 14), _CAPTIONS[side], 21, bold=True, color=color)
         _write(pen, (20, 44), f"height error {_signed(error)} cm", 18)
-        _write(pen, (20, 68), f"force of the air {_signed(force)} g", 18)
+        _write(pen, (20, 68), f"interaction force {_signed(force)} g", 18)
 
     def _project(self, points: FloatArray) -> FloatArray:
         return ZOOM * self._camera.lens.project(points)
@@ -247,9 +247,9 @@ class SideBySide:
 
 
 def _beside(flight: FlightRecord) -> float:
-    """Azimuth, degrees, from which the lowest drone's way is seen from the side."""
-    way = flight.reference[-1, -1] - flight.reference[0, -1]
-    return math.degrees(math.atan2(float(way[1]), float(way[0]))) - 90.0
+    """Return the azimuth, degrees, from which the lowest drone's path is seen from the side."""
+    path = flight.reference[-1, -1] - flight.reference[0, -1]
+    return math.degrees(math.atan2(float(path[1]), float(path[0]))) - 90.0
 
 
 def _signed(value: float, digits: int = 1) -> str:

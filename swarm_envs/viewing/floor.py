@@ -1,4 +1,4 @@
-"""The floor with its grid under a pale sky, as a lens sees them, and soft shadows of drones."""
+"""The background of a picture: a floor with a grid, the sky, and soft shadows of drones."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _HORIZON = np.array([246.0, 248.0, 250.0])
 _FLOOR = np.array([226.0, 228.0, 230.0])
 _LINE = np.array([168.0, 174.0, 182.0])
 _GRIDS = ((0.25, 0.006, 0.35), (1.0, 0.014, 0.9))
-"""Spacing and width of the grid's lines, m, and how dark they are."""
+"""Spacing and width of the grid's lines, m, and their darkness."""
 _HAZE_M = 9.0  # Distance over which the floor fades into the sky, m
 _SHADOW = 0.30
 _STEEPEST_SKY = 0.35  # Slope of the ray at which the sky has its darkest blue
 
 
 class Backdrop:
-    """The scene without drones, as one camera sees it: drawn once, then copied."""
+    """The scene without drones in the view of a lens, which is drawn once and copied."""
 
     def __init__(self, lens: Lens) -> None:
         self.lens = lens
@@ -35,7 +35,7 @@ class Backdrop:
         reach[reach <= 0.0] = np.inf
         seen = np.isfinite(reach)
         self._floor = np.full((*slope.shape, 2), np.inf)
-        """Point (x, y) of the floor behind each pixel, m; infinite where there is sky."""
+        """Point (x, y) of the floor behind each pixel, m; infinite for the sky."""
         self._floor[seen] = lens.eye[:2] + rays[seen][:, :2] * reach[seen][:, None]
         height = np.clip(slope / _STEEPEST_SKY, 0.0, 1.0)[..., None]
         picture = _HORIZON + height * (_ZENITH - _HORIZON)
@@ -43,7 +43,7 @@ class Backdrop:
         self._picture = np.rint(picture).astype(np.uint8)
 
     def draw(self, position: FloatArray, radius: FloatArray) -> npt.NDArray[np.uint8]:
-        """A new picture (height, width, 3) with shadows of drones at (N, 3), of radii (N,), m."""
+        """Return a picture (height, width, 3) with shadows of drones at (N, 3), radii (N,), m."""
         picture = self._picture.copy()
         for p, r in zip(position, radius, strict=True):
             self._cast(picture, p, 1.3 * float(r) + 0.03 * float(p[2]))
@@ -67,7 +67,7 @@ class Backdrop:
 
 
 def _footprint(lens: Lens, rays: FloatArray, reach: FloatArray) -> FloatArray:
-    """Extent of each pixel on the floor, m: (height, width, 2) along x and y."""
+    """Return the extent of each pixel on the floor, m: (height, width, 2) along x and y."""
     pixel = 2.0 * lens.tangent / lens.height
     slope = np.where(np.isfinite(reach), rays[..., 2], -1.0)
     far = np.where(np.isfinite(reach), reach, 0.0)
@@ -82,7 +82,7 @@ def _floor(points: FloatArray, footprint: FloatArray, distance: FloatArray) -> F
     for spacing, width, strength in _GRIDS:
         away = np.abs(points - spacing * np.rint(points / spacing))
         blur = np.maximum(footprint, 1e-9)
-        # The part of the pixel that the line covers, by the overlap of two intervals.
+        # The fraction of the pixel that the line covers, by the overlap of two intervals.
         overlap = np.minimum(away + blur / 2, width / 2) - np.maximum(away - blur / 2, -width / 2)
         cover = np.clip(overlap / blur, 0.0, 1.0) * np.clip(spacing / (4 * blur), 0.0, 1.0)
         dark = np.maximum(dark, strength * cover.max(axis=1))

@@ -1,8 +1,8 @@
-"""A live viewer in the browser: what `render_mode="human"` shows, on this machine or over ssh.
+"""Live viewer in a web browser, for `render_mode="human"`, locally or over ssh.
 
 A small server on 127.0.0.1 serves one page (`page/live.html`) and sends it a frame after every
-decision as a server-sent event. Pause, single steps and speed come back as requests. Every address
-carries a random token, so that other users of the machine and other pages see nothing.
+decision as a server-sent event. The page sends pause, single steps and speed as requests. Every URL
+has a random token, so that other users of the machine and other pages have no access.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveViewer"]
 
-MOST_SHOWN = 16  # Environments that are shown side by side
+MOST_SHOWN = 16  # Largest number of environments that are shown side by side
 ROW = {"position": 3, "quaternion": 4, "goal": 3, "force": 3, "hit": 1}
-"""What a frame has of each drone, and how many numbers: m, 1, m, N, 0 or 1."""
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)  # Times real time
-_WAIT_S = 10.0  # for the first browser, so that the beginning of a flight is not missed
-_IDLE_S = 5.0  # between comments that keep a connection open
-_SILENT_S = 5.0  # after which a connection that asks for nothing is closed
-MOST_CONNECTIONS = 32  # Connections at a time; others are closed at once
+"""Fields of each drone in a frame and their lengths; units m, 1, m, N, and 0 or 1."""
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)  # Multiples of real time
+_WAIT_S = 10.0  # Longest wait for the first browser before the first frame
+_IDLE_S = 5.0  # Interval of comments that keep a connection open
+_SILENT_S = 5.0  # Time after which a connection without a request is closed
+MOST_CONNECTIONS = 32  # Largest number of connections; others are closed
 
 
 class LiveViewer:
-    """Shows environments in a browser while they fly; it paces them to real time.
+    """Viewer that shows environments in a browser and paces them to real time.
 
     Args:
         core: the environments; the first 16 of them are shown.
-        wait_s: how long the first frame waits for a browser, s; None for 10.
+        wait_s: the longest wait of the first frame for a browser, s; None for 10.
     """
 
     def __init__(self, core: SwarmCore, wait_s: float | None = None) -> None:
@@ -56,7 +56,7 @@ class LiveViewer:
         self._server = _Server(("127.0.0.1", 0), _Handler)
         self._server.scene = self._scene()
         self.url = f"http://127.0.0.1:{self._server.server_port}/?token={self._server.token}"
-        """Where it is seen."""
+        """The URL of the page."""
         self._due = 0.0
         self._between_s = 1.0 / core.config.decision_rate
         self._shown = slice(0, min(core.num_envs, MOST_SHOWN))
@@ -65,7 +65,7 @@ class LiveViewer:
         _announce(self.url)
 
     def show(self) -> None:
-        """Send the environments, wait for their time, and for as long as the page is paused."""
+        """Send the environments, and wait for real time and while the page is paused."""
         server = self._server
         if self._wait_s and not server.joined.is_set():
             sys.stderr.write(f"swarm_envs: waiting up to {self._wait_s:g} s for a browser\n")
@@ -77,7 +77,7 @@ class LiveViewer:
         self._due = time.perf_counter() + self._between_s / server.speed
 
     def send(self) -> None:
-        """Send the environments as they are now, and the looks of teams that have changed."""
+        """Send the current state of the environments, and sizes and colors of changed teams."""
         teams = [task.team for task in self._core.tasks[self._shown]]
         if teams != self._teams:
             looks = [_look(team) for team in teams]
@@ -85,14 +85,14 @@ class LiveViewer:
         self._server.send(self._frame())
 
     def close(self) -> None:
-        """End the server. May be called more than once."""
+        """Stop the server. It may be called more than once."""
         self._server.send(_message(closed=True))
         self._server.ending = True
         self._server.shutdown()
         self._server.server_close()
 
     def _scene(self) -> dict[str, Any]:
-        """What does not change while environments fly."""
+        """Return the constants of the environments."""
         core, arena = self._core, self._core.task.arena
         return {
             "task": core.task.name,
@@ -106,7 +106,7 @@ class LiveViewer:
         }
 
     def _frame(self) -> bytes:
-        """The environments now: for each drone a row of float32, in the order of `ROW`, base64."""
+        """Return the current state: for each drone a row of float32 in order of `ROW`, base64."""
         core, drones = self._core, self._core.world.drones[self._shown]
         columns = (drones["position"], drones["quaternion"], drones["goal"])
         hit = (drones["crashed"] > 0.0)[..., None]
@@ -116,18 +116,18 @@ class LiveViewer:
 
 
 def _look(team: Team) -> list[tuple[float, str]]:
-    """Radius, m, and colour of each drone."""
+    """Return radius, m, and color of each drone."""
     sizes = [vehicle.diameter / 2.0 for vehicle in team]
     return [*zip(sizes, drone_colors(team), strict=True)]
 
 
 def _message(**content: Any) -> bytes:
-    """A server-sent event."""
+    """Return a server-sent event."""
     return b"data: " + json.dumps(content).encode() + b"\n\n"
 
 
 def _announce(url: str) -> None:
-    """Show the page: in the output of a notebook, or in a browser where there is a display."""
+    """Show the page in the output of a notebook, or in a browser if there is a display."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if hasattr(shell, "kernel"):
         display = importlib.import_module("IPython.display")
@@ -139,7 +139,7 @@ def _announce(url: str) -> None:
 
 
 class _Server(ThreadingHTTPServer):
-    """Keeps the latest frame, and what the pages have asked for."""
+    """Server that stores the latest frame, and the pages' requests."""
 
     daemon_threads = True
 
@@ -158,7 +158,7 @@ class _Server(ThreadingHTTPServer):
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer on a thread of its own, or close the connection where there are too many."""
+        """Answer in a new thread, or close the connection if there are too many."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -177,7 +177,7 @@ class _Server(ThreadingHTTPServer):
             self._changed.notify_all()
 
     def next_frame(self, seen: bytes) -> bytes:
-        """The latest frame, as soon as it is another; or the same after some seconds."""
+        """Wait for a frame other than `seen` and return it, or `seen` after `_IDLE_S`."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not seen, _IDLE_S)
             return self._frame
@@ -192,7 +192,7 @@ class _Server(ThreadingHTTPServer):
             self._changed.notify_all()
 
     def wait_while_paused(self) -> None:
-        """Return at once, or when a page resumes, asks for a step, or all pages are closed."""
+        """Wait while a page is paused, until it resumes or steps, or all pages are closed."""
         with self._changed:
             while self._paused and not self._steps and self.watching:
                 self._changed.wait(0.2)
@@ -200,7 +200,7 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers a browser that knows the token."""
+    """Handler of requests with the token."""
 
     server: _Server
     timeout = _SILENT_S
@@ -230,10 +230,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer("application/json", b"{}")
 
     def log_message(self, *_: object) -> None:
-        """Nothing: the terminal is the user's."""
+        """Write nothing to the terminal."""
 
     def _path(self) -> str | None:
-        """The path of a request with the token, from this machine's own address; else refuse it."""
+        """Return the path of a request with the token to this machine's address; else refuse it."""
         parts = urlsplit(self.path)
         token = parse_qs(parts.query).get("token", [""])[0]
         host = (self.headers.get("Host") or "").rpartition(":")[0]

@@ -1,6 +1,6 @@
-"""The painter of a picture: obstacles, goals, trails, forces and drones, the farthest first.
+"""Painter of obstacles, goals, trails, forces and drones, the farthest first.
 
-PIL does not smooth what it draws: canvases are `ZOOM` times as large as pictures, then averaged.
+As PIL does not anti-alias, a canvas is `ZOOM` times as large as the picture, and then averaged.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["NOTHING", "ZOOM", "Overlay", "Painter", "arena_edges", "draw_arrow"]
 
 ZOOM = 2
-"""Pixels of a canvas in one of the picture, along each side."""
+"""Pixels of a canvas per pixel of the picture, along each side."""
 
 Color = tuple[int, int, int, int]  # Red, green, blue, opacity, from 0 to 255
 
@@ -36,39 +36,39 @@ _EDGE: Color = (160, 167, 176, 255)
 _SOLID_FACE: Color = (110, 120, 132, 130)
 _SOLID_EDGE: Color = (80, 88, 98, 220)
 _FORCE: Color = (176, 20, 155, 255)
-_PIECE = 8  # Points of a trail that are before or behind an obstacle together
-_TRAIL, _MARK, _DRONE = range(3)  # Layers: drones are over marks, and both over trails
+_PIECE = 8  # Points of a trail that are in front of or behind an obstacle together
+_TRAIL, _MARK, _DRONE = range(3)  # Layers: drones are above marks, and marks above trails
 
 
 class Overlay(NamedTuple):
-    """The marks of N drones in a picture, besides themselves; world frame, m."""
+    """The marks of N drones in a picture; world frame, m."""
 
     goals: FloatArray | None = None  # (N, 3), drawn as diamonds
     references: FloatArray | None = None  # (N, 3), drawn as circles
-    trails: FloatArray | None = None  # (K, N, 3) positions so far, oldest first
-    arrows: FloatArray | None = None  # (M, 2, 3) foot and tip of forces
+    trails: FloatArray | None = None  # (K, N, 3) past positions, oldest first
+    arrows: FloatArray | None = None  # (M, 2, 3) start and tip of forces
 
 
 NOTHING = Overlay()
-"""Drones alone."""
+"""No marks."""
 
 
 class _Stroke(NamedTuple):
-    """A thing to be drawn, and where it is."""
+    """An object to draw, and its position."""
 
     place: FloatArray  # (3,) m
-    radius: float  # of a ball around the place that holds it, m
+    radius: float  # Radius of its bounding sphere, m
     layer: int
     draw: Callable[[], None]
 
 
 class Painter:
-    """Draws what stands before one lens, in the order in which things hide each other.
+    """Painter of the objects in front of a lens, in order of occlusion.
 
     Args:
-        lens: of the canvas.
+        lens: the lens of the canvas.
         team: the N vehicles.
-        solids: the obstacles, seen through.
+        solids: the obstacles, drawn translucent.
         arena: (2, 3) corners, m; its edges are drawn behind everything.
     """
 
@@ -84,7 +84,7 @@ class Painter:
     def paint(
         self, canvas: Image, position: FloatArray, quaternion: FloatArray, overlay: Overlay
     ) -> None:
-        """Draw drones at (N, 3), m, with attitudes (N, 4), and the rest, on a backdrop."""
+        """Draw drones at (N, 3), m, with attitudes (N, 4), obstacles and marks on a backdrop."""
         from PIL.ImageDraw import Draw
 
         pen = _Pen(Draw(canvas, "RGBA"), self._lens)
@@ -153,7 +153,7 @@ def draw_arrow(
 
 
 class _Pen:
-    """Draws shapes of the world on a canvas."""
+    """Pen that draws shapes in world coordinates on a canvas."""
 
     def __init__(self, canvas: ImageDraw, lens: Lens) -> None:
         self._canvas, self._lens = canvas, lens
@@ -168,7 +168,7 @@ class _Pen:
                 self._canvas.line(self._pixels(piece), fill=ink, width=ZOOM * width)
 
     def solid(self, solid: Solid, outline: list[tuple[float, float]]) -> None:
-        """A solid that is seen through: `outline` is around it on the canvas, or empty."""
+        """Draw a translucent solid; `outline` is its outline on the canvas, or empty."""
         if outline:
             self._canvas.polygon(outline, fill=_SOLID_FACE)
         bottom, top = solid.rings()
@@ -194,13 +194,13 @@ class _Pen:
             draw_arrow(self._canvas, start, end, _FORCE, width=4, head=14.0)
 
     def _pixels(self, points: FloatArray) -> list[tuple[float, float]]:
-        """Places on the canvas of the points that lie before the camera."""
+        """Return the pixels of the points that are in front of the camera."""
         before = points[self._lens.depth(points) > 0.5 * NEAREST]
         return [(x, y) for x, y in self._lens.project(before).tolist()]
 
 
 def arena_edges(arena: npt.ArrayLike) -> FloatArray:
-    """The twelve edges (12, 2, 3) of a box with corners (2, 3)."""
+    """Return the edges (12, 2, 3) of a box with corners (2, 3)."""
     given = np.asarray(arena, dtype=np.float64)
     corners = np.array(
         [[given[i, 0], given[j, 1], given[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
@@ -210,7 +210,7 @@ def arena_edges(arena: npt.ArrayLike) -> FloatArray:
 
 
 def visible_parts(lens: Lens, path: FloatArray) -> Iterator[FloatArray]:
-    """Pieces (2, 3) of a path (K, 3) that lie before the camera, cut where it passes the eye."""
+    """Yield the segments (2, 3) of a path (K, 3) in front of the camera, clipped at its plane."""
     depth = lens.depth(path) - NEAREST
     for (a, da), (b, db) in pairwise(zip(path, depth, strict=True)):
         if da <= 0.0 and db <= 0.0:

@@ -1,4 +1,4 @@
-"""What is kept of a flight so that it can be plotted, filmed, replayed and written to a file."""
+"""Recordings of flights, which can be plotted, rendered, replayed and written to a file."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
 __all__ = ["About", "FlightRecord", "Recorder", "Recording", "Solid"]
 
-_SIDES = 20  # Of the prism that stands for a cylinder
+_SIDES = 20  # Number of sides of the prism that approximates a cylinder
 
 
 class Solid(NamedTuple):
-    """A box with edges along the axes, or the upright cylinder that just fits into one."""
+    """An axis-aligned box, or the largest upright cylinder inside it."""
 
     round: bool
-    """Whether it is the cylinder."""
+    """True for the cylinder."""
     low: tuple[float, float, float]
     """Lowest corner of the box, m."""
     high: tuple[float, float, float]
     """Highest corner of the box, m."""
 
     def rings(self) -> FloatArray:
-        """Outlines (2, K, 3) of its bottom and its top, m, counter-clockwise from above."""
+        """Return the outlines (2, K, 3) of bottom and top, m, counter-clockwise from above."""
         low, high = np.array(self.low), np.array(self.high)
         if self.round:
             angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
@@ -44,11 +44,11 @@ class Solid(NamedTuple):
 
 
 def solids(obstacles: Iterable[Any], ceiling: float) -> tuple[Solid, ...]:
-    """The obstacles of a task as solids, in the same order, cut off at the ceiling.
+    """Return the obstacles of a task as solids, in the same order, clipped at the ceiling.
 
     Args:
-        obstacles: boxes, which have corners `low` and `high` (3,), m, and columns, which stand on
-            the ground and have a `center` (x, y), a `radius` and a `height`, m.
+        obstacles: boxes with corners `low` and `high` (3,), m, and columns on the ground with
+            a `center` (x, y), a `radius` and a `height`, m.
         ceiling: height of the arena, m.
     """
     found = []
@@ -78,45 +78,45 @@ class FlightRecord:
     quaternion: FloatArray
     """(T, N, 4) attitude, (x, y, z, w), body to world."""
     reference: FloatArray
-    """(T, N, 3) where the drones should have been, m."""
+    """(T, N, 3) reference positions, m."""
     force: FloatArray
     """(T, N, 3) interaction force, N."""
 
     def state(self, index: int) -> SwarmState:
-        """The poses of a sample, for a camera; all else is at rest."""
+        """Return the poses of a sample for a camera, with zero velocities."""
         rest, n = np.zeros_like(self.position[index]), len(self.team)
         pose = self.position[index], self.quaternion[index]
         return SwarmState(pose[0], rest, pose[1], rest, np.zeros((n, 4)), np.ones(n))
 
     def height_error_cm(self, drone: int = -1) -> FloatArray:
-        """Height over the reference (T,) of a drone, cm; by default of the lowest, the last."""
+        """Return a drone's height above the reference (T,), cm; by default of the last drone."""
         return (self.position[:, drone, 2] - self.reference[:, drone, 2]) * 100.0
 
     def vertical_force_g(self, drone: int = -1) -> FloatArray:
-        """Vertical interaction force (T,) on a drone, grams."""
+        """Return the vertical interaction force (T,) on a drone, grams."""
         return np.asarray(self.force[:, drone, 2] / GRAM_FORCE)
 
     def worst_height_error_cm(self, drone: int = -1) -> float:
-        """Largest distance of a drone from the reference's height, cm."""
+        """Return the largest absolute height error of a drone, cm."""
         return float(np.abs(self.height_error_cm(drone)).max())
 
 
 @dataclass(frozen=True)
 class About:
-    """What a recorded episode was: everything that does not change over it."""
+    """The constants of a recorded episode."""
 
     task: str
     """Versioned name, such as `swap_v1`."""
     agent: str
-    """Who flew; empty if that is not known."""
+    """Name of the agent; empty if unknown."""
     seed: int | None
-    """Of the episode, if known."""
+    """Seed of the episode; None if unknown."""
     physics: str
-    """The engine: `bullet` or `batch`."""
+    """Physics engine: `bullet` or `batch`."""
     decision_rate: int
-    """Samples per second: one for each decision."""
+    """Samples per second, Hz: one for each decision."""
     arena: tuple[tuple[float, ...], ...]
-    """Its two corners, m."""
+    """The two corners of the arena, m."""
     solids: tuple[Solid, ...]
     """The static obstacles."""
     metrics: Mapping[str, Any]
@@ -135,33 +135,33 @@ class Recording(FlightRecord):
     rotor_thrust: FloatArray
     """(T, N, 4) thrust of each rotor, N."""
     goal: FloatArray
-    """(T, N, 3) where the drones belong, m."""
+    """(T, N, 3) goals, m."""
     setpoint: FloatArray
-    """(T, N, 3) position that the tracking loop follows, m."""
+    """(T, N, 3) position set-points of the tracking controller, m."""
     contact_drone: IntArray
-    """(T, N) index of the drone that it touches, or -1."""
+    """(T, N) index of the drone in contact, or -1."""
     contact_floor: BoolArray
-    """(T, N) whether it touches the floor."""
+    """(T, N) True for a contact with the floor."""
     contact_wall: BoolArray
-    """(T, N) whether it touches a wall or the ceiling."""
+    """(T, N) True for a contact with a wall or the ceiling."""
     contact_obstacle: IntArray
-    """(T, N) index of the obstacle that it touches, or -1."""
+    """(T, N) index of the obstacle in contact, or -1."""
     tumbling: BoolArray
-    """(T, N) whether it turns faster than 150 rad/s."""
+    """(T, N) True if the drone rotates faster than 150 rad/s."""
     reward: FloatArray
-    """(T, N) weighted sum of the terms; NaN where it was not given."""
+    """(T, N) weighted sum of the reward terms; NaN if unknown."""
     reward_terms: Mapping[str, FloatArray]
-    """(T, N) each term before its weight; NaN where it was not given."""
+    """(T, N) each reward term before its weight; NaN if unknown."""
     about: About
-    """What does not change."""
+    """The constants of the episode."""
 
 
 class Recorder:
-    """Records an episode: give it to `fly_episode` as `watch`, or call `take` yourself.
+    """Recorder of an episode: pass it to `fly_episode` as `watch`, or call `take`.
 
     Args:
-        agent: name of the agent, for the record.
-        seed: of the episode, for the record.
+        agent: name of the agent, stored in the recording.
+        seed: seed of the episode, stored in the recording.
     """
 
     def __init__(self, agent: str = "", seed: int | None = None) -> None:
@@ -172,7 +172,7 @@ class Recorder:
         self._terms: tuple[str, ...] = ()
 
     def __call__(self, env: SwarmParallelEnv) -> None:
-        """Take a sample of the environment's truth, without rewards."""
+        """Record a sample of the true state, without rewards."""
         self.take(env)
 
     def take(
@@ -181,7 +181,7 @@ class Recorder:
         rewards: Mapping[str, float] | None = None,
         infos: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        """Take a sample of the environment's truth, and of what its step returned."""
+        """Record a sample of the true state, and the rewards and infos of the step."""
         task, agents = env.core.task, env.possible_agents
         self._team, self._terms = env.view.team, task.reward_names
         by_drone = [(infos or {}).get(agent, {}) for agent in agents]
@@ -202,9 +202,9 @@ class Recorder:
         self._rows.append(row)
 
     def record(self) -> Recording:
-        """Everything so far."""
+        """Return the recording of all samples; raise RuntimeError if there is none."""
         if self._about is None:
-            raise RuntimeError("nothing was recorded; call the recorder after reset and steps")
+            raise RuntimeError("nothing was recorded; call the recorder after reset and each step")
         columns: dict[str, Any] = {
             name: np.array([row[name] for row in self._rows]) for name in self._rows[0]
         }

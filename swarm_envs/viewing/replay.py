@@ -1,7 +1,7 @@
-"""A recorded episode as one HTML page that needs no server and no network.
+"""A recorded episode as a self-contained HTML page, which needs no server and no network.
 
-The page carries the numbers and a script that draws them. A policy in its head forbids it to fetch
-anything.
+The page contains the data and a script that draws them. Its content security policy forbids all
+requests.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ from swarm_envs.viewing.summary import (
 __all__ = ["write_replay"]
 
 _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
-"""What one in the page's integers is: mm, hundredths of a gram."""
+"""Units of the page's integers: m, grams, and 1 for quaternions."""
 MOST_SAMPLES = 50_000
-"""Drones times frames in a page; a longer flight keeps every second sample, or fewer."""
-_FASTEST = 60.0  # Frames per second that a page keeps at most
+"""Largest number of drones times frames in a page; samples of longer flights are skipped."""
+_FASTEST = 60.0  # Largest number of frames per second of a page
 _LONGEST_ARROW_M = 0.45
 _SCALES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-"""Lengths of an arrow of one gram, m; the longest that fits is taken."""
+"""Possible lengths of an arrow of one gram, m; the longest that fits is used."""
 
 
 def write_replay(path: Path, recording: Recording, most_samples: int = MOST_SAMPLES) -> None:
-    """Write the page, whole or not at all.
+    """Write the replay page of a recording atomically.
 
     Args:
-        path: ends in `.html`.
-        recording: what it shows.
-        most_samples: drones times frames that the page keeps, besides those of events.
+        path: the file, with the suffix `.html`.
+        recording: the recording.
+        most_samples: the largest number of drones times frames, besides frames of events.
 
     Raises:
-        ValueError: another suffix.
+        ValueError: the suffix is not `.html`.
         OSError: the file cannot be written.
     """
     if path.suffix != ".html":
@@ -64,7 +64,7 @@ def write_replay(path: Path, recording: Recording, most_samples: int = MOST_SAMP
 
 
 def replay_page(recording: Recording, most_samples: int = MOST_SAMPLES) -> str:
-    """The page as text: 3-D swarm, playback, plots. The arguments are those of `write_replay`."""
+    """Return the HTML of the page; the arguments are those of `write_replay`."""
     about, happened = recording.about, events(recording)
     marked = sorted([*happened, *near_misses(recording)], key=lambda event: event.frame)
     data = json.dumps(
@@ -72,7 +72,7 @@ def replay_page(recording: Recording, most_samples: int = MOST_SAMPLES) -> str:
     )
     seed = "" if about.seed is None else f", seed {about.seed}"
     good = bool(about.metrics) and bool(about.metrics["success"])
-    flown = f"{about.physics} engine, {about.decision_rate} decisions a second"
+    flown = f"{about.physics} engine, {about.decision_rate} decisions per second"
     texts = {
         "title": escape(f"{about.task}, {team_label(recording.team)}, {about.agent or 'flight'}"),
         "subtitle": escape(f"{len(recording.team)} drones{seed}; {flown}"),
@@ -95,7 +95,7 @@ def replay_page(recording: Recording, most_samples: int = MOST_SAMPLES) -> str:
 def page_data(
     recording: Recording, happened: Sequence[Event], most_samples: int = MOST_SAMPLES
 ) -> dict[str, Any]:
-    """What the page's script reads: flat arrays of integers, frame by frame, drone by drone."""
+    """Return the data of the page: flat arrays of integers, ordered by frame and drone."""
     frames = _frames(recording, happened, most_samples)
     place = {int(frame): k for k, frame in enumerate(frames)}
     types = list(dict.fromkeys(recording.team))
@@ -124,7 +124,7 @@ def page_data(
         "solids": [np.round(s.rings(), 3).tolist() for s in recording.about.solids],
         "view": _framing(recording),
         "moving": _moves(recording.reference),
-        "metre_per_gram": _arrow_scale(recording),
+        "meter_per_gram": _arrow_scale(recording),
         "events": [
             {
                 "frame": place[event.frame],
@@ -138,7 +138,7 @@ def page_data(
 
 
 def _frames(recording: Recording, happened: Sequence[Event], most_samples: int) -> IntArray:
-    """Indices of the samples that the page keeps: evenly spaced, and those of events."""
+    """Return the indices of the page's samples: evenly spaced, and those of events."""
     steps, drones = recording.position.shape[:2]
     fast = recording.about.decision_rate / _FASTEST
     stride = max(1, int(np.ceil(fast)), int(np.ceil(steps * drones / most_samples)))
@@ -157,7 +157,7 @@ def _moves(points: FloatArray) -> bool:
 
 
 def _separation(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Smallest distance (T,) of two drones and that at which they touch, m; empty if alone."""
+    """Return smallest distance (T,) and contact distance of two drones, m; empty for one drone."""
     drones = len(recording.team)
     if drones < 2:
         return np.empty(0), np.empty(0)
@@ -172,7 +172,7 @@ def _separation(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def _framing(recording: Recording) -> dict[str, Any]:
-    """Middle and radius, m, of a ball that holds the flight and its goals."""
+    """Return center and radius, m, of a sphere that contains the flight and its goals."""
     seen = (recording.position, recording.goal, recording.reference)
     points = np.concatenate([array.reshape(-1, 3) for array in seen])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -208,6 +208,6 @@ def _legend(recording: Recording, marked: Sequence[Event]) -> str:
 
 @cache
 def asset(name: str) -> str:
-    """A file of the folder `page`."""
+    """Return the text of a file of the folder `page`."""
     folder = resources.files("swarm_envs.viewing").joinpath("page")
     return folder.joinpath(name).read_text(encoding="utf-8")

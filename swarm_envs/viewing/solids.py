@@ -1,4 +1,4 @@
-"""Obstacles before a lens: their outlines, in what order they are drawn, and what they hide."""
+"""Obstacles in the view of a lens: outlines, drawing order and occlusion."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["SeenSolids"]
 
 
 class SeenPart(NamedTuple):
-    """A solid and its outline on the canvas, empty where it passes the eye."""
+    """A solid and its outline on the canvas, empty if it extends behind the camera."""
 
     solid: Solid
     outline: list[tuple[float, float]]
 
 
 class SeenSolids:
-    """The obstacles of a scene as one lens sees them.
+    """The obstacles of a scene in the view of a lens.
 
-    A solid cannot hide what lies beyond a plane of one of its faces on the side of the eye. All
-    else that overlaps it on the canvas is drawn before it.
+    A solid cannot hide objects that are entirely in front of the plane of one of its visible faces.
+    Other objects that overlap it on the canvas are drawn before it.
 
     Args:
-        lens: of the canvas.
+        lens: the lens of the canvas.
         solids: the S obstacles.
     """
 
@@ -45,9 +45,9 @@ class SeenSolids:
         self.parts = [SeenPart(solids[s], _outline(lens, corners[s])) for s in order]
 
     def first_over(self, points: FloatArray, radii: FloatArray) -> IntArray:
-        """The first of `parts` that hides each of the points (T, 3), or S: (T,) integers.
+        """Return the index (T,) of the first of `parts` that hides each point (T, 3), or S.
 
-        Around a point is a ball of radius (T,), m, which overlaps the solid or does not.
+        A point has a bounding sphere of radius (T,), m, for the overlap on the canvas.
         """
         first = np.full(len(points), len(self.parts), dtype=np.int64)
         depth = np.maximum(self._lens.depth(points), NEAREST)
@@ -65,7 +65,7 @@ class SeenSolids:
         faces: Sequence[FloatArray],
         boxes: Sequence[FloatArray],
     ) -> list[int]:
-        """The solids so that none is drawn over one that hides it, else from far to near."""
+        """Return the order of the solids from back to front by occlusion, else by distance."""
         away = [float(np.linalg.norm(points.mean(axis=0) - self._lens.eye)) for points in corners]
         left = sorted(range(len(corners)), key=lambda s: -away[s])
 
@@ -82,7 +82,7 @@ class SeenSolids:
 
 
 def _visible_faces(solid: Solid, eye: FloatArray) -> FloatArray:
-    """Planes (F, 4), outward normal and offset, of the faces that the eye sees."""
+    """Return the planes (F, 4), outward normal and offset, of the faces visible to the eye."""
     bottom, top = solid.rings()
     along = np.roll(bottom, -1, axis=0) - bottom
     sides = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(bottom))])
@@ -93,13 +93,13 @@ def _visible_faces(solid: Solid, eye: FloatArray) -> FloatArray:
 
 
 def _beyond(faces: FloatArray, points: FloatArray) -> BoolArray:
-    """Return (T,) whether a plane (F, 4) has all points of a thing (T, K, 3) beyond it."""
+    """Return True (T,) for objects (T, K, 3) with all points in front of one of planes (F, 4)."""
     beyond: BoolArray = points @ faces[:, :3].T >= faces[:, 3] - 1e-9
     return np.asarray(np.any(np.all(beyond, axis=1), axis=1))
 
 
 def _box_of(lens: Lens, points: FloatArray) -> FloatArray:
-    """Lowest and highest pixel (2, 2) of a solid, all of the plane where it passes the eye."""
+    """Return the bounding box (2, 2) of a solid, pixels; infinite if it is behind the camera."""
     if lens.depth(points).min() <= NEAREST:
         return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
     pixels = lens.project(points)

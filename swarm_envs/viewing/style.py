@@ -1,7 +1,7 @@
-"""One look for every picture: figures without a display, colours, the font, drones from the side.
+"""The common style of all pictures: figures, colors, the font, and drones from the side.
 
-A type of vehicle has one hue, and each of its drones a shade. The font is DejaVu Sans, which
-matplotlib carries, so that it is everywhere.
+Every vehicle type has a hue, and each of its drones a shade. The font is DejaVu Sans, which is
+included in matplotlib.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 __all__ = ["GREY", "INK", "draw_drone", "draw_ground", "drone_colors", "force_colors", "picture"]
 
 INK = "#202428"
-"""Colour of text and axes."""
+"""Color of text and axes."""
 GREY = "#60656B"
-"""Colour of what stands back."""
+"""Color of secondary elements."""
 
 _STYLE: Any = {
     "font.size": 10,
@@ -49,7 +49,7 @@ _STYLE: Any = {
 
 @contextmanager
 def picture(path: Path, width: float, height: float, headline: str) -> Iterator[Figure]:
-    """Give a figure to draw on, and write it whole to `path` at the end."""
+    """Yield a figure to draw on, and write it to `path` atomically at the end."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -65,9 +65,9 @@ def picture(path: Path, width: float, height: float, headline: str) -> Iterator[
 
 
 def force_colors(lowest: float, highest: float) -> Colormap:
-    """Red where the air pushes down, blue where it lifts, white where it does nothing.
+    """Return a color map of vertical forces: red for negative, blue for positive, white for zero.
 
-    Equal forces of either sign are equally strong colours; the map covers lowest to highest only.
+    Forces of equal magnitude have equally strong colors; the map ranges from lowest to highest.
     """
     import matplotlib as mpl
     from matplotlib.colors import ListedColormap
@@ -80,7 +80,7 @@ def force_colors(lowest: float, highest: float) -> Colormap:
 def draw_drone(
     axis: Axes, kind: str | Vehicle, y: float, z: float, color: str = INK, alpha: float = 1.0
 ) -> None:
-    """Draw a quadrotor seen from the side, as wide as it is: y and z in m, equal axes."""
+    """Draw a quadrotor from the side, to scale: y and z in m, with equal axes."""
     from matplotlib.patches import Ellipse, FancyBboxPatch
 
     radius = (parse_team(kind)[0] if isinstance(kind, str) else kind).radius
@@ -100,7 +100,7 @@ def draw_drone(
 
 
 def draw_ground(axis: Axes) -> None:
-    """Draw the ground as the dashed line of the paper's figure, hatched below."""
+    """Draw the ground as a dashed line, as in the paper's figure, hatched below."""
     axis.axhspan(-0.06, 0.0, facecolor="#EDEFF1", edgecolor="#A8ADB3", hatch="////", zorder=2)
     axis.axhline(0.0, color=INK, linewidth=1.2, linestyle="--", zorder=3)
 
@@ -109,17 +109,17 @@ _HUES = {"S": 0.585, "L": 0.072, "S*": 0.405}
 _OTHER_HUE = 0.78
 _SATURATION = 0.68
 _SHADES = (0.40, 0.64)
-"""Lightness of the darkest and the palest drone of a type: both stand out from white and black."""
+"""Lightness of the darkest and the lightest drone of a type, visible on white and on black."""
 _TYPICAL = 0.52
 
 
 def type_color(token: str) -> str:
-    """The colour, `#rrggbb`, of a type of vehicle."""
+    """Return the color, `#rrggbb`, of a vehicle type."""
     return _hex(token, _TYPICAL)
 
 
 def drone_colors(team: Sequence[Vehicle]) -> list[str]:
-    """A colour, `#rrggbb`, for each drone: shades of its type's, from dark to pale."""
+    """Return a color, `#rrggbb`, for each drone: shades of its type's hue, from dark to light."""
     tokens = [vehicle.token for vehicle in team]
     colors = []
     for i, token in enumerate(tokens):
@@ -137,7 +137,7 @@ def _hex(token: str, lightness: float) -> str:
 
 @cache
 def font(size: int, bold: bool = False) -> FreeTypeFont | Any:
-    """The font of a size, pixels."""
+    """Return the font of a size, pixels."""
     from matplotlib import get_data_path
     from PIL import ImageFont
 

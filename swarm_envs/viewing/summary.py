@@ -1,4 +1,4 @@
-"""What came of an episode, in words: its outcome, its collisions, its metrics."""
+"""Summary of an episode as text: outcome, collisions and metrics."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _UNITS = {"_m": "m", "_s": "s", "_g": "g", "_j": "J"}
 
 
 class Event(NamedTuple):
-    """Something that goes wrong, at its first sample; or nearly, at the closest one."""
+    """A collision or tumble at its first sample, or a near miss at its closest sample."""
 
     frame: int  # Index of the sample
     time: float  # s
     kind: str  # `drone`, `floor`, `wall`, `obstacle`, `tumbling` or `near miss`
-    drones: tuple[int, ...]  # One, or the two that touch, or nearly
-    position: FloatArray  # (3,) where, m
-    text: str  # For people
+    drones: tuple[int, ...]  # Indices of the one or two drones
+    position: FloatArray  # (3,) m
+    text: str  # Description
 
 
 _ALONE = {
@@ -36,11 +36,11 @@ _ALONE = {
     "obstacle": ("contact_obstacle", "hits an obstacle"),
     "tumbling": ("tumbling", "tumbles"),
 }
-"""Field of the recording and verb of each kind of event that a drone has by itself."""
+"""Field of the recording and verb of each kind of event of a single drone."""
 
 
 def team_label(team: Sequence[Vehicle]) -> str:
-    """A team in a few characters: its string, or how many of each type where that is long."""
+    """Return a short label of a team: its string, or the number of each type if that is long."""
     if len(team) <= _LONGEST_TEAM:
         return team_string(team)
     counts = Counter(vehicle.token for vehicle in team)
@@ -48,22 +48,22 @@ def team_label(team: Sequence[Vehicle]) -> str:
 
 
 def events(recording: Recording) -> list[Event]:
-    """Collisions and tumbles of an episode in order of time, each once, when it begins."""
+    """Return the collisions and tumbles of an episode in order of time, each at its beginning."""
     return sorted([*_pairs(recording), *_alone(recording)], key=lambda event: event.frame)
 
 
 def near_misses(recording: Recording) -> list[Event]:
-    """Encounters of two drones within 1.5 times the sum of their radii that did not end in contact.
+    """Return encounters of two drones within 1.5 times the sum of their radii without contact.
 
-    Each once, in order of time, at the sample where they are closest. Only samples are looked at,
-    one a decision: the metric of that name also knows what happens between.
+    They are in order of time, each at the sample where the drones are closest. Unlike the metric of
+    that name, they depend only on the samples, one per decision.
     """
     found = [event for pair in _close_pairs(recording) for event in _encounters(recording, *pair)]
     return sorted(found, key=lambda event: event.frame)
 
 
 def _close_pairs(recording: Recording) -> list[tuple[int, int]]:
-    """Pairs that come within 1.5 times the sum of their radii at some sample."""
+    """Return the pairs that come within 1.5 times the sum of their radii at some sample."""
     radius = np.array([vehicle.radius for vehicle in recording.team])
     limit = NEAR_MISS * (radius[:, None] + radius)
     close = np.zeros(limit.shape, dtype=np.bool_)
@@ -121,7 +121,7 @@ def _event(
 
 
 def outcome(recording: Recording) -> str:
-    """How an episode ended, in a sentence."""
+    """Return the outcome of an episode as a sentence."""
     metrics, last = recording.about.metrics, float(recording.time[-1])
     if not metrics:
         return f"Recorded for {last:.2f} s; the episode had not ended."
@@ -138,7 +138,7 @@ def outcome(recording: Recording) -> str:
 
 
 def metric_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Label and value, with its unit, of each metric that is a single number and was measured."""
+    """Return label and value, with unit, of each metric that is a single number and not None."""
     rows = []
     for name, value in metrics.items():
         if value is None or isinstance(value, list):

@@ -1,11 +1,10 @@
-"""Trajectory files: a recorded episode as a Parquet table or as npz, written and read back.
+"""Trajectory files: writing and reading of a recorded episode as a Parquet table or as npz.
 
-A Parquet file is a long table, one row for each drone at each time; it is written in order of time,
-then of drone, and read by these columns in any order. Its columns are `COLUMNS`; those of flight
-logs have the same names.
-What does not change over the episode is JSON in the schema's metadata, under the key `swarm_envs`.
-An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same JSON as the string
-`about`; nothing in it is pickled. All numbers are float64: what is read is what was written.
+A Parquet file is a long table with the columns `COLUMNS` and one row for each drone at each time,
+sorted by time and drone when it is written, and in any order when it is read. Columns of flight
+logs have the same names. Constants of the episode are JSON in the schema's metadata, under the key
+`swarm_envs`. An npz file has the fields of `Recording` as arrays (T, N, ...) and the same JSON as
+the string `about`, without pickles. Numbers are float64 and are read exactly as written.
 """
 
 from __future__ import annotations
@@ -42,27 +41,27 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "tumbling": ("tumbling",),  # turns faster than 150 rad/s
     "reward": ("reward",),  # weighted sum of the terms; NaN if unknown
 }
-"""Columns of the table by the field of `Recording` whose numbers they hold."""
+"""Columns of the table by field of `Recording`."""
 
 COLUMNS = ("time", "drone", "type", *(c for group in GROUPS.values() for c in group))
-"""Every column but `reward_<term>`, of which there is one for each term of the task."""
+"""All columns except `reward_<term>`, one for each reward term of the task."""
 
 _TERM = "reward_"
 _INTEGERS = ("contact_drone", "contact_obstacle")
 _FLAGS = ("contact_floor", "contact_wall", "tumbling")
 _KEY = b"swarm_envs"
 _SUFFIXES = (".parquet", ".npz")
-_UNIT_TOLERANCE = 0.01  # By how much the length of a quaternion may differ from 1
+_UNIT_TOLERANCE = 0.01  # Largest difference of the length of a quaternion from 1
 
 Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name
 
 
 def check_trajectory_path(path: Path) -> None:
-    """Refuse a name that says neither Parquet nor npz, and Parquet where pyarrow is missing.
+    """Check the suffix of a trajectory file, and that its library is installed.
 
     Raises:
-        ValueError: the name ends in something else.
-        ImportError: pyarrow is missing; the message says how to get it.
+        ValueError: the suffix is neither `.parquet` nor `.npz`.
+        ImportError: the suffix is `.parquet`, and pyarrow is not installed.
     """
     check_type("path", path, Path)
     if path.suffix.lower() not in _SUFFIXES:
@@ -72,15 +71,15 @@ def check_trajectory_path(path: Path) -> None:
 
 
 def write_trajectory(path: Path, recording: Recording) -> None:
-    """Write an episode, whole or not at all.
+    """Write an episode atomically.
 
     Args:
-        path: ends in `.parquet` or `.npz`.
+        path: the file, with the suffix `.parquet` or `.npz`.
         recording: the episode.
 
     Raises:
-        ValueError: another suffix.
-        ImportError: Parquet without pyarrow.
+        ValueError: the file has another suffix.
+        ImportError: the suffix is `.parquet`, and pyarrow is not installed.
         OSError: the file cannot be written.
     """
     check_trajectory_path(path)
@@ -89,7 +88,7 @@ def write_trajectory(path: Path, recording: Recording) -> None:
             arrays: dict[str, Any] = {name: getattr(recording, name) for name in GROUPS}
             terms = {_TERM + name: term for name, term in recording.reward_terms.items()}
             arrays |= {"time": recording.time, "about": np.array(_about_json(recording)), **terms}
-            with partial.open("wb") as file:  # a name in capitals would get another suffix
+            with partial.open("wb") as file:  # numpy would append .npz to a name in capitals
                 np.savez_compressed(file, **arrays)
         else:
             _write_parquet(partial, recording)
@@ -99,8 +98,8 @@ def read_trajectory(path: Path) -> Recording:
     """Read an episode that `write_trajectory` wrote.
 
     Raises:
-        ValueError: another suffix, or the file is not such an episode; the message says what lacks.
-        ImportError: Parquet without pyarrow.
+        ValueError: the file has another suffix, or is no valid episode.
+        ImportError: the suffix is `.parquet`, and pyarrow is not installed.
         OSError: the file cannot be read.
     """
     check_trajectory_path(path)
@@ -117,32 +116,32 @@ def read_trajectory(path: Path) -> Recording:
         _check_arrays(path, len(team), fields, terms)
         return Recording(team=team, reward_terms=terms, about=About(**about), **fields)
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} holds no episode, or is damaged: {error!r}") from error
+        raise ValueError(f"{path} has no episode, or is damaged: {error!r}") from error
 
 
 def _check_arrays(path: Path, drones: int, fields: Arrays, terms: Arrays) -> None:
-    """Refuse arrays of other shapes, times that do not rise, and states that cannot be."""
+    """Raise ValueError for wrong shapes, times that do not increase, and invalid states."""
     steps = len(fields["time"])
     shapes = {name: (len(group),) if len(group) > 1 else () for name, group in GROUPS.items()}
     for name, array in {**fields, **terms}.items():
-        wanted = (steps,) if name == "time" else (steps, drones, *shapes.get(name, ()))
-        if array.shape != wanted or array.dtype.kind not in "biuf":
+        expected = (steps,) if name == "time" else (steps, drones, *shapes.get(name, ()))
+        if array.shape != expected or array.dtype.kind not in "biuf":
             raise ValueError(
                 f"{name} in {path} is {array.dtype} of shape {array.shape}, but must be numbers of "
-                f"shape {wanted}"
+                f"shape {expected}"
             )
     for name in ("time", "position", "velocity", "quaternion"):
         if not np.isfinite(fields[name]).all():
-            raise ValueError(f"{name} in {path} holds a number that is not finite")
+            raise ValueError(f"{name} in {path} has a number that is not finite")
     if steps == 0 or (np.diff(fields["time"]) <= 0.0).any():
-        raise ValueError(f"time in {path} must rise from sample to sample")
+        raise ValueError(f"time in {path} must increase from sample to sample")
     length = np.linalg.norm(fields["quaternion"], axis=-1)
     if (np.abs(length - 1.0) > _UNIT_TOLERANCE).any():
-        raise ValueError(f"quaternion in {path} has length {length.min():g}, but must have 1")
+        raise ValueError(f"quaternion in {path} has length {length.min():g}, but must be 1")
 
 
 def columns(recording: Recording) -> dict[str, npt.NDArray[Any]]:
-    """The long table: each column (T * N,) by its name."""
+    """Return the columns (T * N,) of the long table by name."""
     steps, drones = recording.position.shape[:2]
     names = np.array([f"drone_{i}" for i in range(drones)])
     tokens = np.array([vehicle.token for vehicle in recording.team])
@@ -181,20 +180,23 @@ def _write_parquet(path: Path, recording: Recording) -> None:
 
 def _read_parquet(path: Path) -> tuple[Arrays, dict[str, Any]]:
     _, parquet = _arrow()
-    with path.open("rb") as file:  # a missing file is an OSError, whatever pyarrow would say
+    with path.open("rb") as file:  # so that a missing file raises OSError
         try:
             table = parquet.read_table(file)
         except Exception as error:
             raise ValueError(f"{path} is not a Parquet file: {error}") from error
     metadata = table.schema.metadata or {}
     if _KEY not in metadata:
-        raise ValueError(f"{path} holds no episode: its metadata lack {_KEY.decode()!r}")
+        raise ValueError(f"{path} has no episode: its metadata lack {_KEY.decode()!r}")
     about = parse_note(metadata[_KEY].decode())
     terms = [_TERM + name for name in about["reward_terms"]]
     _check_names(path, (*COLUMNS, *terms), table.column_names)
     drones = len(about["team"])
     if table.num_rows == 0 or table.num_rows % drones:
-        raise ValueError(f"{path} has {table.num_rows} rows, no multiple of its {drones} drones")
+        raise ValueError(
+            f"{path} has {table.num_rows} rows, but must have a positive multiple of {drones}, its "
+            "number of drones"
+        )
     order = _by_time_and_drone(path, table, drones)
 
     def column(name: str) -> npt.NDArray[Any]:
@@ -214,7 +216,7 @@ def _by_time_and_drone(path: Path, table: Any, drones: int) -> npt.NDArray[np.in
     """Return the order of the rows by time, then by the number of the drone.
 
     Raises:
-        ValueError: some drone has no row, or two, at some time.
+        ValueError: a drone has no row, or several, at some time.
     """
     numbers = {f"drone_{i}": i for i in range(drones)}
     number = np.array([numbers.get(name, -1) for name in table.column("drone").to_pylist()])
@@ -236,10 +238,10 @@ def _read_npz(path: Path) -> tuple[Arrays, dict[str, Any]]:
     return arrays, about
 
 
-def _check_names(path: Path, wanted: Any, found: Any) -> None:
-    missing = [name for name in wanted if name not in found]
+def _check_names(path: Path, expected: Any, found: Any) -> None:
+    missing = [name for name in expected if name not in found]
     if missing:
-        raise ValueError(f"{path} holds no episode: it lacks {', '.join(missing)}")
+        raise ValueError(f"{path} has no episode: it lacks {', '.join(missing)}")
 
 
 def _arrow() -> tuple[Any, Any]:

@@ -1,6 +1,6 @@
-"""The film of a recorded episode, in real time, and video files of frames.
+"""The video of a recorded episode, in real time, and video files of frames.
 
-Frames become an mp4 with the ffmpeg that imageio-ffmpeg carries, or a GIF.
+Files are mp4, encoded by the ffmpeg of imageio-ffmpeg, or GIF.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ WIDTH, HEIGHT, FPS = 768, 544, 24
 """Size of a picture, pixels, and pictures per second."""
 _HEADER = 40
 _TRAIL_S = 2.0
-_REST_S = 1.0  # The last frame stands so long, to be read
-_METRE_PER_GRAM = 0.012
+_REST_S = 1.0  # Duration of the last frame
+_METER_PER_GRAM = 0.012
 _WEAKEST_N = 0.5 * GRAM_FORCE
 _INK, _QUIET, _PAPER = "#1c2127", "#5c6670", "#ffffff"
 
 
 def count_frames(recording: Recording, fps: int | None = None) -> int:
-    """How many frames the film has."""
+    """Return the number of frames of the video."""
     return math.ceil((float(recording.time[-1]) + _REST_S) * (fps or FPS)) + 1
 
 
 def film(recording: Recording, fps: int | None = None) -> Iterator[npt.NDArray[np.uint8]]:
-    """Frames (544, 768, 3) of an episode, 24 a second or `fps`; the last one stays for 1 s."""
+    """Yield the frames (544, 768, 3) of an episode, 24 or `fps` per second; the last lasts 1 s."""
     about = recording.about
     size = WIDTH, HEIGHT - _HEADER
     camera = Camera(recording.team, *size, solids=about.solids, arena=np.array(about.arena))
@@ -82,7 +82,7 @@ def _overlay(recording: Recording, index: int) -> Overlay:
     first = int(np.searchsorted(recording.time, now - _TRAIL_S))
     position, force = recording.position[index], recording.force[index]
     strong = np.linalg.norm(force, axis=-1) > _WEAKEST_N
-    tips = position + _METRE_PER_GRAM / GRAM_FORCE * force
+    tips = position + _METER_PER_GRAM / GRAM_FORCE * force
     reference, goal = recording.reference[index], recording.goal[index]
     return Overlay(
         goals=goal,
@@ -92,23 +92,23 @@ def _overlay(recording: Recording, index: int) -> Overlay:
     )
 
 
-_GIF_SKIP = 2  # A GIF has every second frame, at half the size: it is ten times as large otherwise
+_GIF_SKIP = 2  # A GIF has every second frame, at half the size, to be ten times smaller
 
 
 class VideoError(RuntimeError):
-    """ffmpeg is missing, or did not encode."""
+    """ffmpeg is missing, or failed to encode."""
 
 
 def write_video(path: Path, frames: Iterable[Picture], fps: int) -> None:
-    """Write an mp4: H.264, 4:2:0, playable everywhere. Whole or not at all.
+    """Write an mp4 (H.264, 4:2:0) atomically.
 
     Args:
-        path: ends in `.mp4`.
-        frames: (height, width, 3) RGB, all of one even size; drawn as they are needed.
+        path: the file, with the suffix `.mp4`.
+        frames: (height, width, 3) RGB, all of one even size; an iterator is consumed lazily.
         fps: frames per second.
 
     Raises:
-        ValueError: no frame, an odd size or another suffix.
+        ValueError: there is no frame, its size is odd, or the suffix is not `.mp4`.
         VideoError: ffmpeg is missing or failed.
     """
     if path.suffix != ".mp4":
@@ -118,7 +118,7 @@ def write_video(path: Path, frames: Iterable[Picture], fps: int) -> None:
 
 
 def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Picture]], fps: int) -> Path:
-    """Write an mp4, or a small GIF where ffmpeg does not work."""
+    """Write an mp4, or a small GIF if ffmpeg does not work; return the path."""
     try:
         write_video(path, frames(), fps)
     except VideoError:
@@ -128,7 +128,7 @@ def write_video_or_gif(path: Path, frames: Callable[[], Iterable[Picture]], fps:
 
 
 def write_gif(path: Path, frames: Iterable[Picture], fps: int) -> None:
-    """Write a GIF with every second frame at half the size. Whole or not at all."""
+    """Write a GIF with every second frame at half the size, atomically."""
     from PIL import Image
 
     half = [
@@ -155,7 +155,10 @@ def _encode(path: Path, frames: Iterable[Picture], fps: int) -> None:
     try:
         for frame in chain([first], stream):
             if frame.shape != first.shape:
-                raise ValueError(f"a frame has shape {frame.shape}, but the first {first.shape}")
+                raise ValueError(
+                    f"a frame has shape {frame.shape}, but must have that of the first, "
+                    f"{first.shape}"
+                )
             if not _send(process, frame):
                 break
         _, complaint = process.communicate()
@@ -169,7 +172,7 @@ def _encode(path: Path, frames: Iterable[Picture], fps: int) -> None:
 
 
 def _send(process: subprocess.Popen[bytes], frame: Picture) -> bool:
-    """Give ffmpeg a frame; False if it has already ended."""
+    """Send a frame to ffmpeg; return False if it has already ended."""
     assert process.stdin is not None
     try:
         process.stdin.write(np.ascontiguousarray(frame).data)
@@ -179,11 +182,11 @@ def _send(process: subprocess.Popen[bytes], frame: Picture) -> bool:
 
 
 def find_ffmpeg() -> str:
-    """The ffmpeg that imageio-ffmpeg carries."""
+    """Return the path of the ffmpeg of imageio-ffmpeg; raise ImportError if it is missing."""
     try:
         import imageio_ffmpeg
     except ImportError as error:
-        fix = "pip install 'swarm-envs[film]', or name the film .gif"
+        fix = "pip install 'swarm-envs[film]', or use a .gif file"
         raise ImportError(f"an MP4 needs ffmpeg: {fix}") from error
     return str(imageio_ffmpeg.get_ffmpeg_exe())
 

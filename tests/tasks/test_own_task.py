@@ -244,7 +244,7 @@ def test_an_edited_task_is_flown_again(tmp_path, capsys):
     words = ["evaluate", "--task", f"{file}:LineTask", "--agent", "fast-line", "--episodes", "2"]
     words += ["--interactions", "none", "--out", str(tmp_path / "out")]
     assert main(words) == 0 and main(words) == 0
-    assert "2 of 2 episodes were flown before" in capsys.readouterr().out
+    assert "resumes after 2 of 2 episodes" in capsys.readouterr().out
     file.write_text(FILE.read_text().replace("spacing_m: float = 0.5", "spacing_m: float = 0.3"))
     assert main(words) == 0
-    assert "were flown before" not in capsys.readouterr().out
+    assert "resumes after" not in capsys.readouterr().out

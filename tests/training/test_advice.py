@@ -41,14 +41,14 @@ def test_another_teacher_where_this_one_fails():
     assert "--dagger.teacher roundabout" in said
     good = suggested(LOW, drones=16, algo="dagger", decision_rate=20)
     assert "teacher" not in good
-    assert "and decides 20 times a second: --decision-rate 20" in suggested(
+    assert "with 20 decisions per second: --decision-rate 20" in suggested(
         LOW, drones=16, algo="dagger", decision_rate=10
     )
 
 
 def test_what_is_not_seen_and_collisions():
     said = suggested(LOW, drones=16, num_neighbors=3)
-    assert "it observes 3 of 15 neighbors: --neighbors 7" in said
+    assert "the policy observes 3 of 15 neighbors: observe more, --neighbors 7" in said
     assert "--algo dagger --dagger.teacher roundabout" in said
     assert "drones collide in 80% of the episodes" in said and "runs/a+filter" in said
     assert "neighbors" not in suggested(LOW, drones=4, num_neighbors=3)

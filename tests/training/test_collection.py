@@ -293,14 +293,14 @@ def test_the_command_covers_table_ii_and_says_so(tmp_path, capsys):
 def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
     words = "--teams S SL --duration-s 3 --walks 1 --low-walks 0 --swaps 0 --low-swaps 0"
     assert main(["collect", "--out", str(tmp_path), *words.split(), "--no-progress"]) == 0
-    assert "of Table II no row of S2S, SS2S" in capsys.readouterr().out
+    assert "no rows of these scenarios of Table II: S2S, SS2S" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"teams": ("SX",)}, "token 'X'"),
-        ({"teams": ("S", "S")}, "named once"),
+        ({"teams": ("S", "S")}, "given once"),
         ({"label": "truth"}, "unknown label 'truth'"),
     ],
 )

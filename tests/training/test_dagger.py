@@ -50,7 +50,7 @@ def test_the_last_teacher_that_fits_teaches():
 
 
 def test_where_nobody_teaches_is_named():
-    with pytest.raises(ValueError, match="none teaches 4 drones in 'random'; first name one"):
+    with pytest.raises(ValueError, match="none teaches 4 drones in 'random'; begin with"):
         teachers_of(("circle=a", "16=b"), [("random", 4)])
 
 
@@ -63,15 +63,23 @@ def test_a_teacher_of_nothing_is_named(idle):
 @pytest.mark.parametrize(
     ("name", "given", "why"),
     [
-        ("tracking", {}, "'tracking' decides 48 times a second .* give --decision-rate 48"),
+        ("tracking", {}, "'tracking' has a decision rate of 48 Hz .* give --decision-rate 48"),
         (
             "downwash-aware",
             {"decision_rate": 48},
             "needs another controller .* --controller downwash-aware",
         ),
-        ("detour", {"action": "ctbr"}, "cannot teach actions of 'ctbr': its own are 'setpoint'"),
-        ("roundabout", {"action": "rotors"}, "actions of 'rotors': its own are 'acceleration'"),
-        ("pursuit-dagger", {}, "flies pursuit"),
+        (
+            "detour",
+            {"action": "ctbr"},
+            "cannot teach --action ctbr, as its own action is 'setpoint'",
+        ),
+        (
+            "roundabout",
+            {"action": "rotors"},
+            "--action rotors, as its own action is 'acceleration'",
+        ),
+        ("pursuit-dagger", {}, "supports pursuit"),
     ],
 )
 def test_an_agent_that_cannot_teach_is_refused(name, given, why):
@@ -310,10 +318,10 @@ def test_a_set_has_no_order_and_no_places_for_who_is_not_there():
 
 def test_a_policy_of_other_observations_or_decisions_begins_no_training():
     for rate, why in (
-        (20, "observe_setpoint is True, but here it is F"),
-        (10, "decision_rate is 20, but here it is 10"),
+        (20, "with observe_setpoint True, but this run has F"),
+        (10, "with decision_rate 20, but this run has 10"),
     ):
-        with pytest.raises(ValueError, match=f"--start is 'swap-dagger', whose {why}"):
+        with pytest.raises(ValueError, match=f"--start is 'swap-dagger' {why}"):
             learner(start="swap-dagger", num_neighbors=7, decision_rate=rate)
 
 
@@ -325,5 +333,5 @@ def test_training_begins_as_another_policy(kind):
     assert not np.array_equal(second.network().layers[0][0], first.layers[0][0])
     second.fill(first)
     assert np.array_equal(second.network()(values_of(), SIZES), first(values_of(), SIZES))
-    with pytest.raises(ValueError, match="the policy to start from has layers"):
+    with pytest.raises(ValueError, match="the policy of --start has layers"):
         Actor(SIZES, (9, 8), 3, NETWORKS[kind], "relu").fill(first)

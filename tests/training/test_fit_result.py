@@ -90,15 +90,15 @@ def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     met = (rows.neighbor_type[:, 0] == 0) | (rows.ego_type == 1)  # L is never over S
     report = fit(config_of(rows.select(met), tmp_path, model=model, steps=20))
     (note,) = [n for n in report.notes if "in no training row" in n]
-    assert note.startswith("type 'L' is a neighbour of type 'S' in no training row: ")
+    assert note.startswith("type 'L' is a neighbor of type 'S' in no training row: ")
     found = load(str(tmp_path / "out" / WEIGHTS[model]))
     stack, still = [[[0.0, 0.0, 0.8], [0.0, 0.0, 1.2]]], np.zeros((1, 2, 3))
     assert found.forces(stack, still, "SS")[0, 0, 2] != 0.0
     pushed = found.forces(stack, still, "SL")[0, 0, 2]
     if model == "deep-set":
-        assert pushed != 0.0 and "guessed" in note
+        assert pushed != 0.0 and "extrapolated" in note
     else:
-        assert abs(pushed) < 1e-6 and "does not push" in note
+        assert abs(pushed) < 1e-6 and "its force on it is zero" in note
 
 
 def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):
@@ -117,15 +117,15 @@ def test_a_model_that_is_no_better_than_nothing_says_so(tmp_path):
     assert f"note: {note}" in report.lines()
     good = Errors(1.0, 3.0, 2.0, {}, {}, {})
     assert worth(good) == []
-    assert "that of the scenario mean (2.00); fly more" in worth(replace(good, overall=2.0))[0]
-    assert "nothing (3.00) nor that of" in worth(replace(good, overall=4.0))[0]
+    assert "that of the scenario's mean (2.00); fly longer" in worth(replace(good, overall=2.0))[0]
+    assert "zero force (3.00) nor that of" in worth(replace(good, overall=4.0))[0]
 
 
 def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
     report = fit(
         config_of(rows_of_types(count=800), tmp_path, mode="measured", offsets="estimated")
     )
-    assert "calibration offsets are not subtracted: labels are as measured" in report.lines()
+    assert "calibration offsets are not subtracted from the labels" in report.lines()
 
 
 STRONG = replace(SMALL_STRONG, interaction_type="S*")
@@ -156,7 +156,7 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
 @pytest.mark.parametrize("model", ["deep-set", "composed"])
 @pytest.mark.parametrize(
     ("shown", "said", "felt"),
-    [("neighbor_type", "'L' is a neighbour", "LS"), ("ego_type", "'L' is the drone of no", "SL")],
+    [("neighbor_type", "'L' is a neighbor", "LS"), ("ego_type", "'L' is the drone of no", "SL")],
 )
 def test_a_type_that_never_pushed_or_never_felt_goes_on_so(model, shown, said, felt, tmp_path):
     rows = rows_of_types()
@@ -366,7 +366,7 @@ def test_a_comparison_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert difference["mean"] == pytest.approx(expected)
     assert difference["low"] <= difference["mean"] <= difference["high"]
     assert json.loads((tmp_path / "said.json").read_text())["errors"] == found.errors
-    assert any("composed less wake, all rows" in line for line in found.lines())
+    assert any("composed minus wake, all rows" in line for line in found.lines())
     kept = tmp_path / "out" / "wake-0.npy"
     before = kept.stat().st_mtime_ns
     (tmp_path / "out" / "composed-1.npy").unlink()

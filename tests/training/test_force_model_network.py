@@ -220,7 +220,7 @@ def test_a_lone_drone_aloft_feels_drag_alone(model: InteractionModel) -> None:
 
 @pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])
 def test_a_type_that_cannot_be_filed_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match="cannot name a vehicle type"):
+    with pytest.raises(ValueError, match="cannot be the name of a vehicle type"):
         DeepSetSpec(("S", name))
 
 
@@ -319,12 +319,12 @@ def test_a_table_without_torque_is_refused_where_it_is_wanted(tmp_path: Path) ->
     config = FitConfig(
         data=tmp_path / "without.npz", out=tmp_path, torque=True, offsets="none", progress=False
     )
-    with pytest.raises(ValueError, match=r"torque head is wanted.* `torque` \(R, 3\), N m in"):
+    with pytest.raises(ValueError, match=r"the rows have no torque.* `torque` \(R, 3\), N m in"):
         fit(config)
 
 
 def test_what_gives_no_torque_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--model composed gives no torque"):
+    with pytest.raises(ValueError, match="--model composed has no torque"):
         FitConfig(data=tmp_path, out=tmp_path, model="composed", torque=True)
     made = DeepSet(DeepSetSpec(("S",), OUTER_FADE, RANGE, 0.6), torch.float64)
     save_network(tmp_path / "a.safetensors", made)

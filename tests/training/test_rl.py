@@ -124,7 +124,7 @@ def test_a_finished_run_stays_as_it_is(algo, whole, capsys):
     out = whole[algo]
     before = {file.name: file.read_bytes() for file in out.iterdir() if file.is_file()}
     assert main(command(algo, out)) == 0
-    assert "was finished before" in capsys.readouterr().out
+    assert "is already complete" in capsys.readouterr().out
     assert main(command(algo, out, "--seed", "6")) == 1
     assert "seed is 5 there, 6 here" in capsys.readouterr().err
     assert {f.name: f.read_bytes() for f in out.iterdir() if f.is_file()} == before
@@ -168,10 +168,10 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--dagger.train-freq 2", "--dagger.* was given, but --algo ppo has no such option"),
         ("--start swap-dagger", "--start was given, but --algo ppo has no such option"),
         ("--algo dagger --set gamma=0.9", "--set was given, but --algo dagger has no such"),
-        ("--task crowd", "together are learned by --algo dagger alone; name one by --layout: "),
-        ("--controller hover", "controller is 'hover', but must be a shipped agent with a con"),
-        ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
-        ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
+        ("--task crowd", "needs --algo dagger; use it, or choose one --layout: "),
+        ("--controller hover", "controller is 'hover', but must be an included agent with its"),
+        ("--drones 4 4", "--drones is (4, 4) and --team is (), but they must name one or more"),
+        ("--drones 2 4 --environments 3", "must be a multiple of 2, the number of teams"),
         ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),
         ("--drones 4 0", "--drones is 0"),
         ("--set-hidden 0", "--set-hidden is 0, but must be an integer of at least 1"),
@@ -186,7 +186,7 @@ def test_what_cannot_be_trained_is_refused(options, why, tmp_path, refused):
     ("options", "why"),
     [
         ("--algo stable_baselines3.DQN", "DQN refuses its arguments: The algorithm only supports"),
-        ("--algo sac --set policy_kwargs={'net_arch':[8]}", "not followed by tanh"),
+        ("--algo sac --set policy_kwargs={'net_arch':[8]}", "is not tanh"),
     ],
 )
 def test_an_algorithm_that_cannot_learn_this_is_refused(options, why, tmp_path, capsys):

@@ -64,7 +64,7 @@ def test_processes_give_the_report_of_one(tmp_path, mine, capfd):
     assert "ValueError" in capfd.readouterr().err
     assert all(len(seeds) == len(set(seeds)) for seeds in kept_seeds(outs[1]))
     assert main(["evaluate", *QUICK, "--agent", *names[:2], "--out", str(outs[1])]) == 0
-    assert f"{names[1]}: 20 of 20 episodes were flown before" in capfd.readouterr().out
+    assert f"{names[1]}: resumes after 20 of 20 episodes" in capfd.readouterr().out
 
 
 def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
@@ -72,7 +72,7 @@ def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
     few = ["--episodes", "2", "--out", str(tmp_path / "out"), "--workers", "2"]
     assert main(["evaluate", *QUICK, *agents, *few]) == 1
     killed, fine = report(tmp_path / "out")["agents"]
-    assert "WorkerDied: the process that flew them died twice" in killed["error"]
+    assert "WorkerDied: the worker process died twice" in killed["error"]
     assert fine["episodes"] == 2
 
 
@@ -133,7 +133,7 @@ def test_another_agent_or_version_is_refused():
         agent="hover", digest=digest, task="swap_v1", setting=setting, seeds=frozen_seeds(1, 2)
     )
     assert len(fly_chunk(flight).episodes) == 2
-    assert "'hover' is another here" in fly_chunk(replace(flight, digest="0")).error
+    assert "the source of agent 'hover' differs" in fly_chunk(replace(flight, digest="0")).error
     assert "install the same version" in fly_chunk(replace(flight, version="0")).error
 
 

@@ -231,7 +231,7 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
     with pytest.raises(TypeError, match=r"num_drones: give options to the blueprint"):
         SharedPolicyVecEnv(found, num_drones=3)
     other = batch_of("swap_v1", num_drones=3, num_neighbors=1)
-    with pytest.raises(ValueError, match="team 1 observes"):
+    with pytest.raises(ValueError, match="team 1 has observation"):
         SharedPolicyVecEnv([found, other])
     with pytest.raises(ValueError, match="task is empty"):
         SharedPolicyVecEnv([])

@@ -1,5 +1,6 @@
-"""The force model that the compensated controller feeds forward, from simulated flights.
+"""Fit of the force model that the compensated controller feeds forward, to simulated flights.
 
-Its files are called `belief`. Command: `python -m swarm_envs.training.belief --out DIR --seed 0`,
-and `--collection.interactions wake` for an environment with another force model.
+The model is called a belief, to distinguish it from the true force model of the environment.
+Command: `python -m swarm_envs.training.belief --out DIR --seed 0`, with
+`--collection.interactions wake` for an environment with another force model.
 """

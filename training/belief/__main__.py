@@ -8,10 +8,11 @@ from swarm_envs.training.belief.feedforward import FeedforwardConfig, fit_feedfo
 
 
 def _main() -> None:
-    config = tyro.cli(FeedforwardConfig, description="Fit the compensated controller's belief.")
+    about = "Fit the force model that the compensated controller feeds forward."
+    config = tyro.cli(FeedforwardConfig, description=about)
     report = fit_feedforward(config)
     errors = report["fit"].findings.errors
-    print(f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f})")
+    print(f"validation MSE {errors.overall:.2f} g^2 (of zero force: {errors.zero:.2f} g^2)")
     for j in report["judgements"]:
         print(
             f"{j.team:5} radius {j.layout.radius_m} m, {j.layout.duration_s} s: "

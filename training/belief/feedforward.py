@@ -1,8 +1,8 @@
-"""Fit the force model that a controller feeds forward, from flights inside the environment.
+"""Fit of the force model that a controller feeds forward, to flights in the environment.
 
-Flights are collected, a heterogeneous deep set is fitted to them and evaluated in flight: stacked
-swaps with and without compensation. What is written ships as `belief*.safetensors`; the controller
-that feeds it forward never reads the environment's own model.
+Flights are collected, a heterogeneous deep set is fitted to them, and evaluated in stacked swaps
+with and without compensation. The included models are `belief*.safetensors`; the controller never
+reads the environment's own model.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ __all__ = ["SwapTrial", "fly_swaps", "simulated_fit_config"]
 
 @dataclass(frozen=True)
 class SwapTrial:
-    """Randomised stacked swaps of one team."""
+    """Randomized stacked swaps of one team."""
 
     team: str
-    """The vehicles, the lowest last."""
+    """The vehicle types, the lowest last."""
     layout: StackedLayout
-    """From what swaps are drawn."""
+    """The distribution of the swaps."""
     episodes: int
-    """Swaps that are flown."""
+    """The number of swaps."""
     world: str = "ideal"
     """`ideal` or `hall`; see `swarm_envs.hall`."""
 
@@ -55,7 +55,7 @@ TRIALS = (
     *(SwapTrial(team, StackedLayout(), 12) for team in ("S2L", "L2L", "SL2S", "LL2S", "SS2L")),
     *(SwapTrial(team, PAPER_SWAP, 40, "hall") for team in ("S2S", "L2S", "SS2S")),
 )
-"""By what a shipped model is evaluated; seeds count from 0."""
+"""The trials in which a model is evaluated; their seeds count from 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,35 +63,35 @@ class CompensationResult(SwapTrial):
     """Worst height error of the lowest drone over the episodes of a trial, cm."""
 
     uncompensated_median_cm: float  # Median of the worst height errors without compensation, cm
-    compensated_median_cm: float  # The same with the model fed forward, cm
-    largest_ratio: float  # Largest of an episode's compensated over its uncompensated error
-    worse: int  # Episodes that compensation made worse
+    compensated_median_cm: float  # Median of the worst height errors with compensation, cm
+    largest_ratio: float  # Largest ratio of the errors with and without compensation
+    worse: int  # Number of episodes in which compensation increased the error
     upper_largest_growth_cm: float
-    """Largest growth of another drone's worst height error by compensation."""
-    crashed: int  # Compensated episodes that ended in a collision or a tumble
+    """Largest increase of another drone's worst height error by compensation, cm."""
+    crashed: int  # Number of compensated episodes that ended in a collision or a tumble
 
 
 @dataclass(frozen=True)
 class FeedforwardConfig:
-    """The making of a model for feed-forward."""
+    """Options of the fit of a model for feed-forward."""
 
     out: Path
-    """folder for `belief.safetensors`, `belief.json`, `MODEL_CARD.md`; `flights` below it keeps
-    the logs. The weights and the report of another environment than `learned` are named after it,
-    such as `belief_wake.safetensors`"""
+    """Output folder for belief.safetensors, belief.json, MODEL_CARD.md, and the logs in flights/.
+    With another force model than `learned`, the files are named after it, such as
+    belief_wake.safetensors."""
     seed: int = 0
-    """seed of flights and fit"""
+    """Random seed of the flights and the fit."""
     steps: int = 4000
-    """optimiser steps"""
+    """Number of optimizer steps."""
     collection: CollectionConfig = field(default_factory=CollectionConfig)
-    """what is flown; `seed` takes the place of its seed"""
+    """Options of the flights; --seed replaces their seed."""
     trials: tyro.conf.Suppress[tuple[SwapTrial, ...]] = TRIALS
-    """by what the model is evaluated in flight"""
+    """Trials in which the model is evaluated."""
     progress: bool = True
-    """show progress bars"""
+    """Show progress bars."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if an option has an invalid value."""
         check_integer("seed", self.seed, at_least=0)
         check_integer("steps", self.steps, at_least=1)
         check_type("collection", self.collection, CollectionConfig)
@@ -102,10 +102,10 @@ FeedforwardReport = dict[str, Any]  # The content of `belief.json`
 
 
 def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
-    """Make the model: see the module. After an interruption it resumes.
+    """Collect flights, fit the model and evaluate it; an interrupted collection resumes.
 
     Raises:
-        ValueError: the folder holds flights of another configuration or force model.
+        ValueError: the folder has flights of another configuration or force model.
     """
     began = time.perf_counter()
     collection = dataclasses.replace(config.collection, seed=config.seed)
@@ -117,9 +117,9 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
         simulated_fit_config(table, config.out / "fit", config.steps, config.seed, config.progress)
     )
     model = load(collection.interactions)
-    said = feedforward_command(config)
+    command = feedforward_command(config)
     provenance: dict[str, object] = {
-        "command": said,
+        "command": command,
         "data": f"flights simulated with the force model {model.name!r}",
         "interactions_sha256": model.fingerprint,
         "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
@@ -129,11 +129,11 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     name = BELIEFS.get(given, f"belief_{Path(given).stem}")
     path = config.out / f"{name}.safetensors"
     network = load_network(config.out / "fit" / "learned.safetensors")
-    save_network(path, network, provenance, torch.float32)  # as it was trained
+    save_network(path, network, provenance, torch.float32)
     fed_forward, environment = load(path), load(given)
     report: FeedforwardReport = {
         "name": name,
-        "command": said,
+        "command": command,
         "interactions": model.name,
         "interactions_sha256": model.fingerprint,
         "flights": len(flights),
@@ -155,7 +155,7 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
 def simulated_fit_config(
     table: Path, out: Path, steps: int, seed: int, progress: bool
 ) -> FitConfig:
-    """Return the options of a fit to simulated flights, in which vehicles are as their type."""
+    """Return the options of a fit to simulated flights, which have no calibration offsets."""
     return FitConfig(
         data=table,
         out=out,
@@ -168,7 +168,7 @@ def simulated_fit_config(
 
 
 def feedforward_command(config: FeedforwardConfig) -> str:
-    """Command line that makes this model, with the folder left out."""
+    """Return the command line that fits this model, with a placeholder for the folder."""
     words = ["python -m swarm_envs.training.belief --out DIR", f"--seed {config.seed}"]
     if config.steps != FeedforwardConfig.steps:
         words.append(f"--steps {config.steps}")
@@ -178,7 +178,7 @@ def feedforward_command(config: FeedforwardConfig) -> str:
 def compare_compensation(
     trial: SwapTrial, model: InteractionModel, environment: str | InteractionModel = "learned"
 ) -> CompensationResult:
-    """Fly a trial twice, on the same seeds, references and gains: without and with the model.
+    """Simulate a trial without and with the model, with the same seeds, references and gains.
 
     Raises:
         RuntimeError: drones collided in the ideal world.
@@ -208,9 +208,9 @@ def fly_swaps(
     environment: str | InteractionModel,
     first_seed: int = 0,
 ) -> Flights:
-    """Fly the episodes of a trial on their references, in an environment with these forces.
+    """Simulate the episodes of a trial, in which every drone follows its reference.
 
-    Every drone has the controller; seeds count from `first_seed`.
+    All drones have the controller; seeds count from `first_seed`.
     """
     test = swap_test(trial.team, trial.layout, environment)
     test = dataclasses.replace(test, world=trial.world)

@@ -1,9 +1,8 @@
-"""Collection of flights inside the environment: logs of drones that fly through each other's wakes.
+"""Collection of flight logs in the environment, of drones that fly through each other's wakes.
 
-The environment's counterpart of Neural-Swarm2, Sec. VII-B. Order of reading: `collect` (what is
-flown, all flights to a folder), `motion` (random walks, stacked swaps), `flight` (the loop), `log`
-(what is logged and its file, the noise of sensors, the interaction force), `table` (rows for the
-trainer).
+It corresponds to Neural-Swarm2, Sec. VII-B. Order of reading: `collect` (configuration and files),
+`motion` (random walks, stacked swaps), `flight` (the simulation loop), `log` (logs, sensor noise,
+interaction force), `table` (rows for the trainer).
 `swarm_envs.training.belief` fits the deep set of the compensated controller to them.
 
 Command: `swarm-envs collect --out DIR --seed 0`; the page is docs/flight-logs.md.

@@ -31,28 +31,29 @@ __all__ = ["CollectOptions", "run_collect"]
 
 @dataclass(frozen=True, kw_only=True)
 class CollectOptions:
-    """Fly drones through each other's wakes in the environment and log them.
+    """Simulate drones that fly through each other's wakes, and log their flights.
 
-    Every team walks at random, kept apart by artificial potentials, and swaps places in a stack;
-    both aloft and near the ground. Writes one file a flight, `manifest.json`, and `rows.npz`, whose
-    labels are computed from the noisy logs. Interrupted and run again, it resumes.
-    `swarm-envs fit --data OUT` fits a force model to the flights.
+    Every team flies random walks, in which artificial potentials keep the drones apart, and stacked
+    swaps, in which drones above one another exchange positions; both aloft and near the ground. The
+    command writes one file per flight, `manifest.json`, and `rows.npz` with force labels computed
+    from the noisy logs. An interrupted command resumes when it is run again. Fit a force model to
+    the flights by `swarm-envs fit --data OUT`.
     """
 
     out: Path
-    """folder for the flights, the manifest and the table `rows.npz`"""
+    """Output folder for the flights, the manifest and the table `rows.npz`."""
     config: CollectionConfig = CollectionConfig()
-    """what to fly"""
+    """Options of the flights."""
     json: Path | None = None
-    """write the numbers that are printed to this file too"""
+    """Also write the printed numbers to this file."""
     progress: bool = True
-    """show a progress bar"""
+    """Show a progress bar."""
 
 
 def _summary(
     flights: list[CollectedFlight], rows: InteractionRows, config: CollectionConfig, table: str
 ) -> dict[str, Any]:
-    """Return the flights and the rows in numbers: the content of `--json`."""
+    """Return the numbers of flights and rows: the content of `--json`."""
     scenarios: dict[str, dict[str, Any]] = {}
     for name, count in scenario_counts(flights).items():
         here = np.zeros(len(rows), dtype=np.bool_)
@@ -67,21 +68,21 @@ def _summary(
         "rows": len(rows),
         "table": table,
         "scenarios": scenarios,
-        "missing": [n for n in SCENARIOS if not scenarios.get(n, {}).get("rows")],  # of Table II
+        "missing": [n for n in SCENARIOS if not scenarios.get(n, {}).get("rows")],
     }
 
 
 def _lines(summary: Mapping[str, Any]) -> list[str]:
-    said = [*_scenario_table(summary["scenarios"]), ""]
+    lines = [*_scenario_table(summary["scenarios"]), ""]
     if summary["missing"]:
-        said.append(f"of Table II no row of {', '.join(summary['missing'])}")
+        lines.append(f"no rows of these scenarios of Table II: {', '.join(summary['missing'])}")
     else:
-        said.append("all twelve scenarios of Table II have rows")
+        lines.append("all twelve scenarios of Table II have rows")
     if summary["cut_short"]:
         cut = len(summary["cut_short"])
-        said.append(f"{cut} flight{' was' if cut == 1 else 's were'} cut at a contact")
-    flown = f"{summary['flights']} flights, {summary['seconds']:.0f} s"
-    return [*said, f"{flown}, {summary['rows']} rows"]
+        lines.append(f"{cut} flight{'' if cut == 1 else 's'} ended early, at a contact")
+    flights = f"{summary['flights']} flights, {summary['seconds']:.0f} s"
+    return [*lines, f"{flights}, {summary['rows']} rows"]
 
 
 def _scenario_table(scenarios: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -92,7 +93,7 @@ def _scenario_table(scenarios: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def run_collect(options: CollectOptions) -> dict[str, Any]:
-    """Collect, and say what was collected."""
+    """Collect flights, write them, and print a summary, which is returned."""
     flights = collect(options.config, options.out, options.progress)
     table = options.out / "rows.npz"
     rows = interaction_rows(flights, options.config.label)

@@ -1,4 +1,4 @@
-"""A collection: its configuration, and all its flights in a folder, a file each and a manifest."""
+"""The configuration of a collection, and its flights: one file each in a folder, and a manifest."""
 
 from __future__ import annotations
 
@@ -38,40 +38,40 @@ KINDS = ("walk", "low-walk", "swap", "low-swap")
 
 @dataclass(frozen=True)
 class CollectionConfig:
-    """A collection of flights. The same configuration gives the same logs, to the last bit."""
+    """A collection of flights. The same configuration gives bitwise identical logs."""
 
     teams: tuple[str, ...] = ("S", "L", "SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
-    """vehicles of each team; each drone is in turn the one that feels the force, so that `SL` gives
-    the scenarios L2S and S2L"""
+    """Vehicle types of each team. The force on every drone is labeled: `SL` gives the scenarios
+    L2S (a large drone acts on a small one) and S2L (a small drone acts on a large one)."""
     walks: int = 5
-    """flights per team that walk at random aloft"""
+    """Number of random walks per team aloft."""
     low_walks: int = 5
-    """flights per team that walk at random near the ground"""
+    """Number of random walks per team near the ground."""
     swaps: int = 5
-    """flights per team of two or more that swap places aloft, crossing every few seconds"""
+    """Number of stacked swaps aloft per team of two or more; drones cross every few seconds."""
     low_swaps: int = 5
-    """flights per team of two or more that swap places near the ground"""
+    """Number of stacked swaps near the ground per team of two or more."""
     duration_s: float = 20.0
-    """length of a flight, s; a flight ends earlier at its first contact"""
+    """Duration of a flight, s. A flight ends at its first contact."""
     interactions: str = "learned"
-    """force model of the environment: `learned`, `wake`, `none` or a path of weights"""
+    """Force model of the environment: `learned`, `wake`, `none` or a weights file."""
     world: Literal["ideal", "hall"] = "ideal"
-    """`hall`: the pilot flies, and the log has, an estimate of the state, and a force that no model
-    knows acts; see docs/hall.md"""
+    """World: in `hall`, random forces act, and the controller and the log use an estimate of the
+    state; see docs/hall.md."""
     feedforward: Path | None = None
-    """weights of the force model that the pilot compensates for; None for no compensation"""
+    """Weights file of the force model that the controller compensates. If None, no compensation."""
     pilot: Literal["soft", "mid", "stiff", "firm"] = "firm"
-    """position gains of the pilot: the controller's presets, or `firm`, stiffer than flights need,
-    to hold place in wakes that it does not know"""
+    """Position gains of the controller: one of its presets, or `firm`, whose gains are high enough
+    to hold the position in the wakes of other drones."""
     label: Label = "differentiated"
-    """where the acceleration of the force's label comes from: velocities differentiated over five
-    points, or the accelerometer"""
+    """Acceleration in the force labels: velocities `differentiated` over five points, or that of
+    the accelerometer (`imu`)."""
     motion: tyro.conf.Suppress[MotionRanges] = MotionRanges()
-    """what the motions are drawn from"""
+    """Ranges from which the motions are drawn."""
     noise: tyro.conf.Suppress[SensorNoise] = SensorNoise()
-    """what sensors add to the logged state; the pilot flies with the true one"""
+    """Sensor noise of the logged state; the controller uses the state without it."""
     seed: int = 0
-    """seed of every flight; each has its own generator, so that none depends on another"""
+    """Random seed of the flights; each has its own generator and depends on no other."""
 
     def __post_init__(self) -> None:
         for name in ("walks", "low_walks", "swaps", "low_swaps", "seed"):
@@ -86,7 +86,9 @@ class CollectionConfig:
         for team in self.teams:
             parse_team(team)
         if len(set(self.teams)) < len(self.teams):
-            raise ValueError(f"teams are {self.teams}, but each may be named once: they name files")
+            raise ValueError(
+                f"teams are {self.teams}, but each must be given once, as they name the files"
+            )
         if not self.batches():
             raise ValueError(
                 f"teams {self.teams} and the counts walks {self.walks}, low_walks "
@@ -95,7 +97,7 @@ class CollectionConfig:
             )
 
     def batches(self) -> list[FlightBatch]:
-        """Flights in the order in which they are flown: those of a batch fly at the same time."""
+        """Return the batches of flights in order; the flights of a batch are simulated together."""
         counts = dict(zip(KINDS, (self.walks, self.low_walks, self.swaps, self.low_swaps)))
         return [
             FlightBatch(team, kind, count)
@@ -107,33 +109,33 @@ class CollectionConfig:
 
 @dataclass(frozen=True)
 class FlightBatch:
-    """Flights of one team and kind that fly at the same time, each in its own environment."""
+    """Flights of one team and kind that are simulated together, each in its own environment."""
 
-    team: str  # Who flies together
+    team: str  # Vehicle types of the team
     kind: str  # One of `KINDS`
     count: int  # Number of flights
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each flight, and of its file."""
-        token = self.team.replace("*", "x")  # file names without wildcards
+        """The names of the flights and of their files."""
+        token = self.team.replace("*", "x")  # no wildcards in names of files
         return tuple(f"{token}-{self.kind}-{index:03d}" for index in range(self.count))
 
 
 MANIFEST = "manifest.json"
-"""File that says what the others of a folder hold."""
-HELD_OUT_EVERY = 5  # Of the flights of a team and kind one in so many is for validation
+"""File that describes the other files of a folder."""
+HELD_OUT_EVERY = 5  # One in this many flights of a team and kind is held out for validation
 
 
 def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[CollectedFlight]:
-    """Fly what is not yet there, and read everything.
+    """Simulate the flights whose files are missing, and read all flights.
 
     Writes one file for each flight, and `manifest.json` with the configuration, the force model's
-    fingerprint and every flight's length. After an interruption it resumes with the first missing
-    file; the result is identical.
+    fingerprint and every flight's duration. An interrupted collection resumes with the first
+    missing file; the result is identical.
 
     Raises:
-        ValueError: the folder holds flights of another configuration or force model.
+        ValueError: the folder has flights of another configuration or force model.
     """
     model = load(config.interactions)
     compensated = None if config.feedforward is None else load(config.feedforward)
@@ -146,7 +148,9 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
     begin_manifest(out / MANIFEST, origin)
     batches = config.batches()
     seconds = sum(batch.count for batch in batches) * config.duration_s
-    with tqdm(total=round(seconds), disable=not progress, unit="s flown", desc="flights") as bar:
+    with tqdm(
+        total=round(seconds), disable=not progress, unit="s", desc="flights, simulated time"
+    ) as bar:
         for batch in batches:
             files = [out / f"{name}.npz" for name in batch.names]
             if not all(file.exists() for file in files):
@@ -170,12 +174,12 @@ def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[
 
 
 def was_cut_short(flight: CollectedFlight, duration_s: float) -> bool:
-    """Return True if a flight ended before its time: its team touched something or tumbled."""
+    """Return True if a flight ended early, by a contact or because a drone tumbled."""
     return flight.seconds < duration_s - 0.05
 
 
 def flight_generator(config: CollectionConfig, name: str) -> np.random.Generator:
-    """Generator of one flight: depends on the seed and on its name alone."""
+    """Return the generator of a flight, which depends only on the seed and the flight's name."""
     key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     return np.random.default_rng([config.seed, key])
 
@@ -186,7 +190,7 @@ def fly_flights(
     model: InteractionModel,
     feedforward: InteractionModel | None = None,
 ) -> list[FlightLog]:
-    """Fly a batch's flights and return their noisy logs; see `fly_motion`."""
+    """Simulate the flights of a batch and return their noisy logs; see `fly_motion`."""
     rngs = [flight_generator(config, name) for name in batch.names]
     motion, team = make_motion(config, batch, rngs), parse_team(batch.team)
     hall, duration = Hall.of(config.world), config.duration_s
@@ -197,7 +201,7 @@ def fly_flights(
 def make_motion(
     config: CollectionConfig, batch: FlightBatch, rngs: list[np.random.Generator]
 ) -> TeamMotion:
-    """The motion of a batch."""
+    """Return the motion of a batch."""
     team, ranges = parse_team(batch.team), config.motion
     low = batch.kind.startswith("low")
     if batch.kind.endswith("walk"):
@@ -220,9 +224,9 @@ def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[
 
 
 def _is_held_out(config: CollectionConfig, batch: FlightBatch, index: int) -> bool:
-    """Return True if a flight is for validation: of each batch every fifth, or the last of fewer.
+    """Return True if a flight is held out: every fifth of a batch, or the last of a smaller one.
 
-    Of batches of a single flight, the last batch's.
+    If all batches have a single flight, that of the last batch is held out.
     """
     batches = config.batches()
     if all(each.count == 1 for each in batches):

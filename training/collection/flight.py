@@ -1,7 +1,7 @@
-"""One batch of flights: the vehicles that fly, the loop, and what it logs at 120 Hz.
+"""The simulation of a batch of flights, logged at 120 Hz.
 
-Every team is put together from one fleet: the second small drone of any team is vehicle `S2`, in
-every flight the same.
+All teams consist of vehicles of one fleet: the second small drone of any team is always the vehicle
+`S2`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PER_TYPE = 100
 
 
 def vehicle_names(team: Team) -> tuple[str, ...]:
-    """Names of the physical vehicles of a team, such as `S1`, `S2`, `L1` of `SSL`."""
+    """Return the names of the vehicles of a team, such as `S1`, `S2`, `L1` of `SSL`."""
     seen = Counter[str]()
     names = []
     for vehicle in team:
@@ -41,7 +41,7 @@ def vehicle_names(team: Team) -> tuple[str, ...]:
 
 
 def vehicle_ids(team: Team) -> tuple[int, ...]:
-    """Number of each vehicle of a team in the whole fleet: 1, 2, 101 of `SSL`."""
+    """Return the numbers of the vehicles of a team in the fleet, such as 1, 2, 101 of `SSL`."""
     tokens = list(VEHICLES)
     return tuple(
         _PER_TYPE * tokens.index(vehicle.token) + int(name.removeprefix(vehicle.token))
@@ -50,12 +50,12 @@ def vehicle_ids(team: Team) -> tuple[int, ...]:
 
 
 FIRM = PositionGains(position=3.0, velocity=5.0, integral=1.0)
-"""Stiffer than flights need, to hold place in wakes that the pilot does not know."""
+"""High gains, to hold the position in the wakes of other drones."""
 
 PILOTS = {**GAINS, "firm": FIRM}
-"""Position gains of a pilot by name: those of the controller, and firmer ones."""
+"""Position gains by name: the presets of the controller, and `FIRM`."""
 
-_WIDTHS = (3, 3, 4, 3, 3, 4)  # of the arrays of a FlightLog
+_WIDTHS = (3, 3, 4, 3, 3, 4)  # Widths of the arrays of a FlightLog
 
 
 def fly_motion(
@@ -68,19 +68,20 @@ def fly_motion(
     hall: Hall | None = None,
     rngs: Sequence[np.random.Generator] = (),
 ) -> list[FlightLog]:
-    """Fly a motion of E teams and log the state that the pilot is given.
+    """Simulate a motion of E teams and log the state that the controller receives.
 
-    A log ends before its team touches anything or tumbles.
+    A log ends before the first contact or tumble of its team.
 
     Args:
         team: the N vehicles.
-        motion: of E teams.
+        motion: the motion of E teams.
         interactions: the force model of the environment.
-        duration_s: length of the flights, s.
-        feedforward: the force that the pilot compensates for; None for no compensation.
-        pilot: name of its position gains, see `PILOTS`.
-        hall: numbers of the world "hall", where the pilot is given an estimate; None for "ideal".
-        rngs: E generators, which the hall draws from.
+        duration_s: the duration of the flights, s.
+        feedforward: the force model that the controller compensates; None for no compensation.
+        pilot: the name of the position gains, see `PILOTS`.
+        hall: parameters of the world "hall", where the controller receives an estimate of the
+            state; None for "ideal".
+        rngs: E generators for the hall.
     """
     envs, drones = motion.start.shape[:2]
     physics = BatchPhysics(team, envs, interactions, hall=hall)
@@ -123,7 +124,7 @@ def fly_motion(
 
 
 def _seen(physics: BatchPhysics) -> SwarmState:
-    """The state that the pilot is given: an estimate in the hall, else the true one."""
+    """Return the state that the controller receives: an estimate in the hall, else the truth."""
     if physics.hall is None:
         return physics.state
     drones = physics.world.drones

@@ -1,14 +1,14 @@
-"""The log of a flight, the noise that sensors add to it, and the interaction force it shows.
+"""The log of a flight, its sensor noise, and the interaction force computed from it.
 
-The pilot flies with the true state; only the log is noisy, as a motion-capture system, its
-estimator and an accelerometer are. What a drone logs of its motors are commands, which no sensor
-touches. The label is computed as in Neural-Swarm2 (Sec. VII-B, with the lag of eq. 1c):
+Noise is added to the log only, with the magnitudes of a motion-capture system, its estimator and an
+accelerometer; motor commands are logged without noise. The label is computed from the log as in
+Neural-Swarm2 (Sec. VII-B, with the lag of eq. 1c):
 
     f_a = m a + m g k - R T k
 
-The acceleration a is differentiated from the logged velocity over five points, or is what the
-accelerometer read; the thrust T is what the motor lag makes of the logged commands, the attitude R
-is as logged, the mass m is the type's. A log is all that these functions are given.
+The acceleration a is differentiated from the logged velocity over five points, or is that of the
+accelerometer; the thrust T is computed from the logged commands with the motor lag, R is the logged
+attitude, and m the mass of the vehicle type.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
 
 __all__ = ["Label", "SensorNoise", "force_from_motion", "thrust_direction"]
 
-LOG_RATE = 120  # Log entries per second as flown: every second physics step
+LOG_RATE = 120  # Log entries per second: every second physics step
 
 STEPS_PER_ENTRY = PHYSICS_RATE // LOG_RATE  # Physics steps between log entries
 
 
 class FlightLog(NamedTuple):
-    """The record of one flight of N drones, T entries. World frame unless said, SI units."""
+    """The log of one flight of N drones, T entries. World frame unless noted, SI units."""
 
     position: FloatArray  # (T, N, 3) m
     velocity: FloatArray  # (T, N, 3) m/s
     quaternion: FloatArray  # (T, N, 4) attitude (x, y, z, w), body to world
     specific_force: FloatArray
-    """(T, N, 3) what an accelerometer reads, body frame, m/s^2: (0, 0, 9.81) in hover."""
+    """(T, N, 3) accelerometer reading, body frame, m/s^2: (0, 0, 9.81) in hover."""
     setpoint: FloatArray
-    """(T, N, 3) position that the pilot was to hold, m."""
+    """(T, N, 3) position set-point, m."""
     commands: FloatArray
-    """(T, N, 4) rotor thrusts as commanded from this entry on, N; never those that act."""
+    """(T, N, 4) commanded rotor thrusts from this entry on, N, before the motor lag."""
 
     def cut(self, count: int) -> FlightLog:
         """Return the first `count` entries."""
@@ -52,7 +52,7 @@ class FlightLog(NamedTuple):
 
 
 def save_log(path: Path, log: FlightLog) -> None:
-    """Write a log, atomically: npz without pickle, in single precision."""
+    """Write a log atomically as npz in single precision, without pickle."""
     arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
     with written_whole(path) as partial:
         np.savez(partial, allow_pickle=False, **arrays)
@@ -62,7 +62,7 @@ def read_log(path: Path) -> FlightLog:
     """Read a file that `save_log` wrote.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: there is no such file.
         ValueError: it is damaged.
     """
     arrays = read_npz(path)
@@ -70,50 +70,50 @@ def read_log(path: Path) -> FlightLog:
 
 
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    """Turn body vectors (..., 3) into the world by attitudes (..., 4)."""
+    """Rotate body vectors (..., 3) to the world frame by attitudes (..., 4)."""
     axis, scalar = quaternion[..., :3], quaternion[..., 3:]
     twice = 2.0 * np.cross(axis, vector)
     return np.asarray(vector + scalar * twice + np.cross(axis, twice))
 
 
 def rotate_to_body(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    """Turn world vectors (..., 3) into the body frame of attitudes (..., 4)."""
+    """Rotate world vectors (..., 3) to the body frame of attitudes (..., 4)."""
     return rotate(quaternion * [-1.0, -1.0, -1.0, 1.0], vector)
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """White noise on every log entry, and biases; standard deviations per component.
+    """Sensor noise: standard deviations per component of white noise and of biases.
 
-    White noise is drawn for each entry, a bias once for each vehicle and flight.
+    White noise is drawn for each log entry, a bias once for each vehicle and flight.
     """
 
     position_m: float = 2e-4
-    """of a motion-capture system, m: makers and users state tenths of a millimetre for markers in
-    a room of some metres"""
+    """Position noise, m. Motion-capture systems have tenths of a millimeter in rooms of a few
+    meters."""
     velocity: float = 0.01
-    """of the state estimator, m/s: positions of 0.2 mm at 100 Hz, filtered over a few samples"""
+    """Velocity noise, m/s: that of positions with 0.2 mm at 100 Hz, filtered over a few samples."""
     attitude_rad: float = 3e-3
-    """of the state estimator, rad: 0.2 degrees"""
+    """Attitude noise, rad: 0.2 degrees."""
     accelerometer: float = 0.2
-    """of the accelerometer, m/s^2: vibration of the rotors, not the chip, whose 0.175 mg per root
-    of Hz (BMI088) make 0.02 m/s^2 over 100 Hz; 0.2 m/s^2 are 0.7 g of force on a small drone,
-    about what is left over when models are fitted to measured flights"""
+    """Accelerometer noise, m/s^2. It is due to the vibration of the rotors; the chip's 0.175 mg per
+    root of Hz (BMI088) give only 0.02 m/s^2 over 100 Hz. 0.2 m/s^2 correspond to 0.7 g of force on
+    a small drone, about the residual of models fitted to measured flights."""
     accelerometer_bias: float = 0.05
-    """constant error of the accelerometer, m/s^2: 5 mg, what is left of the chip's 20 mg once the
-    firmware has zeroed it before take-off"""
+    """Accelerometer bias, m/s^2: 5 mg, the part of the chip's 20 mg that remains after the firmware
+    has zeroed it before take-off."""
     attitude_bias_rad: float = 0.0
-    """constant error of the attitude, rad: markers glued askew. It leans the thrust, 0.03 g of
-    sideways force on a small drone per milliradian"""
+    """Attitude bias, rad, such as that of misaligned markers. It tilts the thrust, by 0.03 g of
+    horizontal force on a small drone per milliradian."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if a value is invalid."""
         for option in fields(self):
             check_number(option.name, getattr(self, option.name), at_least=0.0)
 
 
 def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> FlightLog:
-    """Return the log as noisy sensors would have written it."""
+    """Return the log with sensor noise."""
     shape = log.position.shape
     turn = noise.attitude_rad * rng.standard_normal(shape)
     position = log.position + noise.position_m * rng.standard_normal(shape)
@@ -132,7 +132,7 @@ def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> 
 
 
 def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Product p q of quaternions (..., 4) in the order (x, y, z, w)."""
+    """Return the product p q of quaternions (..., 4) in the order (x, y, z, w)."""
     a, b = p[..., :3], q[..., :3]
     s, t = p[..., 3:], q[..., 3:]
     vector = s * b + t * a + np.cross(a, b)
@@ -140,15 +140,15 @@ def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
 
 
 SMOOTHING_S = 0.1
-"""Width of the window that labels of differentiated velocity are averaged over: a drone moves some
-centimetres meanwhile."""
+"""Width of the window that averages labels from differentiated velocities, in which a drone moves a
+few centimeters."""
 
 Label = Literal["differentiated", "imu"]
-"""Where the acceleration of a label comes from."""
+"""Source of the acceleration in a label: differentiated velocities, or the accelerometer."""
 
 
 def derivative(values: FloatArray, step: float) -> FloatArray:
-    """Five-point derivative along the first axis (T, ...); NaN for the two entries at each end."""
+    """Return the five-point derivative along the first axis (T, ...); NaN for two at each end."""
     result = np.full(values.shape, np.nan)
     outer, inner = values[4:] - values[:-4], values[3:-1] - values[1:-3]
     result[2:-2] = (8.0 * inner - outer) / (12.0 * step)
@@ -156,9 +156,9 @@ def derivative(values: FloatArray, step: float) -> FloatArray:
 
 
 def lagged_thrust(commands: FloatArray, team: Team, step: float) -> FloatArray:
-    """Total thrust (T, N), N, that commands (T, N, 4), N, lead to: eq. (1c), from hover.
+    """Return the total thrust (T, N), N, for commands (T, N, 4), N: eq. (1c), from hover.
 
-    Between two entries the command is taken as their mean.
+    The command between two entries is their mean.
     """
     command = commands.sum(axis=-1)
     held = 0.5 * (command[1:] + command[:-1])
@@ -171,14 +171,14 @@ def lagged_thrust(commands: FloatArray, team: Team, step: float) -> FloatArray:
 
 
 def thrust_direction(quaternion: FloatArray) -> FloatArray:
-    """Direction R k (..., 3) of the thrust at attitudes (..., 4)."""
+    """Return the direction R k (..., 3) of the thrust at attitudes (..., 4)."""
     x, y, z, w = np.moveaxis(quaternion, -1, 0)
     parts = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     return np.stack(parts, axis=-1)
 
 
 def hann_average(values: FloatArray, width: int) -> FloatArray:
-    """Average along the first axis with a Hann window of `width` entries; NaN where it is cut."""
+    """Average along the first axis with a Hann window of `width` entries; NaN at both ends."""
     window = np.hanning(width + 2)[1:-1]
     window /= window.sum()
     result = np.full(values.shape, np.nan)
@@ -196,10 +196,10 @@ def interaction_force(
     smoothing_s: float = SMOOTHING_S,
     label: Label = "differentiated",
 ) -> FloatArray:
-    """Interaction force (T, N, 3), gram-force, world frame, on every drone at every entry of a log.
+    """Return the interaction force (T, N, 3), gram-force, world frame, at every entry of a log.
 
-    NaN near both ends, where it is unknown. A differentiated label is averaged over a Hann window
-    of `smoothing_s`, less than two entries for none; an accelerometer's is taken as it is.
+    It is NaN near both ends, where it is unknown. A differentiated label is averaged over a Hann
+    window of `smoothing_s` (no average below two entries); that of an accelerometer is not.
     """
     acceleration = rotate(log.quaternion, log.specific_force) if label == "imu" else None
     return force_from_motion(
@@ -216,11 +216,12 @@ def force_from_motion(
     rate_hz: float,
     smoothing_s: float,
 ) -> FloatArray:
-    """Interaction force f_a (T, N, 3), gram-force, m a + m g k - R T k; see the module.
+    """Return the interaction force f_a = m a + m g k - R T k (T, N, 3), gram-force; see the module.
 
-    World frame, SI units. The acceleration is with gravity; None differentiates the velocity and
-    averages the force over a Hann window of `smoothing_s`, less than two entries for none. Commands
-    (T, N, 4) are rotor thrusts. NaN where derivative or window would reach out.
+    World frame, SI units. The acceleration includes gravity; with None, the velocity is
+    differentiated and the force averaged over a Hann window of `smoothing_s` (no average below two
+    entries). Commands (T, N, 4) are rotor thrusts. The result is NaN where the derivative or the
+    window is incomplete.
     """
     mass = np.array([vehicle.mass for vehicle in team])[:, None]
     thrust = lagged_thrust(commands, team, 1.0 / rate_hz)[..., None]

@@ -1,11 +1,11 @@
-"""Motions of a collection: random walks kept apart by artificial potentials, and stacked swaps.
+"""Motions of a collection: random walks with artificial potentials, and stacked swaps.
 
-Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
-attractive potential draws to a goal in a small box; goals are sampled again at a fixed frequency.
-Half of the time all goals are on one vertical line, so that drones pass over and under each
-other. Neighbours and the floor repel with an artificial potential (Khatib, 1986) of the
-clearance c, U(c) = strength / 2 (1/c - 1/reach)^2 below the reach and 0 above it, whose slope at
-the *measured* positions accelerates the set-point. The constants are not from the paper.
+In a random walk (Neural-Swarm2, Sec. VII-B), the set-point of each drone is a point mass that an
+attractive potential pulls to a goal in a small box; goals are sampled again at a fixed frequency.
+Half of the time all goals are on one vertical line, so that drones pass over and under each other.
+Neighbors and the floor repel with an artificial potential (Khatib, 1986) of the clearance c,
+U(c) = strength / 2 (1/c - 1/reach)^2 below the reach and 0 above it, whose gradient at the
+*measured* positions accelerates the set-point. The constants are not from the paper.
 """
 
 from __future__ import annotations
@@ -26,61 +26,61 @@ from swarm_envs.vehicles import Team
 
 __all__ = ["MotionRanges"]
 
-Pair = tuple[float, float]  # Lowest and highest of what is drawn evenly
+Pair = tuple[float, float]  # Bounds of a uniform distribution
 _POSITIVE = ("goal_period_s", "reach_m", "floor_reach_m", "crossing_s")
 """Options that must not be zero."""
 
 
 @dataclass(frozen=True)
 class MotionRanges:
-    """The ranges that motions are drawn from. SI units; a pair is (lowest, highest)."""
+    """The distributions of motions. SI units; a pair is (lowest, highest)."""
 
     half_width_m: float = 0.25
-    """half width of the box of a random walk"""
+    """Half of the width of the box of a random walk, m."""
     walk_heights_m: Pair = (0.5, 1.7)
-    """heights of goals of a walk aloft"""
+    """Heights of goals of a walk aloft, m."""
     low_walk_heights_m: Pair = (0.07, 0.8)
-    """heights of goals near the ground; a drone's goal is at least 1 cm above touching the floor"""
+    """Heights of goals near the ground, m; goals are at least 1 cm above contact with the floor."""
     low_walk_power: float = 2.0
-    """heights near the ground are the lowest plus the span times u^power, u uniform"""
+    """Power p of heights near the ground: the lowest plus the span times u^p with uniform u."""
     goal_period_s: float = 1.5
-    """time between new goals of a walk"""
+    """Time between new goals of a walk, s."""
     aligned: float = 0.5
-    """share of goals that are on one vertical line"""
+    """Fraction of goals that are on one vertical line."""
     attraction: Pair = (2.0, 4.5)
-    """natural frequency of the attraction to goals, drawn per flight, rad/s"""
+    """Natural frequency of the attraction to goals, drawn per flight, rad/s."""
     acceleration_limit: float = 3.0
-    """largest acceleration by attraction, m/s^2"""
+    """Largest acceleration by attraction, m/s^2."""
     reach_m: float = 0.15
-    """clearance between two spheres below which they repel"""
+    """Clearance of two drones below which they repel, m."""
     strength: float = 3e-3
-    """strength of the repulsion, m^4/s^2"""
+    """Strength of the repulsion, m^4/s^2."""
     floor_reach_m: float = 0.04
-    """clearance from the floor below which it repels"""
+    """Clearance from the floor below which it repels, m."""
     floor_strength: float = 1e-5
-    """strength of the floor's repulsion, m^4/s^2"""
+    """Strength of the floor's repulsion, m^4/s^2."""
     repulsion_limit: float = 8.0
-    """largest acceleration by repulsion from one neighbour or the floor, m/s^2"""
+    """Largest acceleration by repulsion from one neighbor or the floor, m/s^2."""
     radius_m: Pair = (0.35, 0.75)
-    """radius of the circle of a swap"""
+    """Radius of the circle of a swap, m."""
     gap_m: Pair = (0.15, 0.45)
-    """distance of neighbouring planes of a swap; more where spheres would come within
-    `clearance_m`"""
+    """Distance of neighboring planes of a swap, m, increased where `clearance_m` requires it."""
     clearance_m: float = 0.015
-    """least clearance of the spheres of drones in neighbouring planes of a swap"""
+    """Least clearance of drones in neighboring planes of a swap, m."""
     crossing_s: Pair = (2.0, 5.0)
-    """time of one crossing"""
+    """Duration of a crossing, s."""
     pause_s: Pair = (0.2, 0.8)
-    """rest between crossings"""
+    """Pause between crossings, s."""
     miss_m: float = 0.06
-    """standard deviation of ends of crossings in x and y, so that drones also pass off the axis"""
+    """Standard deviation of the ends of crossings in x and y, m, so that drones also pass beside
+    the axis."""
     lowest_m: Pair = (0.6, 1.0)
-    """height of the lowest plane of a swap aloft"""
+    """Height of the lowest plane of a swap aloft, m."""
     low_lowest_m: Pair = (0.14, 0.4)
-    """the same near the ground"""
+    """Height of the lowest plane of a swap near the ground, m."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if a value is invalid."""
         for option in fields(self):
             check = check_interval if isinstance(option.default, tuple) else check_number
             value = getattr(self, option.name)
@@ -91,22 +91,22 @@ class MotionRanges:
 
 
 class MotionTarget(NamedTuple):
-    """Where E teams of N drones are to be now, and what moves them. World frame, (E, N, 3), SI."""
+    """Set-points of E teams of N drones, arrays (E, N, 3). World frame."""
 
-    position: FloatArray  # Where the drone should be, m
-    velocity: FloatArray  # Its derivative, m/s
-    acceleration: FloatArray  # Its second derivative, m/s^2
+    position: FloatArray  # m
+    velocity: FloatArray  # m/s
+    acceleration: FloatArray  # m/s^2
 
 
 class TeamMotion(Protocol):
-    """A motion of E teams of N drones."""
+    """The protocol of a motion of E teams of N drones."""
 
-    start: FloatArray  # (E, N, 3) where the drones start, at rest, m
+    start: FloatArray  # (E, N, 3) start positions at rest, m
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
-        """Set-points at `time`, s, given measured positions (E, N, 3), m.
+        """Return the set-points at `time`, s, for measured positions (E, N, 3), m.
 
-        Called once per time step, in order.
+        It is called once per time step, in order.
         """
 
 
@@ -114,7 +114,7 @@ _LEAST = 1e-3
 
 
 class Potential(NamedTuple):
-    """A potential of the clearance to what repels."""
+    """The parameters of a repulsive potential."""
 
     reach: float  # Clearance below which it repels, m
     strength: float  # m^4/s^2
@@ -123,7 +123,7 @@ class Potential(NamedTuple):
 
 @kernel
 def repulsion(clearance: float, potential: Potential) -> float:
-    """Acceleration -dU/dc away from what is at a clearance c, m, within its limit, m/s^2."""
+    """Return the repulsive acceleration -dU/dc at a clearance c, m, up to its limit, m/s^2."""
     c = max(clearance, _LEAST)
     if c >= potential.reach:
         return 0.0
@@ -135,9 +135,9 @@ def repulsion(clearance: float, potential: Potential) -> float:
 def push_apart(
     position: FloatArray, radius: FloatArray, neighbor: Potential, floor: Potential, out: FloatArray
 ) -> None:
-    """Write the acceleration (E, N, 3), m/s^2, by which drones repel each other and the floor.
+    """Write the repulsive accelerations (E, N, 3), m/s^2, of drones by each other and the floor.
 
-    Spheres of the radii (N,) stand at positions (E, N, 3), m, z up from the floor; `neighbor` and
+    Drones are spheres of radii (N,) at positions (E, N, 3), m, z up from the floor; `neighbor` and
     `floor` are potentials of their clearances.
     """
     out[:] = 0.0
@@ -158,7 +158,7 @@ def push_apart(
 class RandomWalk:
     """Random walks of E teams in a small box, one per generator, near the ground or aloft.
 
-    `duration` is the length of the flights, s.
+    `duration` is the duration of the flights, s.
     """
 
     def __init__(
@@ -184,10 +184,10 @@ class RandomWalk:
         self._push = np.zeros_like(self.start)
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
-        """Set-points after one more step; see `TeamMotion`."""
-        wanted = self.goals[:, int(time / self.ranges.goal_period_s)]
-        # Goals jump; a low-pass of the time constant 1 / frequency keeps the acceleration smooth.
-        self._goal += TIME_STEP * self.frequency * (wanted - self._goal)
+        """Return the set-points after one more step; see `TeamMotion`."""
+        desired = self.goals[:, int(time / self.ranges.goal_period_s)]
+        # Goals jump; a low-pass with time constant 1 / frequency keeps the acceleration smooth.
+        self._goal += TIME_STEP * self.frequency * (desired - self._goal)
         w = self.frequency
         pull = w * w * (self._goal - self._position) - 2.0 * w * self._velocity
         size = np.sqrt((pull * pull).sum(axis=-1, keepdims=True))
@@ -202,7 +202,7 @@ class RandomWalk:
 def draw_goals(
     radius: FloatArray, rng: np.random.Generator, ranges: MotionRanges, low: bool, count: int
 ) -> FloatArray:
-    """Goals (count, N, 3) of one flight, m, for spheres of the radii (N,), m."""
+    """Return goals (count, N, 3) of one flight, m, for drones of radii (N,), m."""
     n, width = len(radius), ranges.half_width_m
     goals = np.empty((count, n, 3))
     goals[..., :2] = rng.uniform(-width, width, (count, n, 2))
@@ -217,7 +217,7 @@ def draw_goals(
 
 
 def separated(points: FloatArray, radius: FloatArray) -> FloatArray:
-    """Starts (N, 3), m: each drone moved in x from the lower-numbered ones that it would touch."""
+    """Return starts (N, 3), m, in which drones are moved along x so that none overlap."""
     start = points.copy()
     for i in range(1, len(start)):
         for _ in range(i):
@@ -229,10 +229,10 @@ def separated(points: FloatArray, radius: FloatArray) -> FloatArray:
 
 
 class StackedSwaps:
-    """Swaps of E teams on cylinders, there and back, each drone in its own plane.
+    """Repeated swaps of E teams on cylinders, each drone in its own plane.
 
-    The order of the team from top to bottom is drawn per flight, and its lowest plane, m.
-    `duration` is the length of the flights, s.
+    The vertical order of the team and the height of the lowest plane, m, are drawn per flight.
+    `duration` is the duration of the flights, s.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ class StackedSwaps:
         self.start = self.reference.position[:, 0].copy()
 
     def target(self, time: float, position: FloatArray) -> MotionTarget:
-        """Set-points at a time; the measured positions change nothing; see `TeamMotion`."""
+        """Return the set-points at a time, independent of the measured positions."""
         index = round(time / TIME_STEP)
         p, v, a, _ = (part[:, index] for part in self.reference)
         return MotionTarget(p, v, a)
@@ -263,7 +263,7 @@ def draw_swaps(
     lowest: Pair,
     duration: float,
 ) -> Reference:
-    """References (T, N, 3) of one flight of swaps; see `StackedSwaps`."""
+    """Return the references (T, N, 3) of one flight of swaps; see `StackedSwaps`."""
     n = len(radius)
     height = stacked_heights(radius, rng.permutation(n), rng, ranges, lowest)
     angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(n) / n
@@ -290,7 +290,7 @@ def stacked_heights(
     ranges: MotionRanges,
     lowest: Pair,
 ) -> FloatArray:
-    """Height (N,) of each drone's plane, m; `order` lists the drones from the lowest up."""
+    """Return the height (N,) of each drone's plane, m; `order` lists drones from the lowest up."""
     height = np.empty(len(radius))
     height[order[0]] = rng.uniform(*lowest)
     for below, above in itertools.pairwise(order):

@@ -1,4 +1,4 @@
-"""From logs to the rows that the trainer of force models reads."""
+"""Conversion of collected logs to rows for the fit of force models."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from swarm_envs.vehicles import parse_team
 __all__ = ["ROW_RATE", "CollectedFlight", "interaction_rows"]
 
 ROW_RATE = 30
-"""Rows per second and drone: successive log entries are near copies."""
+"""Rows per second and drone, fewer than log entries because these are nearly equal."""
 
 SCENARIOS = ("Ge2S", "S2S", "L2S", "SS2S", "SL2S", "LL2S",
              "Ge2L", "S2L", "L2L", "SS2L", "SL2L", "LL2L")  # fmt: skip
@@ -31,28 +31,27 @@ SCENARIOS = ("Ge2S", "S2S", "L2S", "SS2S", "SL2S", "LL2S",
 
 
 class CollectedFlight(NamedTuple):
-    """A log and whose it is."""
+    """The log of a flight, with its team."""
 
     name: str
-    """Of the flight, as in its file's name."""
+    """The name of the flight and of its file."""
     team: str
-    """The vehicles, such as `SSL`."""
+    """The vehicle types, such as `SSL`."""
     log: FlightLog
-    """The log itself."""
+    """The log."""
     validation: bool
     """True if its rows are held out of training."""
 
     @property
     def seconds(self) -> float:
-        """Length of the flight, s."""
+        """The duration of the flight, s."""
         return len(self.log.position) / LOG_RATE
 
 
 def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, dict[str, Any]]:
-    """Count what was flown of each scenario, those of Table II first, in its order.
+    """Return the flights and times of each scenario, those of Table II first, in its order.
 
-    By scenario: `flights` in which it occurs, and `drone_seconds`, the time of its drones; two like
-    ones of a team count twice.
+    By scenario: `flights` in which it occurs, and `drone_seconds`, the total time of its drones.
     """
     found: dict[str, dict[str, Any]] = {}
     for flight in flights:
@@ -70,22 +69,22 @@ def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, dict[str, A
 def interaction_rows(
     flights: Sequence[CollectedFlight], label: Label = "differentiated"
 ) -> InteractionRows:
-    """Rows of every drone of every flight, labels from `interaction_force`.
+    """Return the rows of every drone of every flight, with labels from `interaction_force`.
 
-    Of drones in company those rows stay that have a neighbour in the interaction volume, as in
-    the paper; of lone drones every row.
+    In flights of several drones, rows without a neighbor in the interaction volume are dropped, as
+    in the paper.
 
     Raises:
         ValueError: there is no row.
     """
     parts = [rows for k, flight in enumerate(flights) for rows in _flight_rows(k, flight, label)]
     if not any(map(len, parts)):
-        raise ValueError(f"{len(flights)} flights give no row; fly longer, or nearer to each other")
+        raise ValueError(f"{len(flights)} flights give no row; fly longer, or closer to each other")
     return join_rows(parts, {})
 
 
 def _flight_rows(number: int, flight: CollectedFlight, label: Label) -> list[InteractionRows]:
-    """Rows of each drone of a flight."""
+    """Return the rows of each drone of a flight."""
     team, every = parse_team(flight.team), LOG_RATE // ROW_RATE
     force = interaction_force(flight.log, team, label=label)[::every]
     position, velocity = flight.log.position[::every], flight.log.velocity[::every]

@@ -1,10 +1,10 @@
-"""Own flights in: from flight logs and tables of rows to the rows of a fit.
+"""Import of flight logs and tables of rows for the fit of force models.
 
-The columns of a log and what is made of it: docs/flight-logs.md. Command: `swarm-envs fit --data
+docs/flight-logs.md describes the columns of a log and their use. Command: `swarm-envs fit --data
 logs/ --out runs/fit`.
 
-Order of reading: `flight_table` (the file and its columns), `checks` (rules that columns keep
-together), `clock` (one clock for all drones, the force, which entries stay), `read` (all).
+Order of reading: `flight_table` (the file and its columns), `checks` (consistency of columns),
+`clock` (resampling, the force, the filter of entries), `read` (all).
 """
 
 from swarm_envs.training.flight_logs.flight_table import FlightTable, read_table

@@ -1,4 +1,4 @@
-"""The drones of a flight's table, and the rules that its columns must keep together."""
+"""The drones of a flight's table, and the checks of its consistency."""
 
 from __future__ import annotations
 
@@ -14,54 +14,54 @@ from swarm_envs.training.flight_logs.flight_table import GROUPS, FlightTable
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES, Vehicle
 
 PWM_SPAN = 65536.0
-"""Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
-RUNNING = 0.2  # Mean signal above which motors run: psi1 has no meaning below
-SHORTEST_S = 1.0  # Logs of a drone shorter than this are refused, s
-STEP_S = (1 / 2000, 1 / 20)  # Usual time between two lines of a drone, shortest and longest
-LEAST_LOGGED = 0.1  # Share of the time from a drone's first line to its last that must be logged
-UNIT_TOLERANCE = 0.01  # By how much the length of a quaternion may differ from 1
-THRUST_SHARE = (0.6, 1.6)  # Median thrust by psi1 over what the drone carried
-PACE = (0.7, 1.4)  # Movement of the position over that by the velocity
-HOVER = (0.6 * GRAVITY, 1.6 * GRAVITY)  # Median vertical acceleration, m/s^2
-WINDOW_S = 0.2  # Accelerations are compared with those of the velocity as means over such a time
-MOVING = 0.1  # Spread of the velocity's acceleration above which the two are compared, m/s^2
-OPPOSED = -0.5  # Correlation of the two below which they are in different frames
+"""Divisor of PWM that gives motor signals (Neural-Swarm2, Sec. VII-A)."""
+RUNNING = 0.2  # Mean signal above which motors run; the thrust curve is not valid below
+SHORTEST_S = 1.0  # Least duration of the log of a drone, s
+STEP_S = (1 / 2000, 1 / 20)  # Allowed range of the median time between two lines of a drone, s
+LEAST_LOGGED = 0.1  # Least fraction of the time from a drone's first to its last line with lines
+UNIT_TOLERANCE = 0.01  # Largest difference of the length of a quaternion from 1
+THRUST_SHARE = (0.6, 1.6)  # Allowed range of the median thrust over the weight
+PACE = (0.7, 1.4)  # Allowed range of the displacement over the integral of the velocity
+HOVER = (0.6 * GRAVITY, 1.6 * GRAVITY)  # Allowed range of the median vertical acceleration, m/s^2
+WINDOW_S = 0.2  # Averaging time of the comparison of accelerations with velocities, s
+MOVING = 0.1  # Least standard deviation of accelerations for that comparison, m/s^2
+OPPOSED = -0.5  # Correlation of accelerations below which they are in different frames
 
 
 class DroneLog(NamedTuple):
-    """Lines of one drone, T of them, in order of time; units as in `FlightTable`."""
+    """The T lines of one drone, sorted by time; units as in `FlightTable`."""
 
-    name: str  # Of the physical vehicle
-    vehicle: Vehicle  # Its type
-    line: IntArray  # (T,) of the file
+    name: str  # Name of the physical vehicle
+    vehicle: Vehicle  # Vehicle type
+    line: IntArray  # (T,) line numbers in the file
     time: FloatArray  # (T,) s
     position: FloatArray  # (T, 3) m, world frame
     velocity: FloatArray  # (T, 3) m/s, world frame
     quaternion: FloatArray  # (T, 4) x, y, z, w, body to world
     acceleration: FloatArray | None
     """(T, 3) m/s^2, world frame, with gravity; None if it was not logged."""
-    pwm: FloatArray  # (T, 4) signals of the motors
-    voltage: FloatArray  # (T,) of the battery, V
+    pwm: FloatArray  # (T, 4) motor signals
+    voltage: FloatArray  # (T,) battery voltage, V
 
     @property
     def step_s(self) -> float:
-        """Usual time between two lines, s."""
+        """The median time between two lines, s."""
         return float(np.median(np.diff(self.time)))
 
     def thrust_g(self) -> FloatArray:
-        """Thrust (T,) that psi1 gives at the logged signals, gram-force."""
+        """Return the thrust (T,) of the logged signals by the thrust curve (psi1), gram-force."""
         volts = self.voltage[:, None] / FULL_VOLTAGE
         force = rotor_force_g(self.vehicle, self.pwm / PWM_SPAN, volts)
         return np.asarray(force).sum(axis=-1)
 
 
 def checked_drones(table: FlightTable) -> tuple[DroneLog, ...]:
-    """Return the drones of a flight, sorted by name, their lines by time.
+    """Return the drones of a flight sorted by name, with their lines sorted by time.
 
-    Attitudes have exactly unit length. Lines may be in any order.
+    Quaternions are normalized. Lines of the table may be in any order.
 
     Raises:
-        ValueError: a rule is broken; the message names the drone, the value and the rule.
+        ValueError: a check fails; the message names the drone, the value and the rule.
     """
     drones = tuple(_drone(table, str(name)) for name in np.unique(table.drone))
     for drone in drones:
@@ -99,18 +99,18 @@ def _check_time(drone: DroneLog) -> None:
         k = int(np.argmax(step <= 0.0))
         raise ValueError(
             f"line {drone.line[k + 1]}: drone {drone.name!r} has time {drone.time[k]:g} s in line "
-            f"{drone.line[k]} too, but must have one line at a time; remove doubles"
+            f"{drone.line[k]} too, but must have one line at a time; remove duplicates"
         )
     if not STEP_S[0] <= drone.step_s <= STEP_S[1]:
         raise ValueError(
             f"lines of drone {drone.name!r} are usually {drone.step_s:g} s apart, but must be "
-            f"{STEP_S[0]:g} to {STEP_S[1]:g} s: 20 to 2000 lines a second"
+            f"{STEP_S[0]:g} to {STEP_S[1]:g} s: 20 to 2000 lines per second"
         )
     if len(step) * drone.step_s < LEAST_LOGGED * (drone.time[-1] - drone.time[0]):
         k = int(np.argmax(step))
         raise ValueError(
             f"line {drone.line[k + 1]}: the time of drone {drone.name!r} jumps by {step[k]:g} s, "
-            "so that less than a tenth of the time is logged; give one flight a file"
+            "so that less than a tenth of the time is logged; write one file per flight"
         )
 
 
@@ -121,18 +121,19 @@ def _check_attitude(drone: DroneLog) -> None:
         k = int(np.argmax(off))
         raise ValueError(
             f"line {drone.line[k]}: the quaternion of drone {drone.name!r} has length "
-            f"{length[k]:.4g}, but must have 1 (within {UNIT_TOLERANCE})"
+            f"{length[k]:.4g}, but must have length 1 (within {UNIT_TOLERANCE})"
         )
     upright = float(np.median(thrust_direction(drone.quaternion)[:, 2]))
     if upright < 0.5:
         raise ValueError(
-            f"drone {drone.name!r} usually points {upright:+.2f} of its thrust upwards, but must "
-            "more than 0.5; the quaternion is qx, qy, qz, qw, body to world, z up"
+            f"the thrust direction of drone {drone.name!r} usually has the vertical component "
+            f"{upright:+.2f}, but must exceed 0.5; the quaternion is qx, qy, qz, qw, body to "
+            "world, z up"
         )
 
 
 def _check_motion(drone: DroneLog) -> None:
-    """Refuse positions that do not move as the velocity says."""
+    """Raise ValueError if displacements do not match the velocity."""
     step = np.diff(drone.time)[:, None]
     mean = 0.5 * (drone.velocity[1:] + drone.velocity[:-1])
     near = step[:, 0] < 3.0 * drone.step_s
@@ -142,13 +143,14 @@ def _check_motion(drone: DroneLog) -> None:
         pace = float((moved * expected).sum() / (expected * expected).sum())
         if not PACE[0] <= pace <= PACE[1]:
             raise ValueError(
-                f"the position of drone {drone.name!r} moves {pace:.3g} times as its velocity "
-                f"says, but must {PACE[0]} to {PACE[1]} times; both are in SI units, world frame"
+                f"the displacement of drone {drone.name!r} is {pace:.3g} times the integral of its "
+                f"velocity, but must be {PACE[0]} to {PACE[1]} times; both are in SI units, world "
+                "frame"
             )
 
 
 def _check_acceleration(drone: DroneLog) -> None:
-    """Refuse accelerations without gravity, or with another axis up."""
+    """Raise ValueError if accelerations lack gravity, or another axis is up."""
     if drone.acceleration is None:
         return
     upwards = float(np.median(drone.acceleration[:, 2]))
@@ -160,7 +162,7 @@ def _check_acceleration(drone: DroneLog) -> None:
 
 
 def _check_frame(drone: DroneLog) -> None:
-    """Refuse accelerations that oppose the change of the velocity."""
+    """Raise ValueError if accelerations oppose the change of the velocity."""
     if drone.acceleration is None:
         return
     width = max(round(WINDOW_S / drone.step_s), 1)
@@ -185,7 +187,7 @@ def _check_frame(drone: DroneLog) -> None:
 
 
 def _check_carried(drone: DroneLog) -> None:
-    """Refuse motor signals whose thrust does not carry the vehicle's weight."""
+    """Raise ValueError if the thrust of the motor signals does not match the weight."""
     signal = drone.pwm.mean(axis=1)
     running = signal > RUNNING * PWM_SPAN
     if not running.any():
@@ -200,8 +202,8 @@ def _check_carried(drone: DroneLog) -> None:
     carried = drone.vehicle.mass * acceleration / GRAM_FORCE
     if not THRUST_SHARE[0] <= thrust / carried <= THRUST_SHARE[1]:
         raise ValueError(
-            f"motors of drone {drone.name!r} usually give {thrust:.1f} g by its thrust curve, but "
-            f"its type {drone.vehicle.token!r} carries {carried:.1f} g; the two must agree within "
+            f"the thrust of drone {drone.name!r} is usually {thrust:.1f} g by its thrust curve, "
+            f"but its type {drone.vehicle.token!r} needs {carried:.1f} g; the ratio must be within "
             f"{THRUST_SHARE[0]} to {THRUST_SHARE[1]}: check the type, the PWM and the voltage"
         )
 
@@ -214,4 +216,4 @@ _CHECKS = (
     _check_frame,
     _check_carried,
 )
-"""The rules, in the order in which they are checked."""
+"""The checks in order."""

@@ -1,7 +1,7 @@
-"""From the drones of one flight to its rows: one clock, the interaction force, the filter.
+"""Resampling of a flight's drones, the interaction force, and the filter of entries.
 
-The force is m a / g - T R[:, 2] (Neural-Swarm2, Sec. VII-B); which entries become rows is the
-filter of the Neural-Swarm authors.
+The force is m a / g - T R[:, 2] (Neural-Swarm2, Sec. VII-B); the filter is that of the Neural-Swarm
+authors.
 """
 
 from __future__ import annotations
@@ -25,27 +25,26 @@ class ClockedFlight(NamedTuple):
 
     names: tuple[str, ...]  # Names of the physical vehicles
     team: Team  # Their types
-    rate_hz: float  # Samples per second of the common clock
+    rate_hz: float  # Samples per second
     time: FloatArray  # (T,) s since the first common sample
-    known: BoolArray  # (T,) whether every drone has a measurement here, outside gaps of its log
-    running: BoolArray  # (T,) whether the motors of every drone run
+    known: BoolArray  # (T,) True outside gaps of the logs of all drones
+    running: BoolArray  # (T,) True if the motors of all drones run
     position: FloatArray  # (T, N, 3)
     velocity: FloatArray  # (T, N, 3)
     quaternion: FloatArray  # (T, N, 4) of unit length
-    acceleration: FloatArray | None  # (T, N, 3) with gravity; None if some drone's was not logged
+    acceleration: FloatArray | None  # (T, N, 3) with gravity; None unless logged for all drones
     pwm: FloatArray  # (T, N, 4)
     voltage: FloatArray  # (T, N)
 
 
-GAP_S = 0.05  # Longer pauses of a log (and of three of its steps) are gaps, and not filled
+GAP_S = 0.05  # Least duration of a gap of a log, which is not filled, s; at least three steps
 
 
 def common_clock(drones: Sequence[DroneLog], rate_hz: float) -> ClockedFlight:
-    """Resample drones to one clock over the time that all of them logged.
+    """Resample drones to common times over the period that all of them logged.
 
-    It has `rate_hz`, or the slowest drone's own rate where that is less. Motion and attitude are
-    interpolated by cubic splines, motor signals and voltage linearly; nothing is carried across a
-    gap.
+    The rate is `rate_hz`, or that of the slowest log if it is lower. Motion and attitude are
+    interpolated by cubic splines, motor signals and voltage linearly, but not across gaps.
 
     Raises:
         ValueError: the drones have less than a second in common.
@@ -56,7 +55,7 @@ def common_clock(drones: Sequence[DroneLog], rate_hz: float) -> ClockedFlight:
         spans = ", ".join(f"{d.name}: {d.time[0]:g} to {d.time[-1]:g} s" for d in drones)
         raise ValueError(
             f"the drones' logs have {max(end - begin, 0.0):.2f} s in common ({spans}), but must "
-            "have 1 s; give all times on one clock, one flight a file"
+            "have 1 s; use one clock for all drones, and one file per flight"
         )
     rate = min(rate_hz, *(1.0 / drone.step_s for drone in drones))
     time = np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
@@ -81,7 +80,7 @@ def common_clock(drones: Sequence[DroneLog], rate_hz: float) -> ClockedFlight:
 
 
 def pieces(mask: BoolArray) -> list[slice]:
-    """Runs of True in a (T,) mask."""
+    """Return the runs of True in a mask (T,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -89,7 +88,7 @@ def pieces(mask: BoolArray) -> list[slice]:
 def _resample(
     drone: DroneLog, time: FloatArray, logged: bool
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Motion (T, 10 or 13), signals and voltage (T, 5), and where they are known (T,)."""
+    """Return motion (T, 10 or 13), signals and voltage (T, 5), and a mask of known times (T,)."""
     columns = [drone.position, drone.velocity, continuous(drone.quaternion)]
     if logged and drone.acceleration is not None:
         columns.append(drone.acceleration)
@@ -110,14 +109,14 @@ def _resample(
 
 
 def continuous(quaternion: FloatArray) -> FloatArray:
-    """The same attitudes (T, 4) without jumps of sign from one to the next."""
+    """Return quaternions (T, 4) without jumps of sign between consecutive ones."""
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=1)
     sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0.0, -1.0, 1.0))])
     return quaternion * sign[:, None]
 
 
 def commanded_thrust(pwm: FloatArray, voltage: FloatArray, team: Team) -> FloatArray:
-    """Return the rotor thrusts (T, N, 4), N, that psi1 gives at signals and voltages (T, N), V."""
+    """Return rotor thrusts (T, N, 4), N, by the thrust curve (psi1) at voltages (T, N), V."""
     thrust = np.empty_like(pwm)
     for i, vehicle in enumerate(team):
         volts = voltage[:, i, None] / FULL_VOLTAGE
@@ -126,14 +125,14 @@ def commanded_thrust(pwm: FloatArray, voltage: FloatArray, team: Team) -> FloatA
 
 
 SETTLED = 5.0
-"""Time constants of the motors after which nothing is left of an unknown thrust at the start."""
+"""Number of motor time constants after which an unknown initial thrust has no effect."""
 
 
 def interaction_force_g(flight: ClockedFlight, smoothing_s: float) -> FloatArray:
-    """Interaction force (T, N, 3), gram-force, world frame, on the drones at all times of a flight.
+    """Return the interaction force (T, N, 3), gram-force, world frame, at all times of a flight.
 
-    NaN where it is unknown: in gaps, while a motor stands, five motor time constants after either,
-    and where the derivative, or the Hann window of `smoothing_s`, would reach out.
+    It is NaN where it is unknown: in gaps, while motors do not run, for five motor time constants
+    after either, and where the derivative or the Hann window of `smoothing_s` is incomplete.
     """
     force = np.full(flight.position.shape, np.nan)
     slowest = min(vehicle.motor_rate for vehicle in flight.team)
@@ -154,26 +153,26 @@ def interaction_force_g(flight: ClockedFlight, smoothing_s: float) -> FloatArray
 
 
 LOWEST_M = {"S": 0.07, "L": 0.085}
-"""Height that a row's drone must be above, by interaction type: it stands on its legs below."""
-LARGEST_G = 50.0  # Largest vertical force: more is an impact
-LARGEST_UPWARD_G = 35.0  # Largest upward force aloft
-ALOFT_M = 0.25  # Height from which on a drone is away from the ground, m
+"""Least height of a drone in flight, by interaction type, m."""
+LARGEST_G = 50.0  # Largest vertical force of a row, g; larger ones are impacts
+LARGEST_UPWARD_G = 35.0  # Largest upward force of a row aloft, g
+ALOFT_M = 0.25  # Height above which a drone is aloft, m
 
 
 def kept_entries(
     flight: ClockedFlight, force_g: FloatArray, i: int, keep_every: int
 ) -> tuple[BoolArray, dict[str, int]]:
-    """Apply the authors' filter to every so many entries of drone i; see this module's numbers.
+    """Apply the authors' filter to every `keep_every`-th entry of drone i.
 
     Returns:
-        Which entries (T,) become rows, and how many did not by reason.
+        The mask (T,) of entries that become rows, and the numbers of the others by reason.
     """
     label, height = force_g[:, i, 2], flight.position[:, i, 2]
     company = near_any(flight.position)[:, i] if len(flight.team) > 1 else True
     rules: dict[str, Any] = {
         "between kept entries": np.arange(len(label)) % keep_every == 0,
         "force unknown": np.isfinite(force_g[:, i]).all(axis=-1),
-        "no neighbour in the volume": company,
+        "no neighbor in the volume": company,
         "too low": height > LOWEST_M[flight.team[i].interaction_type],
         "force over 50 g": np.abs(label) <= LARGEST_G,
         "upward force over 35 g aloft": (label <= LARGEST_UPWARD_G) | (height <= ALOFT_M),

@@ -1,7 +1,7 @@
 """The table of one flight, read from CSV or Parquet with the columns of `COLUMNS`.
 
-A file is read by the names of its columns. Values outside of a column's range are refused with the
-line; nothing is converted.
+A file is read by the names of its columns. Values outside the range of a column raise an error with
+the line; units are not converted.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Column(NamedTuple):
     """A column of a flight log."""
 
     unit: str
-    """Unit of its numbers; `text` for names."""
+    """The unit of its numbers; `text` for names."""
     meaning: str
-    """Quantity that it holds."""
+    """Its quantity."""
     low: float = -np.inf
-    """Lowest value that is accepted."""
+    """The lowest allowed value."""
     high: float = np.inf
-    """Highest value that is accepted."""
+    """The highest allowed value."""
 
 
 _PLACE = Column("m", "position; world frame, z up, ground at z = 0", -200.0, 200.0)
@@ -68,11 +68,11 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "pwm": ("pwm1", "pwm2", "pwm3", "pwm4"),
     "voltage": ("voltage",),
 }
-"""Columns of numbers by the field of `FlightTable` that holds them."""
-TEXT = ("drone", "type")  # Columns that hold names
+"""Numeric columns by field of `FlightTable`."""
+TEXT = ("drone", "type")  # Columns of names
 OPTIONAL = GROUPS["acceleration"]
 SUFFIXES = (".csv", ".parquet")
-"""Suffixes of logs, in small letters or capitals."""
+"""Suffixes of logs, in lower or upper case."""
 
 Columns = Mapping[str, npt.NDArray[Any]]  # Columns by name, each (lines,)
 
@@ -111,7 +111,7 @@ class FlightTable:
     line: IntArray
     """(R,) line of the file, the header being line 1; a Parquet file counts its rows from 1."""
     ignored: tuple[str, ...] = ()
-    """Columns of the file that have no meaning here."""
+    """Columns of the file that are not used."""
 
     def __len__(self) -> int:
         """Number of lines R."""
@@ -119,10 +119,10 @@ class FlightTable:
 
 
 def from_columns(columns: Columns, line: IntArray | None = None) -> FlightTable:
-    """Build a table from columns by their names; all but `ax ay az` must be there.
+    """Build a table from columns by name; only `ax ay az` may be missing.
 
     Raises:
-        ValueError: a column is missing, or a value is outside of its column's range.
+        ValueError: a column is missing, or a value is outside the range of its column.
     """
     check_names(tuple(columns))
     if line is None:
@@ -144,10 +144,10 @@ def from_columns(columns: Columns, line: IntArray | None = None) -> FlightTable:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Check that every column of a file is there once."""
+    """Check that every column of a file exists once."""
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        raise ValueError(f"column {twice[0]!r} is there more than once; keep one")
+        raise ValueError(f"column {twice[0]!r} exists more than once; keep one")
     optional = set(OPTIONAL) & set(names)
     missing = [n for n in COLUMNS if n not in names and (optional or n not in OPTIONAL)]
     if missing:
@@ -164,7 +164,7 @@ def _check_range(name: str, values: FloatArray, line: IntArray) -> None:
         ((values < column.low) | (values > column.high), _range_text(column)),
     ):
         k = int(np.argmax(bad))
-        _refuse(bad, line, f"column {name!r} is {values[k]:g}, but must {rule}", "mend the column")
+        _refuse(bad, line, f"column {name!r} is {values[k]:g}, but must {rule}", "correct it")
 
 
 def _range_text(column: Column) -> str:
@@ -182,8 +182,7 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
     Raises:
         FileNotFoundError: there is no such file.
         ImportError: it is Parquet, and pyarrow is not installed.
-        ValueError: it is no such table; the message begins with the file, and the line if it is one
-            line's fault.
+        ValueError: it is invalid; the message begins with the file, and the line if there is one.
     """
     file = Path(path)
     ending = file.suffix.lower()
@@ -239,8 +238,8 @@ def _number(text: str, name: str, line: int) -> float:
         return float(text)
     except ValueError:
         raise ValueError(
-            f"line {line}: column {name!r} is {text!r:.80}, but must be a finite number; mend or "
-            "remove the line"
+            f"line {line}: column {name!r} is {text!r:.80}, but must be a finite number; correct "
+            "or remove the line"
         ) from None
 
 
@@ -279,5 +278,5 @@ def _check_kind(arrow: Any, name: str, kind: Any) -> None:
     text = types.is_string(kind) or types.is_large_string(kind)
     number = types.is_floating(kind) or types.is_integer(kind)
     if name in COLUMNS and not (text if name in TEXT else number):
-        wanted = "text" if name in TEXT else "numbers"
-        raise ValueError(f"column {name!r} holds {kind}, but must hold {wanted}")
+        expected = "text" if name in TEXT else "numbers"
+        raise ValueError(f"column {name!r} has type {kind}, but must have {expected}")

@@ -1,4 +1,4 @@
-"""Options of how flight logs become rows."""
+"""Options of the conversion of flight logs to rows."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ __all__ = ["LogOptions"]
 
 @dataclass(frozen=True)
 class LogOptions:
-    """Options for making rows of flight logs, and for holding rows out."""
+    """Options of the conversion of flight logs to rows, and of the rows that are held out."""
 
     rate_hz: float = 100.0
-    """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of
-    tables of rows, their steps per second"""
+    """Rate to which the logs of all drones of a flight are resampled, Hz, or that of the slowest
+    log if it is lower. For tables of rows, the rate of their steps, Hz."""
     keep_every: int = 3
-    """samples per row: neighbouring samples are nearly equal"""
+    """Keep one of this many samples as a row, as consecutive samples are nearly equal."""
     smoothing_s: float = 0.1
-    """width of the Hann window over labels from differentiated velocity; logged accelerations are
-    taken as they are, as in the paper"""
+    """Width of the Hann window that smooths labels from differentiated velocities, s. Logged
+    accelerations are not smoothed, as in the paper."""
     split_seed: int = 0
-    """seed of the blocks of time that are held out"""
+    """Random seed of the blocks of time that are held out for validation."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if an option has an invalid value."""
         check_number("rate_hz", self.rate_hz, above=0.0, unit="Hz")
         check_integer("keep_every", self.keep_every, at_least=1)
         check_number("smoothing_s", self.smoothing_s, at_least=0.0, unit="s")

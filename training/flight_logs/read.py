@@ -1,6 +1,6 @@
-"""From files to the rows of a fit: flight logs, or a table of rows.
+"""Reading of flight logs, or of a table of rows, for a fit.
 
-A log that breaks a rule costs that log alone: it is refused with its line and the reason.
+An invalid log is skipped and reported with its line and the reason.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from swarm_envs.training.provenance import file_sha256
 
 __all__ = ["FileReport", "data_sha256", "read_data"]
 
-TABLE_SUFFIX = ".npz"  # How the name of a table of rows ends
-DEFAULT = LogOptions()  # The options that hold if none are given
+TABLE_SUFFIX = ".npz"  # Suffix of a table of rows
+DEFAULT = LogOptions()
 
 
 @dataclass(frozen=True)
 class FileReport:
-    """The fate of one file."""
+    """The result of reading one file."""
 
     file: str  # Its name
-    rows: int = 0  # Rows that it gave
-    refused: str = ""  # Message of the rule that it breaks, its name first; empty if it is sound
-    drones: dict[str, str] = field(default_factory=dict)  # Type by name, of a flight log
-    seconds: float = 0.0  # Time that all drones have in common
-    dropped: dict[str, int] = field(default_factory=dict)  # Entries that are no rows, by reason
-    ignored: tuple[str, ...] = ()  # Columns without a meaning
+    rows: int = 0  # Number of its rows
+    refused: str = ""  # Error message, which begins with its name; empty for a valid file
+    drones: dict[str, str] = field(default_factory=dict)  # Vehicle types by name, of a flight log
+    seconds: float = 0.0  # Period that all drones logged, s
+    dropped: dict[str, int] = field(default_factory=dict)  # Numbers of dropped entries by reason
+    ignored: tuple[str, ...] = ()  # Columns that are not used
 
     def line(self) -> str:
         """Return the report as a line of text."""
@@ -51,7 +51,7 @@ class FileReport:
         reasons = ", ".join(f"{name}: {count}" for name, count in self.dropped.items() if count)
         flown = f" of {self.seconds:.0f} s" if self.drones else ""
         ignored = f"; ignored columns {', '.join(self.ignored)}" if self.ignored else ""
-        left_out = f" (not: {reasons})" if reasons else ""
+        left_out = f" (dropped: {reasons})" if reasons else ""
         return f"{self.file}: {self.rows} rows{flown}{left_out}{ignored}"
 
 
@@ -60,13 +60,13 @@ def read_data(
 ) -> tuple[InteractionRows, list[FileReport]]:
     """Read a flight log (`.csv`, `.parquet`), a folder of logs, or a table of rows (`.npz`).
 
-    Of a folder that `swarm-envs collect` wrote, `rows.npz` is read. Where no row is marked as held
-    out, blocks of time are. Other files of a folder are refused one by one; the reports say why.
+    In a folder of `swarm-envs collect`, `rows.npz` is read. If no row is marked as held out, blocks
+    of time are held out. Invalid files of a folder are skipped; the reports give the reasons.
 
     Raises:
         FileNotFoundError: there is nothing to read.
         ImportError: a log is Parquet, and pyarrow is not installed.
-        ValueError: no file is sound, or no row is left; the message says why.
+        ValueError: no file is valid, or no row remains; the message gives the reasons.
     """
     files = find_files(path)
     if files[0].suffix.lower() == TABLE_SUFFIX:
@@ -77,7 +77,7 @@ def read_data(
 
 
 def find_files(path: Path) -> list[Path]:
-    """Return the table of rows, or all that lies in a folder, sorted by name.
+    """Return the table of rows, or all files of a folder, sorted by name.
 
     Raises:
         FileNotFoundError: there is no table and no log.
@@ -89,7 +89,7 @@ def find_files(path: Path) -> list[Path]:
     if (path / MANIFEST).is_file():
         if not (path / "rows.npz").is_file():
             raise FileNotFoundError(
-                f"{str(path)!r} has no rows.npz: the collection was not finished; run "
+                f"{str(path)!r} has no rows.npz, because the collection is incomplete; run "
                 "`swarm-envs collect` again with the same options"
             )
         return [path / "rows.npz"]
@@ -114,7 +114,7 @@ def _read_table_of_rows(file: Path) -> tuple[InteractionRows, list[FileReport]]:
 def _read_logs(
     files: Sequence[Path], options: LogOptions, progress: bool
 ) -> tuple[InteractionRows, list[FileReport]]:
-    """Read all logs; those that break a rule are left out, and their reports say so."""
+    """Read all logs; invalid ones are skipped and reported."""
     parts, reports = list[InteractionRows](), list[FileReport]()
     known = _Known({}, {})
     for number, file in enumerate(tqdm(files, disable=not progress, unit="file")):
@@ -128,16 +128,16 @@ def _read_logs(
     if not parts:
         raise ValueError("; ".join(report.refused for report in reports))
     if not any(map(len, parts)):
-        said = "; ".join(report.line() for report in reports)
-        raise ValueError(f"no row is left ({said}); fly more, or nearer to each other")
+        lines = "; ".join(report.line() for report in reports)
+        raise ValueError(f"no row remains ({lines}); fly longer, or closer to each other")
     names = {vehicle.number: name for name, vehicle in known.vehicles.items()}
     return join_rows(parts, names), reports
 
 
 class _Vehicle(NamedTuple):
-    number: int  # In the rows
-    token: str  # Of its type
-    file: str  # Name of the first log in which it flies
+    number: int  # Its number in the rows
+    token: str  # Token of its type
+    file: str  # Name of the first log with it
 
 
 class _Known(NamedTuple):
@@ -148,7 +148,7 @@ class _Known(NamedTuple):
 def _read_log(
     file: Path, number: int, known: _Known, options: LogOptions
 ) -> tuple[list[InteractionRows], FileReport]:
-    """Read the rows of each drone of a flight, which becomes known with its vehicles."""
+    """Read the rows of each drone of a flight, and add the flight and its vehicles to `known`."""
     table = read_table(file)
     try:
         drones = checked_drones(table)
@@ -186,18 +186,18 @@ def _refuse_other_types(vehicles: dict[str, _Vehicle], drones: Sequence[DroneLog
         if known is not None and known.token != drone.vehicle.token:
             raise ValueError(
                 f"drone {drone.name!r} has type {drone.vehicle.token}, but {known.token} in "
-                f"{known.file}; give each vehicle a name of its own"
+                f"{known.file}; give each vehicle a unique name"
             )
 
 
 def _refuse_copy(flights: dict[str, str], table: FlightTable, name: str) -> None:
-    """Refuse a flight whose positions, to single precision, another log has."""
+    """Raise ValueError if another log has the same positions in single precision."""
     digest = hashlib.sha256(np.float32(table.position).tobytes()).hexdigest()
     first = flights.setdefault(digest, name)
     if first != name:
         raise ValueError(
-            f"it is a copy of {first}, but rows that are held out may not be trained on; remove "
-            "one of them"
+            f"it is a copy of {first}, so that held-out rows could be trained on; remove one of "
+            "them"
         )
 
 

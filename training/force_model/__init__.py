@@ -1,10 +1,10 @@
-"""Trainer of the interaction-force models: from rows of measured force to weights that ship.
+"""Training of models of the interaction force on rows of measured force.
 
 Order of reading: `force_fit_config` (options), `flight_logs.read` (files of rows and of
-flights), `labels` (what is taken out of the labels), `network` (the heterogeneous deep set,
-Neural-Swarm2 eq. 10), `wake`, `composed`, `examples`, `spectral`, `train`, `export`, `lipschitz`,
-`evaluate`, and `pipeline` (all of it: `fit`). `compare` compares models on whole flights,
-`residual_fit` identifies what a model leaves over.
+flights), `labels` (offsets and drag), `network` (the heterogeneous deep set, Neural-Swarm2 eq. 10),
+`wake`, `composed`, `examples`, `spectral`, `train`, `export`, `lipschitz`, `evaluate`, and
+`pipeline` (the whole `fit`). `compare` compares models on held-out flights, `residual_fit`
+identifies the residual force of a model.
 
 Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the page is docs/fit.md.
 """
@@ -30,7 +30,7 @@ __all__ = ["DeepSet", "FitConfig", "fit", "load_network", "save_network"]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is asked for: rows and options are read without torch."""
+    """Import a public name on access, so that rows and options can be read without torch."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,12 +1,12 @@
-"""Comparison of force models on whole flights: `python -m swarm_envs.training.force_model.compare`.
+"""Cross-validation of force models: `python -m swarm_envs.training.force_model.compare`.
 
-Every model is fitted once for each fold, to the flights outside of it, and predicts those inside.
-Folds are drawn from the flights of each scenario, or of each set of scenarios that share a flight.
-Two models are compared by the difference of their squared errors on the same rows. Rows of a flight
-are far from independent, so the interval of the difference comes from a bootstrap over flights.
+For each fold of flights, every model is fitted to the other folds and evaluated on it. Folds are
+stratified by the scenarios of the flights. Two models are compared by the difference of their
+squared errors on the same rows. As rows of a flight are not independent, the interval of the
+difference is that of a bootstrap over flights.
 
-Labels are treated alike for all models and folds: calibration offsets are those of the quiet rows
-of each flight, the held-out ones included, since they belong to the measurement.
+Labels are the same for all models and folds: calibration offsets are estimated from the quiet rows
+of every flight, held out or not, because they belong to the measurement.
 """
 
 from __future__ import annotations
@@ -38,34 +38,34 @@ from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import begin_manifest, json_ready
 
-DRAWS = 2000  # Bootstrap samples of flights
-_ASIDE = ("data", "out", "json", "progress")  # Options that change nothing of a comparison
+DRAWS = 2000  # Number of bootstrap samples
+_ASIDE = ("data", "out", "json", "progress")  # Options that do not change the results
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareConfig(FlightData):
-    """The models to compare, and the flights."""
+    """Options of a comparison of models."""
 
     out: Path
-    """folder for what every model said of the flights that it has not seen: a comparison that was
-    stopped resumes from there"""
+    """Output folder for the models' predictions of held-out flights; an interrupted comparison
+    resumes from it."""
     models: tuple[Model, ...] = ("composed", "deep-set", "wake")
-    """the models; the first is compared with each of the others"""
+    """Models; the first is compared with each of the others."""
     folds: int = 5
-    """parts of the flights, each held out once"""
+    """Number of folds of the flights."""
     steps: int = FitConfig.steps
-    """optimizer steps of each fit"""
+    """Number of optimizer steps of each fit."""
     seed: int = 0
-    """of the folds, the fits and the bootstrap"""
+    """Random seed of the folds, the fits and the bootstrap."""
     progress: bool = True
-    """show a progress bar"""
+    """Show a progress bar."""
     json: Path | None = None
-    """write the comparison to this file too"""
+    """Also write the comparison to this file."""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows"""
+    """Options of the conversion of flight logs to rows."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if an option has an invalid value."""
         for model in self.models:
             check_name("models", model, get_args(Model))
         check_integer("folds", self.folds, at_least=2)
@@ -75,16 +75,17 @@ class CompareConfig(FlightData):
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Errors of models on flights that they have not seen."""
+    """Errors of models on held-out flights."""
 
-    flights: int  # How many flights there are
-    rows: int  # How many rows
+    flights: int  # Number of flights
+    rows: int  # Number of rows
     errors: dict[str, dict[str, float]]
-    """Mean squared error by model, g^2: of `all` rows, of those `flown`, and of each scenario."""
+    """Mean squared error by model, g^2: of `all` rows, of rows with controlled flight (`flown`),
+    and of each scenario."""
     differences: list[dict[str, Any]]
-    """Of the first `model` from each `other`, on `all` rows or those `flown`: the mean difference
-    of squared errors, g^2, below zero if the first is better, and its 95 % interval."""
-    config: object  # What was compared
+    """Differences of the first `model` and each `other` on `all` rows or those `flown`: the mean
+    difference of squared errors, g^2, negative if the first is better, and its 95 % interval."""
+    config: object  # Options
     data_sha256: str  # SHA-256 of the data
 
     def lines(self) -> list[str]:
@@ -96,14 +97,14 @@ class ModelComparison:
             )
         for d in self.differences:
             found.append(
-                f"{d['model']} less {d['other']}, {d['rows']} rows: {d['mean']:+.2f} "
-                f"({d['low']:+.2f} to {d['high']:+.2f} in 95 % of draws of flights)"
+                f"{d['model']} minus {d['other']}, {d['rows']} rows: {d['mean']:+.2f} "
+                f"(95 % interval {d['low']:+.2f} to {d['high']:+.2f})"
             )
         return found
 
 
 def flight_folds(rows: InteractionRows, folds: int, seed: int) -> IntArray:
-    """Which fold each row's flight is in, (R,); flights of the same scenarios are spread evenly."""
+    """Return the fold of each row's flight, (R,), stratified by scenarios."""
     flights, index = np.unique(rows.flight, return_inverse=True)
     if len(flights) < folds:
         raise ValueError(
@@ -140,11 +141,11 @@ def paired_difference(
 
 
 def compare(config: CompareConfig) -> ModelComparison:
-    """Fit every model to each part of the flights, and compare them on the rest.
+    """Cross-validate every model, and compare them.
 
     Raises:
         FileNotFoundError: there is no data.
-        ValueError: there are too few flights, or `config.out` holds another comparison.
+        ValueError: there are too few flights, or `config.out` has another comparison.
     """
     rows, _ = read_data(config.data, config.logs, config.progress)
     rows = dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_))
@@ -159,22 +160,22 @@ def compare(config: CompareConfig) -> ModelComparison:
         path = config.out / f"{model}-{k}.npy"
         if not path.is_file():
             own = dataclasses.replace(target, validation=held_out)
-            said = fitted_force_g(own, default_fit(model, config))[:, 2]
+            predicted = fitted_force_g(own, default_fit(model, config))[:, 2]
             with written_whole(path) as partial, partial.open("wb") as stream:
-                np.save(stream, said[held_out])
+                np.save(stream, predicted[held_out])
         squared[model][held_out] = (np.load(path) - label[held_out]) ** 2
     return _compared(rows, squared, config, digest)
 
 
 def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:
-    """Return a fit of a model to the same data with default options."""
+    """Return the options of a fit of a model to the same data, with defaults otherwise."""
     return FitConfig(
         data=config.data, out=config.out, model=model, steps=config.steps, seed=config.seed
     )
 
 
 def fitted_force_g(target: InteractionRows, options: FitConfig) -> FloatArray:
-    """Force of every row, (R, 3) gram-force, by a model fitted to the labels of the training rows.
+    """Fit a model to the training rows, and return its force on every row, (R, 3) gram-force.
 
     Only a composed model has a horizontal force.
     """
@@ -208,8 +209,8 @@ def _compared(
         for name, use in subsets.items():
             pair = squared[first][use], squared[other][use]
             ends = paired_difference(*pair, rows.flight[use], config.seed)
-            said = {"model": first, "other": other, "rows": name}
-            differences.append(said | dict(zip(("mean", "low", "high"), ends, strict=True)))
+            about = {"model": first, "other": other, "rows": name}
+            differences.append(about | dict(zip(("mean", "low", "high"), ends, strict=True)))
     flights = len(np.unique(rows.flight))
     found = ModelComparison(flights, len(rows), errors, differences, json_ready(config), digest)
     if config.json is not None:
@@ -218,5 +219,5 @@ def _compared(
 
 
 if __name__ == "__main__":
-    wanted = tyro.cli(CompareConfig, description="Compare force models on flights held out whole.")
-    print(*compare(wanted).lines(), sep="\n")  # noqa: T201
+    chosen = tyro.cli(CompareConfig, description="Compare force models on held-out flights.")
+    print(*compare(chosen).lines(), sep="\n")  # noqa: T201

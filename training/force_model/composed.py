@@ -1,12 +1,12 @@
-"""The composed model for training: pushes of pairs that are joined; see `interactions.composed`.
+"""The composed model for training, which combines forces of pairs; see `interactions.composed`.
 
     push_ij = w_ij max(0, wake_ij + n_ij(r, dz, v_r, v_t, v_dz))
     f_z = g_i(-z, |v_xy|, -v_z) - (1 - M exp(-z/h)) (sum_j push_ij^q)^(1/q)
 
-The closed form `wake_ij` and the network n_ij, which corrects it, are fitted together, and with
-them the delay of the wakes, q, M and h. A second output of n_ij, read from the same hidden units,
-says how the push leans towards the axis of the wake. It learns from the horizontal labels and
-changes nothing of the vertical fit: the force that it turns is taken as it is.
+The closed form `wake_ij` and the network n_ij, which corrects it, are fitted together with the
+delay of the wakes, q, M and h. A second output of n_ij, from the same hidden units, is the
+inclination of the force toward the axis of the wake. It is fitted to the horizontal labels, with
+detached gradients, so that it does not change the vertical fit.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from swarm_envs.training.force_model.network import (
 from swarm_envs.training.force_model.wake import Wake
 
 HIGHEST_DECAY = 3.0
-"""The exponent p of a wake stays below it: left free it runs to values that say nothing."""
+"""Upper bound of the exponent p of a wake, which is not identifiable without one."""
 _PAIR_WIDTHS = (len(UNITS_OF_PAIR), 32, 32, 2)
 _OWN_WIDTHS = (len(UNITS_OF_OWN), 16, 16, 1)
 _START = {"amplitude": 20.0, "width": 0.06, "spread": 0.03}  # g, m, 1
-_TINY = 1e-12  # keeps derivatives of roots and powers finite at zero
+_TINY = 1e-12  # Keeps derivatives of roots and powers finite at zero
 
 
 class Composed(ForceNetwork):
-    """A wake and a network for each pair of types, a network per type alone, and how they join."""
+    """A wake and a network for each pair of types, a network for lone drones, and q, M and h."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Begin with the same wake for every pair, and networks that correct it by little."""
+        """Initialize the same wake for every pair, and networks with small corrections."""
         super().__init__(spec, dtype)
         count = len(spec.types)
         names = [f"{a}>{b}" for a in spec.types for b in spec.types]
@@ -62,21 +62,21 @@ class Composed(ForceNetwork):
         self.joining = nn.Parameter(torch.tensor([0.2, 0.05, 0.05], dtype=dtype).log())
 
     def wake(self, upper: int, lower: int) -> Tensor:
-        """Numbers of a pair's wake: A (g), w0 (m), S, p."""
+        """Return the parameters of a pair's wake: A (g), w0 (m), S, p."""
         raw = self.wakes[upper * len(self.types) + lower]
         return torch.cat([raw[:3].exp(), HIGHEST_DECAY * torch.sigmoid(raw[3:])])
 
     def delay(self) -> Tensor:
-        """Seconds per metre by which the wake of each type trails behind it, (T,)."""
+        """Return the delay of the wake of each type per depth, (T,), s/m."""
         return self.delays.exp()
 
     def joined_by(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Exponent q, share M of downwash lost at the ground, and its height h, m."""
+        """Return the exponent q, the fraction M of downwash lost at the ground, and h, m."""
         q, kept, height = self.joining.exp()
         return 1.0 + q, 1.0 / (1.0 + kept), height
 
     def wake_tensors(self) -> dict[str, Tensor]:
-        """Return what a weights file holds besides networks and drag, by name."""
+        """Return the tensors of a weights file besides networks and drag, by name."""
         count, names = len(self.types), self.types
         pairs = [(i, j) for i in range(count) for j in range(count)]
         found = {f"wake.{names[i]}.{names[j]}": self.wake(i, j) for i, j in pairs}
@@ -84,7 +84,7 @@ class Composed(ForceNetwork):
         return found | {"joining": torch.stack(self.joined_by())}
 
     def set_wake_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Set what `wake_tensors` says."""
+        """Set the parameters from the tensors of `wake_tensors`."""
         for k, raw in enumerate(self.wakes):
             upper, lower = (self.types[n] for n in divmod(k, len(self.types)))
             wake = tensors[f"wake.{upper}.{lower}"]
@@ -94,24 +94,24 @@ class Composed(ForceNetwork):
         self.joining.copy_(torch.stack([q - 1.0, 1.0 / lost - 1.0, height]).log())
 
     def silence_drone(self, index: int) -> None:
-        """Let the network of a type alone give zero."""
+        """Set the output of the network of a lone type to zero."""
         silence(self.own[index])
 
     @torch.no_grad()
     def silence_pair(self, upper: int, lower: int) -> None:
-        """Let one type push another by nothing."""
+        """Set the force of one type on another to zero."""
         place = upper * len(self.types) + lower
         silence(self.pair[place])
         self.wakes[place][0] = -torch.inf
 
     def named_networks(self) -> dict[str, nn.Module]:
-        """Return its perceptrons by the names that they have in a weights file."""
+        """Return the perceptrons by their names in a weights file."""
         names = [f"pair.{a}.{b}" for a in self.types for b in self.types]
         own = [f"environment.{name}" for name in self.types]
         return dict(zip(names + own, [*self.pair, *self.own], strict=True))
 
     def heads(self, batch: Batch) -> Tensor:
-        """Force of every row, (R, 3) gram-force: vertical, then in x and y."""
+        """Return the force on every row, (R, 3) gram-force: vertical, then in x and y."""
         q, lost, height = self.joined_by()
         powers, pairs = self._pairs(batch, q)
         some = powers > 0.0
@@ -137,13 +137,13 @@ class Composed(ForceNetwork):
         return force
 
     def window(self, pair: Tensor) -> Tensor:
-        """Weight w of pairs (..., 6) by the horizontal distance and the depth."""
+        """Return the weights w of pairs (..., 6) by horizontal distance and depth."""
         lateral, vertical = self.spec.window
         weight = fade(_length(pair[..., :2]), *lateral) * fade(pair[..., 2].abs(), *vertical)
         return weight.clamp(min=0.0)  # rounding at the edge
 
     def _pairs(self, batch: Batch, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Sums over each row's neighbours: of push^q (R,), and of x, y, down (R, 3)."""
+        """Return sums over each row's neighbors: of push^q (R,), and of x, y, down (R, 3)."""
         pair, weight, kind, row = self.slots(batch)
         rows, count = len(batch.ego_type), len(self.types)
         powers, sums = pair.new_zeros(rows), pair.new_zeros(rows, 3)
@@ -159,7 +159,7 @@ class Composed(ForceNetwork):
     def _push(
         self, upper: int, lower: int, pair: Tensor, wind: Tensor, weight: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Push of every pair (P,) and how it leans (P, 2); `wind` is the upper's velocity."""
+        """Return push (P,) and inclination (P, 2) of pairs; `wind` is the upper's velocity."""
         inputs, towards = self.turned(pair, wind, self.delay()[upper])
         network = self.pair[upper * len(self.types) + lower]
         assert isinstance(network, nn.Sequential)
@@ -178,7 +178,7 @@ class Composed(ForceNetwork):
         return amplitude * (start / width) ** decay * shape
 
     def turned(self, pair: Tensor, wind: Tensor, delay: Tensor) -> tuple[Tensor, Tensor]:
-        """Inputs of a pair's network (P, 5), in SI units, and the way to the axis (P, 2)."""
+        """Return inputs of a pair's network (P, 5), SI, and the direction to the axis (P, 2)."""
         known = pair.clamp(self.pair_low, self.pair_high)
         axis = pair[:, :2] - wind * (pair[:, 2:3].clamp(min=0.0) * delay)
         velocity, fastest = pair[:, 3:5], float(self.pair_high[3])
@@ -198,17 +198,17 @@ class Composed(ForceNetwork):
 
 
 def _length(vector: Tensor) -> Tensor:
-    """Length of vectors (..., 2)."""
+    """Return the lengths of vectors (..., 2)."""
     return _root((vector * vector).sum(dim=-1))
 
 
 def _root(square: Tensor) -> Tensor:
-    """Square root, with a derivative at zero."""
+    """Return the square root, with a finite derivative at zero."""
     return torch.sqrt(square.clamp(min=_TINY**2))
 
 
 def build(spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> ForceNetwork:
-    """Make the network of a spec, with the weights from which training starts."""
+    """Return the network of a spec with initial weights."""
     kinds: dict[NetworkKind, Callable[[DeepSetSpec, torch.dtype], ForceNetwork]]
     kinds = {"deep-set": DeepSet, "composed": Composed, "wake": Wake}
     return kinds[spec.kind](spec, dtype)

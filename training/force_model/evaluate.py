@@ -1,10 +1,10 @@
 """Evaluation of a force model: errors on rows, on-axis forces, extremes, and the report of a fit.
 
 The target of Neural-Swarm2's eq. (8) and (10) is the vector [f_a; tau_a]. The authors learn f_a,z
-alone, since they found tau_a small (Sec. VII-B). A torque head gives four numbers: f_a,z, and the
-three components of tau_a *in the world frame*, since the network's inputs are of that frame and
-attitude is none of them; in the body frame of eq. (1b) it is R^T tau_a. Labels and tables hold N m;
-inside, torques are counted in gram-force centimetres, of the size of forces in gram-force.
+only, because they found tau_a small (Sec. VII-B). A torque head has four outputs: f_a,z, and the
+three components of tau_a *in the world frame*, because the network's inputs are in that frame and
+do not include the attitude; in the body frame of eq. (1b) it is R^T tau_a. Labels and tables are in
+N m; the network uses gram-force centimeters, whose magnitude is similar to that of forces.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
-_LEAST_ROWS = 50  # of a bin
-_AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
+_LEAST_ROWS = 50  # Least number of rows of a bin
+_AXIS_M = 0.05  # Horizontal distance up to which rows count as on the axis, m
 
 
 def vertical_force_g(
     model: InteractionModel, position: FloatArray, velocity: FloatArray, types: Sequence[str]
 ) -> FloatArray:
-    """Force (E, N), gram-force, on drones of these types at (E, N, 3), m and m/s, drag included."""
+    """Return forces (E, N), gram-force, on drones at (E, N, 3), m and m/s, including drag."""
     kinds = np.tile(types_array(tuple(types), model.types), (len(position), 1))
     out = np.empty_like(position)
     all_forces(model.packed, kinds, position, velocity, out)
@@ -49,18 +49,18 @@ def vertical_force_g(
 class Errors:
     """Mean squared errors of the vertical force on validation rows, g^2."""
 
-    overall: float  # Mean squared error of all rows, g^2
-    zero: float  # Of predicting no force
-    scenario_mean: float  # Of predicting the mean of the scenario's training labels
-    scenario: dict[str, float]  # Of the model by scenario
-    scenario_zero: dict[str, float]  # The same of a model that says nothing, by scenario
-    scenario_scenario_mean: dict[str, float]  # The same of one that says the scenario's mean
+    overall: float  # Error of the model on all rows
+    zero: float  # Error of predicting zero force
+    scenario_mean: float  # Error of predicting the mean of the scenario's training labels
+    scenario: dict[str, float]  # Error of the model by scenario
+    scenario_zero: dict[str, float]  # Error of predicting zero force, by scenario
+    scenario_scenario_mean: dict[str, float]  # Error of predicting the mean, by scenario
 
 
 def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Errors:
-    """Compare forces (R,) predicted for every row with the labels, beside trivial predictors.
+    """Return the errors of predicted forces (R,) and of trivial predictors on validation rows.
 
-    Only the validation rows count; the others give the scenario means.
+    The training rows determine the scenario means.
     """
     label, held_out = rows.force_g[:, 2], rows.validation
     mean = np.zeros(len(rows.scenario_names))
@@ -69,8 +69,8 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
         mean[index] = label[training].mean() if training.any() else 0.0
     found: list[float] = []
     by_scenario: list[dict[str, float]] = []
-    for said in (predicted_g, np.zeros(len(rows)), mean[rows.scenario]):
-        squared, scenario = (said - label)[held_out] ** 2, rows.scenario[held_out]
+    for predicted in (predicted_g, np.zeros(len(rows)), mean[rows.scenario]):
+        squared, scenario = (predicted - label)[held_out] ** 2, rows.scenario[held_out]
         found.append(float(squared.mean()))
         own = {name: squared[scenario == k] for k, name in enumerate(rows.scenario_names)}
         by_scenario.append({name: float(part.mean()) for name, part in own.items() if len(part)})
@@ -81,10 +81,11 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
 def axis_bins(
     model: InteractionModel, predicted_g: FloatArray, rows: InteractionRows
 ) -> list[dict[str, Any]]:
-    """Mean force under one neighbour by types and vertical distance, within 5 cm of its axis, g.
+    """Return mean forces below one neighbor by types and height, within 5 cm of its axis, g.
 
-    `measured_g` are the labels, `model_g` the model on the same rows, `model_on_axis_g` the model
-    in the middle of the bin, both drones at rest. Empty if no row has a neighbour.
+    `measured_g` is that of the labels, `model_g` that of the model on the same rows, and
+    `model_on_axis_g` that of the model in the middle of the bin with both drones at rest. The list
+    is empty if no row has a neighbor.
     """
     if not rows.has_neighbor.any():
         return []
@@ -92,12 +93,12 @@ def axis_bins(
     slot = np.argmax(rows.has_neighbor, axis=1)
     pair = rows.neighbor[np.arange(len(rows)), slot]
     kind = rows.neighbor_type[np.arange(len(rows)), slot]
-    centred = one & (np.hypot(pair[:, 0], pair[:, 1]) < _AXIS_M)
+    centered = one & (np.hypot(pair[:, 0], pair[:, 1]) < _AXIS_M)
     bins = []
     for (below, lower), (above, upper), low in itertools.product(
         enumerate(rows.types), enumerate(rows.types), np.arange(0.1, 0.75, 0.1).tolist()
     ):
-        inside = centred & (rows.ego_type == below) & (kind == above)
+        inside = centered & (rows.ego_type == below) & (kind == above)
         inside &= (pair[:, 2] >= low) & (pair[:, 2] < low + 0.1)
         if inside.sum() < _LEAST_ROWS:
             continue
@@ -117,7 +118,7 @@ def axis_bins(
 
 
 def pair_force(model: InteractionModel, below: str, above: str, distance_m: float) -> float:
-    """Force on a drone at rest, `distance_m` under another one at rest, 1 m above the ground, g."""
+    """Return the force on a drone 1 m above the ground, `distance_m` below another, at rest, g."""
     position = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0 + distance_m]]])
     return float(vertical_force_g(model, position, np.zeros_like(position), (below, above))[0, 0])
 
@@ -125,10 +126,10 @@ def pair_force(model: InteractionModel, below: str, above: str, distance_m: floa
 def scan_swarms(
     model: InteractionModel, drones: int, swarms: int, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Lowest and highest force, g, in random swarms `small_only` and `mixed`, packed closely.
+    """Return the lowest and highest force, g, in dense random swarms `small_only` and `mixed`.
 
     Positions are uniform in a box of 0.6 x 0.6 x 1.5 m above 8 cm, velocities uniform in
-    +-1 m/s per axis; no minimum distance is kept, so drones may overlap.
+    +-1 m/s per axis; drones may overlap.
     """
     position = rng.uniform(0.0, 1.0, (swarms, drones, 3)) * [0.6, 0.6, 1.5]
     position[..., 2] += 0.08
@@ -143,10 +144,7 @@ def scan_swarms(
 
 
 def torque_errors(network: DeepSet, rows: InteractionRows) -> dict[str, list[float]]:
-    """Root mean square of the torque's error on held-out rows by component x, y, z, N m.
-
-    Beside that of predicting none.
-    """
+    """Return the RMS errors of the torque (x, y, z) and of zero torque on held-out rows, N m."""
     held_out = rows.select(rows.validation)
     assert held_out.torque is not None
     with torch.no_grad():
@@ -162,39 +160,39 @@ _SWARMS = 2000
 
 @dataclass(frozen=True)
 class Findings:
-    """The measurements on the weights as they ship."""
+    """The evaluation of the written model."""
 
-    rows: int  # Rows there were
-    validation_rows: int  # Those of them that were held out
-    errors: Errors  # Against labels treated as in training
-    errors_raw: Errors  # Against labels as measured
+    rows: int  # Number of rows
+    validation_rows: int  # Number of held-out rows
+    errors: Errors  # Errors with labels as in training
+    errors_raw: Errors  # Errors with labels as measured
     lipschitz_measured: dict[str, dict[str, float]]
-    """Of a network, by number of neighbours; empty of the closed form."""
+    """Largest gradients of a network by number of neighbors; empty for the closed form."""
     axis_bins: list[dict[str, Any]]
-    """Measured and modelled force under one neighbour; labels treated as in training."""
+    """Measured and modeled force below one neighbor, with labels as in training."""
     extremes: list[dict[str, Any]]  # Largest forces in random swarms by number of drones
 
 
 @dataclass(frozen=True)
 class FitReport:
-    """The report of a fit: the content of `learned.json`, whatever the model."""
+    """The report of a fit, such as the content of `learned.json`."""
 
     model: str  # `deep-set`, `composed` or `wake`
-    command: str  # The command that was run
+    command: str  # The command
     config: object  # Its options
     data_sha256: str  # SHA-256 of the data
-    offset_rule: str  # How offsets were taken out of the labels, in words
+    offset_rule: str  # The rule of the calibration offsets
     vehicle_offsets_g: dict[str, float]  # Offset of each vehicle, gram-force
     drag: dict[str, list[float]]  # c per type and axis, N s/m
-    findings: Findings  # What came out
+    findings: Findings  # The evaluation
     history: list[dict[str, float]]
     """Steps, mean training loss since the last entry, and validation MSE, g^2."""
     wall_time_s: float
-    """Of reading, training and evaluation."""
-    logs: list[FileReport]  # What became of every file
-    notes: list[str]  # What a user of the model must know: types that no row shows
+    """The time of reading, training and evaluation, s."""
+    logs: list[FileReport]  # The result of reading every file
+    notes: list[str]  # Warnings, such as vehicle types without rows
     torque_errors: dict[str, list[float]] | None = None
-    """On held-out rows, if there is a torque head."""
+    """Errors of the torque on held-out rows; None without a torque head."""
 
     def lines(self) -> list[str]:
         """Return the lines that a command prints."""
@@ -203,31 +201,31 @@ class FitReport:
         return [
             *(file.line() for file in self.logs),
             f"{self.findings.rows} rows, {self.findings.validation_rows} of them held out",
-            *(offsets or ["calibration offsets are not subtracted: labels are as measured"]),
+            *(offsets or ["calibration offsets are not subtracted from the labels"]),
             *(f"note: {note}" for note in self.notes),
-            f"{self.model}: validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, "
-            f"scenario mean {errors.scenario_mean:.2f})",
+            f"{self.model}: validation MSE {errors.overall:.2f} g^2 (of zero force: "
+            f"{errors.zero:.2f}, of the scenario's mean: {errors.scenario_mean:.2f})",
         ]
 
 
 def worth(errors: Errors) -> list[str]:
-    """A note if a model is no better than one of the trivial ones."""
-    trivial = {"of predicting nothing": errors.zero, "of the scenario mean": errors.scenario_mean}
+    """Return a note if a model is no better than a trivial one."""
+    trivial = {"of zero force": errors.zero, "of the scenario's mean": errors.scenario_mean}
     better = [f"that {name} ({e:.2f})" for name, e in trivial.items() if errors.overall >= e]
     if not better:
         return []
     return [
         f"the model explains nothing: its validation MSE {errors.overall:.2f} g^2 is not below "
-        f"{' nor '.join(better)}; fly more, nearer to each other, or train for more steps"
+        f"{' nor '.join(better)}; fly longer, closer to each other, or train for more steps"
     ]
 
 
 def examine(
     model: InteractionModel, treated: Treated, seed: int, network: ForceNetwork | None = None
 ) -> Findings:
-    """Measure a fitted model as it loads from its file.
+    """Evaluate a fitted model that was loaded from its file.
 
-    `network` is the model in torch, whose gradients are measured; None leaves them out.
+    `network` is the model in torch, whose gradients are computed; None to omit them.
     """
     rng, predicted_g = np.random.default_rng(seed), modelled_force_g(treated.rows, model)[:, 2]
     rows, free = treated.rows, subtract_offsets(treated.rows, treated.offsets)

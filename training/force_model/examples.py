@@ -1,6 +1,6 @@
-"""Training examples: passes over the rows in random order, turned and mirrored at random.
+"""Training examples: epochs of the rows in random order, rotated and mirrored at random.
 
-A pass is put in order as a whole, so that a step only takes a slice of it.
+An epoch is shuffled as a whole, so that a step only takes a slice of it.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 
 
 class Examples(NamedTuple):
-    """Inputs with what the network should answer."""
+    """Inputs and labels of R rows."""
 
-    batch: Batch  # Inputs and labels of all rows
-    label: Tensor  # (R,) vertical force, gram-force; or more columns, as `targets`
-    weight: Tensor  # (R,) of the squared error, mean 1
+    batch: Batch  # Inputs
+    label: Tensor  # (R,) vertical force, gram-force; or more columns, see `targets`
+    weight: Tensor  # (R,) weights of the squared errors, with mean 1
 
     def part(self, start: int, stop: int) -> Examples:
-        """A slice of the rows."""
+        """Return a slice of the rows."""
         batch = Batch(*(values[start:stop] for values in self.batch))
         return Examples(batch, self.label[start:stop], self.weight[start:stop])
 
 
 def targets(rows: InteractionRows, torque: bool = False, horizontal: bool = False) -> Tensor:
-    """Labels of the rows: (R,) the force in gram-force, or (R, 4) with the torque, gram-force cm.
+    """Return labels: the force (R,), gram-force, or (R, 4) with the torque, gram-force cm.
 
-    With the horizontal force (R, 3): the vertical first, then x and y.
+    With `horizontal`, (R, 3): the vertical force, then x and y.
     """
     force = torch.from_numpy(rows.force_g[:, 2]).float()
     if horizontal:
@@ -42,7 +42,7 @@ def targets(rows: InteractionRows, torque: bool = False, horizontal: bool = Fals
         return force
     if rows.torque is None:
         raise ValueError(
-            "a torque head is wanted, but the rows carry no torque; add `torque` (R, 3), N m in "
+            "--torque is given, but the rows have no torque; add `torque` (R, 3), N m in "
             "the world frame, to the table, or fit without --torque"
         )
     turned = torch.from_numpy(rows.torque / GRAM_CENTIMETRE).float()
@@ -50,9 +50,9 @@ def targets(rows: InteractionRows, torque: bool = False, horizontal: bool = Fals
 
 
 def shuffled(examples: Examples, seed: Sequence[int], turn: bool) -> Examples:
-    """Return the rows of a pass in its order; with `turn` each turned and mirrored at random.
+    """Return the rows of an epoch in random order, with `turn` rotated and mirrored at random.
 
-    The same seed gives the same pass.
+    The same seed gives the same epoch.
     """
     rng = np.random.default_rng(seed)
     count = len(examples.label)
@@ -66,7 +66,7 @@ def shuffled(examples: Examples, seed: Sequence[int], turn: bool) -> Examples:
 
 
 def square_symmetries(drawn: Tensor) -> Tensor:
-    """Return symmetries of the square (R, 2, 2): numbers (3, R) flip x, flip y, exchange them."""
+    """Return symmetries of the square (R, 2, 2); bits (3, R) flip x, flip y, exchange x and y."""
     x, y = (1.0 - 2.0 * drawn[:2]).unbind()
     none = torch.zeros_like(x)
     plain, swapped = torch.stack([x, none, none, y], 1), torch.stack([none, y, x, none], 1)
@@ -74,7 +74,7 @@ def square_symmetries(drawn: Tensor) -> Tensor:
 
 
 def turned_rows(batch: Batch, turns: Tensor) -> Batch:
-    """Rows with positions and velocities turned in the plane, each by its matrix (R, 2, 2)."""
+    """Return rows with horizontal positions and velocities transformed by matrices (R, 2, 2)."""
     environment, pair = batch.environment.clone(), batch.pair.clone()
     for vector, first in ((environment, 1), (pair, 0), (pair, 3)):
         x, y = vector[..., first].clone(), vector[..., first + 1].clone()
@@ -85,9 +85,10 @@ def turned_rows(batch: Batch, turns: Tensor) -> Batch:
 
 
 def turned_labels(label: Tensor, turns: Tensor) -> Tensor:
-    """Labels (R,) of forces, or (R, 4) of forces and torques, of rows that were turned so.
+    """Return labels (R,) of forces, or (R, 4) of forces and torques, of transformed rows.
 
-    Forces along z stay. A torque turns like a vector, and with a mirror changes its sign besides.
+    Vertical forces do not change. A torque transforms like a vector, with a change of sign in a
+    reflection.
     """
     if label.ndim == 1:
         return label

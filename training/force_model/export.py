@@ -34,14 +34,14 @@ FORMATS: dict[str, NetworkKind] = {
     "composed-1": "composed",
 }
 """Kinds of network by the format of their file."""
-METADATA_KEY = "swarm_envs"  # Under which a file holds its note
+METADATA_KEY = "swarm_envs"  # Key of the description in a file's metadata
 
 
 def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
-    """Write a safetensors file so that a reader sees the old file or the whole new one."""
+    """Write a safetensors file atomically."""
     with written_whole(path) as partial:
         content = save({name: t.contiguous() for name, t in tensors.items()}, metadata)
-        partial.write_bytes(content)  # its own writer raises no OSError
+        partial.write_bytes(content)  # `save_file` raises no OSError
 
 
 def save_network(
@@ -50,18 +50,18 @@ def save_network(
     provenance: Mapping[str, object] | None = None,
     dtype: torch.dtype = torch.float64,
 ) -> None:
-    """Write a network of any precision with its drag, atomically.
+    """Write a network of any precision with its drag atomically.
 
     Tensors of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`,
-    `phi.environment.<layer>...`, `rho.<type>.<layer>...`, of a torque head also
-    `torque.<type>.weight` (3, width) and `.bias`, which take the place of rho's last layer and
-    give gram-force centimetres. Of a composed model: `pair.<neighbor>.<drone>.<layer>...`,
-    `environment.<type>.<layer>...`, and the numbers that `swarm_envs.interactions.weights_file`
-    lists. Of both: `drag.<type>` (3,) in N s/m.
+    `phi.environment.<layer>...`, `rho.<type>.<layer>...`, and for a torque head
+    `torque.<type>.weight` (3, width) and `.bias`, which replace rho's last layer and
+    give gram-force centimeters. Tensors of a composed model: `pair.<neighbor>.<drone>.<layer>...`,
+    `environment.<type>.<layer>...`, and those listed in `swarm_envs.interactions.weights_file`.
+    Both have `drag.<type>` (3,) in N s/m.
 
-    A wake has no weights: its file is JSON, with `provenance` as one key. Of the others
-    `provenance` are further keys of the description. Networks that were trained in single precision
-    lose nothing by float32, which halves the file; it is read as float64 either way.
+    The file of a wake is JSON, with `provenance` as one key; for the others, `provenance` are
+    further keys of the description. float32 is exact for networks that were trained in single
+    precision, and halves the file; it is read as float64 in any case.
     """
     if isinstance(network, Wake):
         write_json(Path(path), wake_description(network) | {"provenance": dict(provenance or {})})
@@ -85,7 +85,7 @@ def save_network(
 
 
 def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
-    """Read a file that `save_network` wrote, as a float64 network.
+    """Read a file of `save_network` as a float64 network.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -119,7 +119,7 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
 
 
 def _layers(network: ForceNetwork) -> dict[str, nn.Linear]:
-    """Layers by the beginning of the names of their tensors."""
+    """Return the layers by the prefix of the names of their tensors."""
     found = {
         f"{prefix}.{index}": layer
         for prefix, module in network.named_networks().items()
@@ -143,7 +143,7 @@ def _spec(description: dict[str, Any], tensors: dict[str, Tensor]) -> DeepSetSpe
         types=tuple(types),
         window=FadeWindow(**{name: tuple(pair) for name, pair in window.items()}),
         input_range=InputRange(**ranges) if ranges else None,
-        anchor_height_m=description["anchor_height_m"] or None,  # a file may say 0 for none
+        anchor_height_m=description["anchor_height_m"] or None,  # 0 in a file means none
         layers=depth,
         kind=kind,
         torque=f"torque.{types[0]}.weight" in tensors,

@@ -16,29 +16,29 @@ __all__ = ["REPORTS", "FitConfig", "TrainConfig"]
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The training of a network."""
+    """Options of the training of a force network."""
 
     steps: int = 6000
-    """optimizer steps"""
+    """Number of optimizer steps."""
     batch_size: int = 1024
-    """rows of a step; every row comes once in each pass, in random order"""
+    """Rows per optimizer step; every epoch visits all rows once, in random order."""
     learning_rate: tyro.conf.Suppress[float] = 3e-3
-    """Adam's rate at the start; it falls to zero along a cosine"""
+    """Initial learning rate of Adam; it is annealed to zero along a cosine."""
     spectral: Literal["clip", "exact", "none"] = "clip"
-    """what is done to the spectral norm of every weight matrix after each step: `clip` scales it
-    down to `max_spectral_norm` if it is larger, as the models that ship were trained; `exact` sets
-    it to this value, as eq. (12) is written; `none` leaves it"""
+    """Spectral normalization of every weight matrix after each step: `clip` scales its spectral
+    norm down to --max-spectral-norm if it is larger, as for the included models; `exact` sets it to
+    that value, as in eq. (12) of Neural-Swarm2; `none` does not change it."""
     max_spectral_norm: float = 3.0
-    """that norm; the paper's gamma is its fourth power. The networks of a composed model, which
-    stand for phi and rho, take its square"""
+    """Bound on the spectral norm of a weight matrix. The paper's gamma is its fourth power. The
+    networks of a composed model, which replace phi and rho, use its square."""
     balance: float = 0.0
-    """how far squared errors are weighted by the inverse mean square label of the drone's type: 0
-    not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
+    """Exponent from 0 to 1 that weights squared errors by the inverse mean square label of the
+    drone's type; with 1, weak forces on small drones count as much as forces on large drones."""
     seed: int = 0
-    """seed of the first weights and of every draw; the same seed gives the same weights"""
+    """Random seed of the initial weights and all samples. The same seed gives the same weights."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if an option has an invalid value."""
         for name in ("steps", "batch_size"):
             check_integer(name, getattr(self, name), at_least=1)
         for name in ("learning_rate", "max_spectral_norm"):
@@ -49,8 +49,8 @@ class TrainConfig:
 
 
 Mode = Literal["anchored", "measured"]
-"""The labels that are fitted: the forces of environments, or labels as measured."""
-Model = Literal["deep-set", "composed", "wake"]  # Which function is fitted
+"""Model that is fitted: that of environments, or the paper's on the labels as measured."""
+Model = Literal["deep-set", "composed", "wake"]  # Kind of the fitted function
 
 WEIGHTS = {
     "composed": "composed.safetensors",
@@ -64,29 +64,26 @@ REPORTS = {"composed": "composed.json", "deep-set": "learned.json", "wake": "wak
 
 @dataclass(frozen=True, kw_only=True)
 class FlightData:
-    """The flights of a fit."""
+    """The flight data of a fit."""
 
     data: Path
-    """a flight log (.csv, .parquet; the format: docs/flight-logs.md), a folder of logs or of
-    `swarm-envs collect`, or rows: the published flights' table, or what `save_rows` wrote (.npz)"""
+    """Flight log (.csv or .parquet, in the format of docs/flight-logs.md), folder of logs or of
+    `swarm-envs collect`, or table of rows: the published flights, or a file of `save_rows`
+    (.npz)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitFiles(FlightData):
-    """The options that a fit must have: fields of the last base class come first in the help."""
+    """The required options of a fit; fields of the last base class come first in the help."""
 
     out: Path
-    """folder for model and report: `learned.safetensors` and `learned.json` of a deep set,
-    `composed.safetensors` and `composed.json`, `wake.json` and its report `wake-fit.json`"""
+    """Output folder for the model and its report: learned.safetensors and learned.json of a
+    `deep-set`, composed.safetensors and composed.json, or wake.json and wake-fit.json."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(TrainConfig, FitFiles):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
-
-    Writes the model and a report of its errors. Most fits need no more than --data, --out, --model,
-    --mode and --seed. With --residual, which has options of its own (`fit --residual --help`), it
-    fits what a force model leaves over, for the hall.
 
     Columns of a flight log, SI units, world frame: time (s), drone, type (S, L or S*), x y z (m),
     vx vy vz (m/s), qx qy qz qw, ax ay az (m/s^2, +9.81 in hover; optional), pwm1 to pwm4 (0 to
@@ -94,33 +91,34 @@ class FitConfig(TrainConfig, FitFiles):
     """
 
     model: Model = "deep-set"
-    """`deep-set`: Neural-Swarm2, eq. 10; `composed`: a wake and a network per pair of types, joined
-    so that the force of any number of neighbors stays physical; `wake`: the closed form, by least
-    squares"""
+    """Force model: `deep-set` (eq. 10 of Neural-Swarm2); `composed`, a wake model plus a network
+    per pair of vehicle types, whose forces stay physical for any number of neighbors; or `wake`, a
+    closed form that is fitted by least squares."""
     mode: Mode = "anchored"
-    """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
-    `measured`: the paper's form on the labels as they are, every neighbour seen"""
+    """`anchored` fits a model for environments: zero force on a lone drone aloft, smooth cut-off of
+    distant neighbors, inputs clamped to the data's range; `measured` fits the paper's model to the
+    labels as they are, with all neighbors."""
     offsets: Literal["estimated", "none"] = "estimated"
-    """calibration offsets of an anchored fit; `none` if the labels are exact"""
+    """Calibration offsets that `anchored` subtracts from the labels; `none` for exact labels."""
     anchor_height_m: tyro.conf.Suppress[float] = 0.6
-    """height from which a lone drone feels exactly nothing, in an anchored fit"""
+    """Height above which the force on a lone drone is zero in an anchored fit, m."""
     hidden: tyro.conf.Suppress[int] = 20
-    """H, length of the hidden state between phi and rho"""
+    """H, the length of the hidden state between phi and rho."""
     layers: tyro.conf.Suppress[int] = 4
-    """L, layers of every phi and rho"""
+    """L, the number of layers of every phi and rho."""
     relative_velocity: tyro.conf.Suppress[bool] = True
-    """let the network see velocities; without, it sees positions alone"""
+    """Use relative velocities as inputs of the network besides relative positions."""
     torque: bool = False
-    """let the deep set give the torque too, from rows that carry it"""
+    """Fit torques with the deep set too; the rows must have torque labels."""
     progress: bool = True
-    """show a progress bar"""
+    """Show a progress bar."""
     json: Path | None = None
-    """write the report to this file too"""
+    """Also write the report to this file."""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows"""
+    """Options of the conversion of flight logs to rows of training data."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have, and options that exclude each other."""
+        """Raise ValueError for invalid values and for contradictory options."""
         super().__post_init__()
         check_name("model", self.model, get_args(Model))
         check_name("mode", self.mode, get_args(Mode))
@@ -132,12 +130,12 @@ class FitConfig(TrainConfig, FitFiles):
             check_bool(name, getattr(self, name))
         check_type("logs", self.logs, LogOptions)
         if self.model == "composed" and self.mode == "measured":
-            raise ValueError("a composed model is for environments; fit it in anchored mode")
+            raise ValueError("--model composed is for environments; use it with --mode anchored")
         if self.torque and self.model != "deep-set":
-            raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")
+            raise ValueError(f"--model {self.model} has no torque; use --torque with deep-set")
 
     def how_to_use(self) -> list[str]:
-        """Return lines that say how the fitted model is used."""
+        """Return lines that explain the use of the fitted model."""
         path = self.out / WEIGHTS[self.model]
         return [
             f"fly it: swarm-envs fly --interactions {path}",
@@ -146,39 +144,39 @@ class FitConfig(TrainConfig, FitFiles):
 
 
 FITTED = ("composed", "wake")
-"""Force models that are refitted, to flights other than those that they are judged on."""
+"""Force models that are refitted to flights other than those on which they are evaluated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualConfig(FlightData):
-    """Identify the force that a model leaves over on flights.
+    """Identify the residual force of a model: the measured force that it does not explain.
 
     The result is the random force of `world="hall"`: see docs/hall.md.
     """
 
     out: Path
-    """folder for `residual.json`"""
+    """The output folder for `residual.json`."""
     force: str = "composed"
-    """the force model: `composed`, that of environments, or `wake`, refitted for each fold of
-    flights; or the file of a model, which is taken as it is, so that flights it was fitted to
-    flatter it"""
+    """The force model: `composed` (that of the environments) or `wake`, refitted for each fold of
+    the flights; or the file of a model, whose error is too small on the flights that it was fitted
+    to."""
     folds: int = 5
-    """parts into which the flights of each scenario are dealt"""
+    """The number of folds of cross-validation into which the flights of each scenario are split."""
     steps: int = FitConfig.steps
-    """optimizer steps of each fit"""
+    """The number of optimizer steps of each fit."""
     bootstrap: int = 400
-    """draws of flights for the 95 % intervals"""
+    """The number of bootstrap samples for the 95 % intervals."""
     seed: int = 0
-    """of every draw"""
+    """The random seed."""
     progress: bool = True
-    """show a progress bar while logs are read"""
+    """Show a progress bar while logs are read."""
     json: Path | None = None
-    """write the report to this file too"""
+    """Also write the report to this file."""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows"""
+    """Options of the conversion of flight logs to rows."""
 
     def __post_init__(self) -> None:
-        """Refuse values that an option cannot have."""
+        """Raise ValueError if an option has an invalid value."""
         check_integer("folds", self.folds, at_least=2)
         for name in ("steps", "bootstrap"):
             check_integer(name, getattr(self, name), at_least=1)

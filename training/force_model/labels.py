@@ -1,9 +1,9 @@
-"""From rows to what is learned: labels free of offsets and drag, the range of inputs, the types.
+"""Preparation of labels: subtraction of offsets and drag, the range of inputs, vehicle types.
 
-Linear body drag is fitted per type and axis to the same rows as the network. A network of a type
-that no training row shows holds the random numbers that it started with: it is set to zero, and
-the report says so. A type that was never a neighbour pushes none, one that never was the drone
-of a row feels nothing.
+Linear body drag is fitted per type and axis to the same rows as the network. The network of a type
+without training rows has random weights: its output is set to zero, with a note in the report. A
+type that never was a neighbor exerts no force; on a type that never was the drone of a row, no
+force acts.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 FALL_SPEED = 1.5
-"""A drone at this speed or above is out of control, m/s. In the published flights it falls: its
-label, -40 g on average, says that the rotors no longer give the thrust of the command."""
+"""Least speed of drones that are out of control, m/s. In the published flights they fall: their
+mean label of -40 g shows that the rotors no longer produce the commanded thrust."""
 
 
 class Treated(NamedTuple):
-    """Rows, and what was taken out of their labels."""
+    """Rows with measured and with prepared labels."""
 
     rows: InteractionRows  # With the labels as measured
-    target: InteractionRows  # With the labels that a model is fitted to
-    offsets: Offsets  # What was taken out of the vertical labels
-    drag: FloatArray  # (T, 3) by type, N s/m; added back to what a model says
+    target: InteractionRows  # With the labels of the fit
+    offsets: Offsets  # Offsets that were subtracted from the vertical labels
+    drag: FloatArray  # (T, 3) by type, N s/m; added to the model's predictions
 
 
 def is_calibrated(config: FitConfig) -> bool:
@@ -54,10 +54,10 @@ def is_calibrated(config: FitConfig) -> bool:
 
 
 def treat(rows: InteractionRows, config: FitConfig) -> Treated:
-    """Take offsets and drag out of the labels that are fitted, as the configuration says.
+    """Subtract offsets and drag from the labels of a fit.
 
-    They are the vertical ones, of a composed model all three: horizontal offsets are those of
-    attitude. A network in `measured` mode learns the vertical drag with the rest: it stays in.
+    These are the vertical labels, for a composed model all three (horizontal offsets are due to
+    attitude errors). In `measured` mode, the vertical drag is not subtracted.
 
     Raises:
         ValueError: a vehicle's offset cannot be estimated.
@@ -75,15 +75,17 @@ def treat(rows: InteractionRows, config: FitConfig) -> Treated:
 
 
 def flown(rows: InteractionRows) -> InteractionRows:
-    """Rows without the training rows of drones that fall (`FALL_SPEED`)."""
+    """Return the rows without training rows of falling drones (`FALL_SPEED`)."""
     speed = np.linalg.norm(rows.velocity, axis=1)
     return rows.select(rows.validation | (speed < FALL_SPEED))
 
 
 def check_rows(rows: InteractionRows) -> None:
-    """Check that something is there to fit and to validate."""
+    """Raise ValueError unless there are rows for training and for validation."""
     if rows.validation.all():
-        raise ValueError(f"all {len(rows)} rows are held out, so there is nothing to fit")
+        raise ValueError(
+            f"all {len(rows)} rows are held out, so there is nothing to fit; add training rows"
+        )
     if not rows.validation.any():
         raise ValueError(
             f"none of {len(rows)} rows is held out; mark whole blocks of time, about 20 %, or give "
@@ -92,11 +94,11 @@ def check_rows(rows: InteractionRows) -> None:
 
 
 def measured_range(rows: InteractionRows) -> InputRange:
-    """Range that the inputs of an anchored fit are clamped to.
+    """Return the range to which the inputs of an anchored fit are clamped.
 
-    Heights between the lowest and the highest of all rows; of every speed and of the vertical
-    distance the 99.9 % quantile of its magnitude inside the interaction volume, one number for x
-    and y; laterally the edge of the volume, since the window ends there.
+    For heights it is from the lowest to the highest of all rows; for speeds and the vertical
+    distance the 99.9 % quantile of the magnitude inside the interaction volume, the same for x and
+    y; for horizontal distances the edge of the volume, where the window ends.
     """
     inside = (np.abs(rows.neighbor[..., :3]) <= INTERACTION_VOLUME).all(axis=-1) & rows.has_neighbor
     own = np.quantile(np.abs(rows.velocity), 0.999, axis=0)
@@ -118,12 +120,11 @@ def measured_range(rows: InteractionRows) -> InputRange:
 def fit_drag(rows: InteractionRows) -> FloatArray:
     """Fit c of f = constant - c v by least squares: (number of types, 3) in N s/m, c >= 0.
 
-    The constant is free for each flight of each vehicle, since attitude and thrust calibration
-    shift the horizontal labels too. Horizontal axes use training rows where nothing else acts
-    (`calibration.quiet_rows`, any speed), made one number for x and y because the vehicles are
-    square; the vertical axis uses lone flight above the ground effect, since even quiet rows of a
-    group move up and down together with the wakes. A negative slope would be no drag and
-    becomes 0, as does an axis without rows.
+    The constant is free for each flight of each vehicle, because attitude and thrust calibration
+    shift the labels. Horizontal axes use training rows where no other force acts
+    (`calibration.quiet_rows`, any speed), with one value for x and y because the vehicles are
+    square. The vertical axis uses lone flight above the ground effect, because in groups vertical
+    motion is correlated with the wakes. A negative slope is set to 0, as is an axis without rows.
     """
     quiet = quiet_rows(rows, max_speed=np.inf) & ~rows.validation
     alone = quiet & ~rows.has_neighbor.any(axis=1)
@@ -136,7 +137,7 @@ def fit_drag(rows: InteractionRows) -> FloatArray:
 
 
 def _slope(rows: InteractionRows, use: BoolArray, axes: tuple[int, ...]) -> float:
-    """Common c of the axes in gram-force s/m, with a free constant per flight and vehicle."""
+    """Return the common c of axes, gram-force s/m, with a free constant per flight and vehicle."""
     if not use.any():
         return 0.0
     pairs = np.stack([rows.flight[use], rows.vehicle[use]], axis=1)
@@ -144,61 +145,59 @@ def _slope(rows: InteractionRows, use: BoolArray, axes: tuple[int, ...]) -> floa
     count = np.bincount(group)
     above = below = 0.0
     for axis in axes:
-        force = _centred(rows.force_g[use, axis], group, count)
-        velocity = _centred(rows.velocity[use, axis], group, count)
+        force = _centered(rows.force_g[use, axis], group, count)
+        velocity = _centered(rows.velocity[use, axis], group, count)
         above += float(force @ velocity)
         below += float(velocity @ velocity)
     return -above / below if below > 0 else 0.0
 
 
-def _centred(values: FloatArray, group: np.ndarray, count: np.ndarray) -> FloatArray:
+def _centered(values: FloatArray, group: np.ndarray, count: np.ndarray) -> FloatArray:
     mean = np.bincount(group, values) / count
     return np.asarray(values - mean[group])
 
 
 def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
-    """Set the outputs of networks that saw no training row to zero; what was, a sentence each."""
+    """Set the outputs of networks without training rows to zero; return a note for each."""
     training = rows.select(~rows.validation)
     pairs, felt = shown_pairs(training), np.isin(np.arange(len(rows.types)), training.ego_type)
-    said = []
+    notes = []
     for index in np.flatnonzero(~felt).tolist():
         network.silence_drone(index)
         name = rows.types[index]
-        said.append(
-            f"type {name!r} is the drone of no training row: the model says it feels nothing"
-        )
+        notes.append(f"type {name!r} is the drone of no training row: the force on it is zero")
     if isinstance(network, DeepSet):
-        return said + _silence_neighbors(network, pairs, felt)
+        return notes + _silence_neighbors(network, pairs, felt)
     assert isinstance(network, Composed | Wake)
     for upper, lower in np.argwhere(~pairs).tolist():
         network.silence_pair(upper, lower)
         if felt[lower]:
-            said.append(_never_together(rows.types, upper, lower) + "it does not push it")
-    return said
+            notes.append(_never_together(rows.types, upper, lower) + "its force on it is zero")
+    return notes
 
 
 def _silence_neighbors(network: DeepSet, pairs: BoolArray, felt: BoolArray) -> list[str]:
-    """Silence the types that are no neighbour; what happens to pairs that never met is a guess."""
-    said = []
+    """Set phi of types that are no neighbor to zero; note pairs that are extrapolated."""
+    notes = []
     for name, row in zip(network.types, pairs, strict=True):
         if not row.any():
             silence(network.phi[name])
-            said.append(
-                f"type {name!r} is a neighbour in no training row: the model says it pushes nobody"
+            notes.append(
+                f"type {name!r} is a neighbor in no training row: it exerts no force on others"
             )
     for upper, lower in np.argwhere(~pairs).tolist():
         if felt[lower] and pairs[upper].any():
             beginning = _never_together(network.types, upper, lower)
-            said.append(beginning + "what it does to it is guessed from other pairs")
-    return said
+            notes.append(beginning + "its force on it is extrapolated from other pairs")
+    return notes
 
 
 def _never_together(types: Sequence[str], upper: int, lower: int) -> str:
-    return f"type {types[upper]!r} is a neighbour of type {types[lower]!r} in no training row: "
+    return f"type {types[upper]!r} is a neighbor of type {types[lower]!r} in no training row: "
 
 
 def shown_pairs(rows: InteractionRows) -> BoolArray:
-    """Which of T types is a neighbour (first axis) of which (second) in some row, (T, T)."""
+    """Return True (T, T) for type pairs [neighbor, drone] that occur in a row."""
     pairs = np.zeros((len(rows.types), len(rows.types)), dtype=np.bool_)
     egos = np.repeat(rows.ego_type[:, None], rows.neighbor_type.shape[1], axis=1)
     pairs[rows.neighbor_type[rows.has_neighbor], egos[rows.has_neighbor]] = True

@@ -1,6 +1,6 @@
-"""The steepness of a force network: its largest gradients at random inputs.
+"""The largest gradients of a force network at random inputs.
 
-Each is a lower bound of a Lipschitz constant. The measured force changes by 100-150 g/m.
+They are lower bounds of a Lipschitz constant. The measured force changes by 100-150 g/m.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from swarm_envs.training.force_model.network import Batch, ForceNetwork
 from swarm_envs.training.interaction_rows import NO_NEIGHBOR
 
 SAMPLES = 20_000
-"""Random inputs of a search: more find gradients that are steeper by some per cent."""
+"""Number of random inputs; more would find gradients that are larger by a few percent."""
 
 
 def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generator) -> Batch:
-    """Draw float64 inputs that cover the volume and the places where the force changes most.
+    """Return random float64 inputs that cover the volume and the regions of large gradients.
 
-    Neighbours stand uniformly in the interaction volume; for a third they stand within some
-    8 cm of the axis, for a tenth on it, for a tenth at rest. Heights lie from 7 cm to 1.5 m, half
-    of them below 0.6 m. Types are drawn uniformly for the drone and its neighbours.
+    Neighbors are uniform in the interaction volume; a third is within about 8 cm of the axis, a
+    tenth on it, and a tenth at rest. Heights are from 7 cm to 1.5 m, half of them below 0.6 m. The
+    types of the drone and its neighbors are uniform.
     """
     speed = np.array([0.7, 0.7, 1.0])
     pair = rng.uniform(-1.0, 1.0, (count, neighbors, 6)) * [0.36, 0.36, 1.12, 1.1, 1.1, 1.2]
@@ -46,7 +46,7 @@ def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generat
 
 
 def input_gradient(network: ForceNetwork, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the gradient of the force against the environment's inputs and the neighbors'.
+    """Return the gradient of the force with respect to the inputs of environment and neighbors.
 
     Their shapes are (R, 4) and (R, K, 6), in g per m and g per m/s.
     """
@@ -60,8 +60,8 @@ def input_gradient(network: ForceNetwork, batch: Batch) -> tuple[Tensor, Tensor]
 def steepest(network: ForceNetwork, neighbors: int, rng: np.random.Generator) -> dict[str, float]:
     """Return the largest gradients of a float64 network at random inputs.
 
-    Against one neighbor's relative position, in g/m, and against the whole input, positions in m
-    and velocities in m/s joined, in g per unit.
+    One is with respect to a neighbor's relative position, in g/m, the other with respect to all
+    inputs, positions in m and velocities in m/s, in g per unit.
     """
     batch = random_inputs(len(network.types), SAMPLES, neighbors, rng)
     at_environment, at_pair = input_gradient(network, batch)

@@ -51,13 +51,13 @@ from swarm_envs.training.provenance import changed_options, check_same, json_rea
 
 __all__ = ["REPORTS", "fit"]
 
-_ASIDE = ("progress", "json")  # Options that change nothing of the result
+_ASIDE = ("progress", "json")  # Options that do not change the result
 _Fitted = tuple[Findings, dict[str, Any]]
-"""The measurements on a model, and the other fields of its report."""
+"""The evaluation of a model, and the other fields of its report."""
 
 
 def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
-    """Check that a report, if there is one, is of the same fit, which may then run again."""
+    """Check that an existing report is of the same fit, which may then be repeated."""
     if not path.is_file():
         return
     try:
@@ -74,12 +74,11 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
 
 
 def fit(config: FitConfig) -> FitReport:
-    """Fit a model to rows and write it and its report into `config.out`.
+    """Fit a model to rows and write it and its report to `config.out`.
 
     Raises:
         FileNotFoundError: there is no data.
-        ValueError: the rows cannot be fitted; the message says which rule they break. Or
-            `config.out` holds a finished fit of other data or options.
+        ValueError: the rows are invalid, or `config.out` has a fit of other data or options.
     """
     began = time.perf_counter()
     calibrated = is_calibrated(config)
@@ -117,9 +116,9 @@ def fit(config: FitConfig) -> FitReport:
 
 
 def train_model(target: InteractionRows, config: FitConfig, progress: bool) -> Training:
-    """Train the network of a configuration on labels that `treat` made.
+    """Train the network of a configuration on labels from `treat`.
 
-    A network that stands for phi and rho may be as steep as both.
+    A network that replaces phi and rho may have the Lipschitz bound of both.
     """
     rows = flown(target) if config.model == "composed" else target
     recipe: TrainConfig = config
@@ -129,7 +128,7 @@ def train_model(target: InteractionRows, config: FitConfig, progress: bool) -> T
 
 
 def _fitted(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
-    """Train, write the file and measure the model in it."""
+    """Train a model, write it, and evaluate the written file."""
     run = train_model(treated.target, config, config.progress)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
@@ -145,7 +144,7 @@ def _fitted(treated: Treated, config: FitConfig, provenance: dict[str, object]) 
 
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
-    """The function that a fit looks for."""
+    """Return the function whose weights are fitted."""
     anchored = config.mode == "anchored" or config.model == "wake"
     spec = DeepSetSpec(
         rows.types,
@@ -161,6 +160,6 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
 
 
 def fit_command(config: FitConfig) -> str:
-    """Command line that makes this fit, with the folders left out of its file names."""
+    """Return the command line of this fit, without folders of its file names."""
     words = ["swarm-envs fit", f"--data {config.data.name}", "--out DIR"]
     return " ".join([*words, *changed_options(config, aside=_ASIDE)])

@@ -1,19 +1,18 @@
-"""The force that a model leaves over, as a random process: `swarm-envs fit --residual`.
+"""The residual force of a model as a random process: `swarm-envs fit --residual`.
 
-The vertical label of drone i at time t, less the modelled force f, is taken as
+The vertical label of drone i at time t minus the modeled force f is
 
     offset_i + s(|f|) x(t) + white noise,  s(|f|) / W = quiet + (wake - quiet) |f| / (|f| + half W),
 
-W being the drone's weight and x an Ornstein-Uhlenbeck process of unit variance and one
-correlation time. Where no drone is in the interaction volume, s / W is one number, `alone`, and the
-correlation time is that of drones in company. The offset belongs to a drone in a flight:
-calibration of mass and thrust. Labels hold noise of the sensors, which no drone feels: it is white,
-so the autocovariance jumps by its variance at lag zero (the *nugget*), and is kept apart by fitting
-the other lags. Rows of drones that fall are left out, as they are where models are fitted.
+where W is the drone's weight and x an Ornstein-Uhlenbeck process of unit variance and one
+correlation time. If no neighbor is in the interaction volume, s / W is a constant, `alone`, with
+the same correlation time. The offset, constant for a drone in a flight, is due to the calibration
+of mass and thrust. The sensor noise of the labels is white: its variance is the jump of the
+autocovariance at lag zero (the *nugget*), and is separated by fitting the other lags. Rows of
+falling drones are excluded, as in the fit of models.
 
-The model is refitted for each fold of whole flights, and looked at on the flights left out.
-Intervals are percentiles of a bootstrap over flights. These numbers are the defaults of
-`swarm_envs.hall.Hall`; docs/hall.md says how they were made.
+The model is cross-validated over folds of whole flights. Intervals are percentiles of a bootstrap
+over flights. These numbers are the defaults of `swarm_envs.hall.Hall`; see docs/hall.md.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
-REPORT = "residual.json"  # File that a fit writes
-LAGS = 7  # Lags of the autocovariance, in rows, zero included: 0 to 180 ms at 33 Hz
+REPORT = "residual.json"  # Name of the output file
+LAGS = 7  # Number of lags of the autocovariance, in rows, with zero: 0 to 180 ms at 33 Hz
 EDGES = (0.0, 0.01, 0.03, 0.06, 0.1, 0.16, 0.25, np.inf)
-"""Edges of the bins of |f| / W in company; those of lone drones are in a bin before them."""
+"""Edges of the bins of |f| / W with neighbors; rows without neighbors are in a bin before them."""
 CALM = 0.03
-"""Offsets are means over rows with less |f| / W than this: the model can err little there."""
+"""Bound of |f| / W of the rows whose mean is the offset, where model errors are small."""
 _START = (0.03, 0.08, 0.03, 0.13)
 _LOWEST = (1e-4, 1e-4, 1e-4, 1e-2)
 _HIGHEST = (1.0, 2.0, 2.0, 3.0)
@@ -54,48 +53,48 @@ _HIGHEST = (1.0, 2.0, 2.0, 3.0)
 class _Moments(NamedTuple):
     """Sums over pairs of rows of one drone: flights F, types T, bins B, lags L."""
 
-    product: FloatArray  # (F, T, B, L) products of the residuals, over the squared weight
+    product: FloatArray  # (F, T, B, L) products of the residuals over the squared weight
     force: FloatArray  # (F, T, B, L) |f| / W, the mean of both rows
-    number: FloatArray  # (F, T, B, L) pairs
+    number: FloatArray  # (F, T, B, L) numbers of pairs
     sideways: FloatArray  # (F, 2) products at lag one in calm rows: vertical, mean of horizontal
-    offset: FloatArray  # (D,) of a drone in a flight over its weight, less the mean of its type
+    offset: FloatArray  # (D,) offset of a drone in a flight over weight, minus its type's mean
     flight: IntArray  # (D,) its flight, of F
     kind: IntArray  # (D,) its type, of T
-    interval_s: float  # time between rows, s
+    interval_s: float  # Time between rows, s
 
 
 @dataclass(frozen=True)
 class ResidualReport:
-    """The numbers that were identified."""
+    """The identified parameters of the residual force."""
 
     types: tuple[str, ...]  # The types, in the order of the lists below
     residual: dict[str, list[float]]
-    """The numbers, by the names of `Hall`: for each type, or one for all."""
+    """The parameters by the names of `Hall`, for each type, or one for all."""
     intervals: dict[str, list[tuple[float, float]]]  # Their 95 % intervals
     white_noise_g: list[float]  # Standard deviation of the labels' white noise by type, gram-force
     config: Any  # The options
     data_sha256: str  # Digest of the data
     flights: int  # Number of flights
     rows: int  # Number of rows
-    cross_validated: bool  # Whether every flight was looked at by a model that had not seen it
+    cross_validated: bool  # True if every flight was predicted by a model fitted to others
 
     def lines(self) -> list[str]:
-        """The report in words."""
-        said = [f"{self.rows} rows of {self.flights} flights; types {', '.join(self.types)}"]
+        """Return the report as lines of text."""
+        lines = [f"{self.rows} rows of {self.flights} flights; types {', '.join(self.types)}"]
         for name, values in self.residual.items():
             pairs = zip(values, self.intervals[name], strict=True)
-            told = [f"{value:.4f} ({low:.4f} to {high:.4f})" for value, (low, high) in pairs]
-            said.append(f"{name.ljust(18)} {', '.join(told)}")
+            shown = [f"{value:.4f} ({low:.4f} to {high:.4f})" for value, (low, high) in pairs]
+            lines.append(f"{name.ljust(18)} {', '.join(shown)}")
         noise = ", ".join(f"{value:.2f} g" for value in self.white_noise_g)
-        return [*said, f"white noise of the labels: {noise}"]
+        return [*lines, f"white noise of the labels: {noise}"]
 
 
 def fit_residual(config: ResidualConfig) -> ResidualReport:
-    """Identify what a force model leaves over, and write `residual.json` into `config.out`.
+    """Identify the residual force of a model, and write `residual.json` to `config.out`.
 
     Raises:
         FileNotFoundError: there is no data.
-        ValueError: the rows cannot be used, or a type is no vehicle that ships.
+        ValueError: the rows are invalid, or a vehicle type does not exist.
     """
     rows, _ = read_data(config.data, config.logs, config.progress)
     for name in rows.types:
@@ -129,7 +128,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
 
 
 def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
-    """(R, 3) modelled force, drag included, gram-force."""
+    """Return the modeled force (R, 3), including drag, gram-force."""
     if config.force not in FITTED:
         return modelled_force_g(rows, config.force)
     model: Any = config.force
@@ -144,9 +143,9 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
 
 
 def measured_moments(rows: InteractionRows, modelled_g: FloatArray, rate_hz: float) -> _Moments:
-    """Products of residuals by flight, type, force and lag; gaps between rows are left out.
+    """Return products of residuals by flight, type, force and lag, without gaps between rows.
 
-    `modelled_g` (R, 3) is what the model says, `rate_hz` the steps of the rows' clock a second.
+    `modelled_g` (R, 3) is the model's force, `rate_hz` the rate of the rows' steps.
     """
     weight = _weights_g(rows.types)[rows.ego_type]
     force = np.linalg.norm(modelled_g, axis=1) / weight
@@ -188,14 +187,14 @@ def _weights_g(types: Sequence[str]) -> FloatArray:
 
 
 def _means(values: FloatArray, owner: IntArray, use: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Means (D, 3) of the rows to use of each owner, and (D,) who has any; zeros without."""
+    """Return means (D, 3) over the used rows of each owner, and True (D,) for owners with any."""
     count = np.bincount(owner, use)
     sums = [np.bincount(owner, values[:, k] * use) for k in range(3)]
     return np.stack(sums, axis=1) / np.maximum(count, 1.0)[:, None], np.asarray(count > 0)
 
 
 def _pairs(owner: IntArray, step: IntArray, lag: int) -> tuple[IntArray, IntArray]:
-    """Rows of one drone in one flight that lie so many steps apart."""
+    """Return the pairs of rows of one drone in one flight that are `lag` steps apart."""
     code = owner.astype(np.int64) * 10**9 + step
     order = np.argsort(code, kind="stable")
     place = np.searchsorted(code[order], code + lag)
@@ -205,12 +204,12 @@ def _pairs(owner: IntArray, step: IntArray, lag: int) -> tuple[IntArray, IntArra
 
 
 def size(force: FloatArray, quiet: FloatArray, wake: FloatArray, half: FloatArray) -> FloatArray:
-    """Standard deviation of the residual at forces |f|, all over the weight; `half`: halfway."""
+    """Return the standard deviation of the residual at forces |f|, all over the weight."""
     return np.asarray(quiet + (wake - quiet) * force / (force + half))
 
 
 def identified(moments: _Moments, times: FloatArray) -> tuple[dict[str, list[float]], FloatArray]:
-    """The numbers of `Hall`, and (T,) the standard deviation of the labels' white noise over W.
+    """Return parameters of `Hall`, and the standard deviations (T,) of white label noise over W.
 
     Each flight counts `times` (F,) times.
     """

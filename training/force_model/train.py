@@ -1,4 +1,4 @@
-"""The training of a network on rows: one loop, with Adam."""
+"""The training loop of a network on rows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNet
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows
 
-HISTORY_STEPS = 500  # Steps between entries of the history
+HISTORY_STEPS = 500  # Number of steps between entries of the history
 
 Entry = dict[str, float]
 """Entry of the history: step, mean training loss since the last entry, validation MSE, g^2."""
@@ -29,12 +29,12 @@ Entry = dict[str, float]
 
 @dataclass
 class Training:
-    """A run of the training."""
+    """The state of a training."""
 
-    network: ForceNetwork  # What is trained
-    optimizer: torch.optim.Adam  # What changes its weights
-    step: int = 0  # Steps that were taken
-    history: list[Entry] = field(default_factory=list)  # Errors along the way
+    network: ForceNetwork
+    optimizer: torch.optim.Adam
+    step: int = 0  # Number of steps so far
+    history: list[Entry] = field(default_factory=list)
 
 
 def train(
@@ -45,13 +45,13 @@ def train(
 ) -> Training:
     """Fit a network to the rows' vertical labels `force_g[:, 2]` by least squares, with Adam.
 
-    The rows' validation blocks are held out; their error is recorded in the history and chooses
-    nothing. The result has the weights of the last step.
+    The error of held-out rows is recorded in the history. The result has the weights of the last
+    step.
 
     Args:
-        rows: labels already free of whatever should not be learned.
+        rows: rows with prepared labels, as from `labels.treat`.
         spec: the function to fit.
-        config: how.
+        config: the options.
         progress: show a progress bar.
 
     Raises:
@@ -84,13 +84,13 @@ def train(
 
 
 def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
-    """Make a fresh run: seeded weights and optimizer."""
+    """Return a new training with seeded weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         network = build(spec)
     hold_spectral_norms(network.parameters(), config.max_spectral_norm, config.spectral)
     for parameter in network.parameters():
-        parameter.grad = torch.zeros_like(parameter)  # of a pair of types that a batch may lack
+        parameter.grad = torch.zeros_like(parameter)  # a batch may lack some pairs of types
     optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate, foreach=True)
     return Training(network, optimizer)
 
@@ -108,16 +108,16 @@ def take_step(run: Training, chosen: Examples, config: TrainConfig) -> float:
     run.step += 1
     if not all(bool(p.isfinite().all()) for p in run.network.parameters()):
         raise ValueError(
-            f"training diverged: step {run.step} left weights that are not finite, at loss "
+            f"training diverged: after step {run.step} weights are not finite, at loss "
             f"{float(loss.detach()):g} and learning_rate {config.learning_rate:g}; give a lower "
-            "learning_rate, and look for labels far from all others"
+            "learning_rate, and look for outliers of the labels"
         )
     hold_spectral_norms(run.network.parameters(), config.max_spectral_norm, config.spectral)
     return float(squared[:, 0].detach().mean())
 
 
 def make_examples(rows: InteractionRows, spec: DeepSetSpec, balance: float) -> Examples:
-    """Return inputs and labels of training rows, with the weights of their errors."""
+    """Return inputs, labels and weights of training rows."""
     label = targets(rows, spec.torque, horizontal=spec.kind == "composed")
     return Examples(to_batch(rows), label, type_weights(rows, balance))
 
@@ -144,7 +144,7 @@ def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch
 
 
 def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536, every: bool = False) -> Tensor:
-    """Vertical force from the network, (R,) in gram-force, or `every` head, without gradient."""
+    """Return the network's vertical force (R,), gram-force, or `every` head, without gradient."""
     answer = network.heads if every else network
     with torch.no_grad():
         count = len(batch.ego_type)

@@ -5,10 +5,10 @@ The vertical force on a drone, gram-force, downwash positive inside:
     pair_k = A (w0/w)^p exp(-(r/w)^2 / 2) s(dz / 0.03 m),    w = w0 + S max(dz, 0)
     f_z = G exp(-(z - 0.07 m)/h) - (1 - M exp(-z/hm)) (sum_k pair_k^q)^(1/q)
 
-s is the logistic function, dz the height of neighbour k over the drone, and r the lateral
-distance from the wake's axis, which a moving neighbour leaves behind: at depth dz it is shifted
-by -v dz / U, U being one advection speed per type of the neighbour. A pair fades over the edge
-of the interaction volume as in the learned model.
+s is the logistic function, dz the height of neighbor k above the drone, and r the horizontal
+distance from the wake's axis, which trails behind a moving neighbor: at depth dz it is shifted
+by -v dz / U, where U is the advection speed of the neighbor's type. Pairs fade at the edge of the
+interaction volume as in the learned model.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from swarm_envs.interactions.field import LOWEST_HEIGHT, ONSET
 from swarm_envs.interactions.wake import FORMAT
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 
-LIMITS = {  # axes of types (the upper drone first), start, lowest, highest
+LIMITS = {  # number of type axes (the upper drone first), initial, lowest and highest value
     "amplitude_g": (2, 20.0, 0.0, 80.0),
     "width_m": (2, 0.05, 0.01, 0.2),
     "spread": (2, 0.05, 0.0, 0.5),
@@ -33,14 +33,14 @@ LIMITS = {  # axes of types (the upper drone first), start, lowest, highest
     "mitigation_height_m": (0, 0.2, 0.02, 1.0),
 }
 """Parameters by name: A, w0, S, p, U (m/s), G, h, q, M and hm, SI units but for gram-force."""
-_TINY = 1e-15  # keeps derivatives of powers finite at zero
+_TINY = 1e-15  # Keeps derivatives of powers finite at zero
 
 
 class Wake(ForceNetwork):
-    """The closed form, with parameters that stay within `LIMITS`."""
+    """The closed form, with parameters bounded by `LIMITS`."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Begin with the same parameters for all types."""
+        """Initialize the same parameters for all types."""
         super().__init__(spec, dtype)
         count, self.raw = len(spec.types), nn.ParameterDict()
         for name, (axes, start, low, high) in LIMITS.items():
@@ -48,27 +48,27 @@ class Wake(ForceNetwork):
             self.raw[name] = nn.Parameter(torch.logit(place).repeat(count**axes))
 
     def value(self, name: str) -> Tensor:
-        """Return a parameter, by type along as many axes as `LIMITS` says."""
+        """Return a parameter, with the axes of types of `LIMITS`."""
         axes, _, low, high = LIMITS[name]
         inside = torch.sigmoid(self.raw[name])
         return (low + (high - low) * inside).reshape((len(self.types),) * axes)
 
     def named_networks(self) -> dict[str, nn.Module]:
-        """Return no perceptron: there is none."""
+        """Return an empty dictionary, as there is no perceptron."""
         return {}
 
     @torch.no_grad()
     def silence_drone(self, index: int) -> None:
-        """Let the ground do nothing to a type."""
+        """Set the ground effect of a type to zero."""
         self.raw["ground_g"][index] = -torch.inf
 
     @torch.no_grad()
     def silence_pair(self, upper: int, lower: int) -> None:
-        """Let one type push another by nothing."""
+        """Set the force of one type on another to zero."""
         self.raw["amplitude_g"][upper * len(self.types) + lower] = -torch.inf
 
     def heads(self, batch: Batch) -> Tensor:
-        """Vertical force of every row, (R, 1) gram-force."""
+        """Return the vertical force on every row, (R, 1), gram-force."""
         ego, q = batch.ego_type, self.value("combine_q")
         height = (-batch.environment[:, 0]).clamp(min=LOWEST_HEIGHT)
         together = self._pairs(batch)
@@ -79,13 +79,13 @@ class Wake(ForceNetwork):
         return (ground - down * (1.0 - lost))[:, None]
 
     def _pairs(self, batch: Batch) -> Tensor:
-        """Sum of the powers q of the downwash of every row's neighbours, (R,)."""
+        """Return the sum of downwash^q over every row's neighbors, (R,)."""
         pair, weight, kind, row = self.slots(batch)
         near = torch.nonzero(kind >= 0).squeeze(1)
         pair, weight, upper, row = pair[near], weight[near], kind[near], row[near]
         lower, dz = batch.ego_type[row], pair[:, 2]
         depth = dz.clamp(min=0.0)
-        wind = pair[:, 3:5] - batch.environment[row, 1:3]  # of the neighbour, in the world
+        wind = pair[:, 3:5] - batch.environment[row, 1:3]  # the neighbor's velocity, world frame
         lag = depth / self.value("advection_speed")[upper]
         axis = pair[:, :2] - wind * lag[:, None]
         start = self.value("width_m")[upper, lower]
@@ -99,7 +99,7 @@ class Wake(ForceNetwork):
 
 @torch.no_grad()
 def description(wake: Wake) -> dict[str, object]:
-    """Content of a wake's file, without its provenance. `"L>S"` is a large drone above a small."""
+    """Return the content of a wake's file without provenance; `"L>S"` is a large above a small."""
     found = {name: wake.value(name).double().numpy().tolist() for name in LIMITS}
     names = list(wake.types)
     pair = {"A_g": "amplitude_g", "w0_m": "width_m", "S": "spread", "p": "decay"}

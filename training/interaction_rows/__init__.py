@@ -1,9 +1,8 @@
-"""Rows of measured interaction force: what logs become, and force models are fitted to.
+"""Rows of measured interaction force, to which force models are fitted.
 
-Order of reading: `rows` (the table and its files), `row_tables` (what is refused), `drone_rows`
-(from motion to rows), `hold_out` (which blocks of time are held out), `modelled` (what a force
-model says of rows), `calibration` (the constant force that a vehicle seems to feel far from
-everything).
+Order of reading: `rows` (the table and its files), `row_tables` (checks), `drone_rows` (conversion
+of motion to rows), `hold_out` (held-out blocks of time), `modelled` (predictions of force models),
+`calibration` (offsets of the labels).
 """
 
 from swarm_envs.training.interaction_rows.rows import (

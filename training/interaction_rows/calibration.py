@@ -1,13 +1,13 @@
-"""Calibration offsets: the constant force that a vehicle seems to feel far from everything.
+"""Calibration offsets: the constant bias of the labels of a vehicle, far from other objects.
 
-The label is mass times acceleration minus modelled thrust, so a wrong mass, thrust curve or
-battery reading gives a bias (small drones about -1 g, large ones about +2 g). It is no
-aerodynamics, and the force model of an environment must not carry it.
+The label is mass times acceleration minus modeled thrust, so a wrong mass, thrust curve or
+battery reading gives a bias (small drones about -1 g, large ones about +2 g). It is not
+aerodynamic, and must not be part of the force model of an environment.
 
 The bias differs between vehicles of one type by a gram, and drifts from flight to flight: in
-flights of a lone large drone above the ground effect its mean goes from +0.3 to +4.7 g, and
+flights of a lone large drone above the ground effect its mean varies from +0.3 to +4.7 g, and
 between the thirds of one such flight by 0.6 g (median). So each flight of each vehicle has its own
-offset, drawn towards the vehicle's own where a flight has few quiet rows.
+offset, shrunk toward the vehicle's offset if the flight has few quiet rows.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from swarm_envs.vehicles import VEHICLES
 
 __all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
 
-QUIET_HEIGHT_M = 0.3  # A row below this height is not quiet, m
-QUIET_SPEED = 0.5  # Nor is one at this speed or above, m/s
-QUIET_LATERAL_M = 0.25  # Nor one with a neighbour laterally nearer than this, m
-QUIET_BELOW_M = 0.2  # Unless the neighbour is farther below than this, m
+QUIET_HEIGHT_M = 0.3  # Least height of a quiet row, m
+QUIET_SPEED = 0.5  # Largest speed of a quiet row, m/s
+QUIET_LATERAL_M = 0.25  # Least horizontal distance of neighbors in a quiet row, m,
+QUIET_BELOW_M = 0.2  # unless they are more than this far below, m
 LEAST_ROWS = 30
-"""Quiet rows that a vehicle's offset needs."""
+"""Least number of quiet rows for a vehicle's offset."""
 PLAUSIBLE_SHARE = 0.15
-"""Offset over weight above which the mass or the thrust curve can hardly be right."""
-PRIOR_ROWS = 100.0  # Weight of the vehicle's offset in a flight's, in rows
+"""Ratio of offset to weight above which the mass or the thrust curve is probably wrong."""
+PRIOR_ROWS = 100.0  # Weight of the vehicle's offset in a flight's offset, in rows
 
 RULE = (
     f"a row is quiet where height > {QUIET_HEIGHT_M} m, speed < {QUIET_SPEED} m/s and every "
-    f"neighbour is > {QUIET_LATERAL_M} m away laterally or > {QUIET_BELOW_M} m below; a vehicle's "
+    f"neighbor is > {QUIET_LATERAL_M} m away laterally or > {QUIET_BELOW_M} m below; a vehicle's "
     "offset is the median vertical label of its quiet training rows; a flight's offset is the "
     "median of its n quiet training rows, weighted n to the vehicle's offset weighted "
     f"{PRIOR_ROWS:g}"
@@ -48,12 +48,12 @@ class Offsets:
     """Vertical calibration offsets in gram-force."""
 
     vehicle: dict[int, float]
-    """By vehicle id."""
+    """Offsets by vehicle id."""
     flight: dict[tuple[int, int], float]
-    """By vehicle id and flight; a pair that is missing has its vehicle's offset."""
+    """Offsets by vehicle id and flight; a missing pair has its vehicle's offset."""
 
     def of(self, rows: InteractionRows) -> FloatArray:
-        """Offset of each row, (R,); zero for a vehicle without an estimate."""
+        """Return the offset of each row, (R,); zero for a vehicle without an estimate."""
         offset: FloatArray = np.zeros(len(rows))
         for vehicle, value in self.vehicle.items():
             offset[rows.vehicle == vehicle] = value
@@ -63,15 +63,15 @@ class Offsets:
 
 
 NO_OFFSETS = Offsets({}, {})
-"""For rows whose labels are exact, such as those of a simulator."""
+"""Offsets of rows with exact labels, such as simulated ones."""
 
 
 def quiet_rows(rows: InteractionRows, max_speed: float = QUIET_SPEED) -> BoolArray:
-    """Rows in which nothing aerodynamic should act but drag: (R,) mask.
+    """Return the mask (R,) of rows without aerodynamic forces except drag.
 
-    The rule: height above 0.3 m (the ground effect of both types has ended), speed below
-    `max_speed`, and every neighbour either more than 0.25 m away laterally (outside the measured
-    wakes) or more than 0.2 m below.
+    They have a height above 0.3 m (outside the ground effect of both types), a speed below
+    `max_speed`, and every neighbor is either more than 0.25 m away horizontally (outside the
+    measured wakes) or more than 0.2 m below.
     """
     lateral = np.linalg.norm(rows.neighbor[..., :2], axis=-1)
     harmless = (lateral > QUIET_LATERAL_M) | (rows.neighbor[..., 2] < -QUIET_BELOW_M)
@@ -109,12 +109,12 @@ def estimate_offsets(rows: InteractionRows, axis: int = 2) -> Offsets:
 
 
 def subtract_offsets(rows: InteractionRows, offsets: Offsets) -> InteractionRows:
-    """Return rows whose vertical labels are free of the offsets."""
+    """Return rows with the offsets subtracted from the vertical labels."""
     return rows.with_vertical_force(rows.force_g[:, 2] - offsets.of(rows))
 
 
 def implausible_offsets(rows: InteractionRows, offsets: Offsets) -> list[str]:
-    """Return a note for each vehicle whose mass or thrust curve can hardly be right."""
+    """Return a note for each vehicle whose mass or thrust curve is probably wrong."""
     notes = []
     for vehicle, offset_g in offsets.vehicle.items():
         kind = rows.types[int(rows.ego_type[rows.vehicle == vehicle][0])]

@@ -1,4 +1,4 @@
-"""From the motion of a flight to rows: the rows of one drone, and of many as one table."""
+"""Conversion of the motion of a flight to rows, of one drone or of many as one table."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from swarm_envs.training.interaction_rows.rows import NO_NEIGHBOR, InteractionRo
 __all__ = ["TYPES", "join_rows", "near_any", "rows_of_drone", "scenario_name"]
 
 TYPES = ("S", "L")
-"""Interaction types of the vehicles that are flown."""
+"""Interaction types of the vehicles."""
 
 
 def scenario_name(ego: str, neighbors: Sequence[str]) -> str:
-    """Name such as `SL2S` (neighbours S and L, drone S), or `Ge2S` for a lone drone."""
+    """Return a name such as `SL2S` (neighbors S and L, drone S), or `Ge2S` for a lone drone."""
     above = "".join(sorted(neighbors, key=TYPES.index)) or "Ge"
     return f"{above}2{ego}"
 
 
 def near_any(position: FloatArray) -> BoolArray:
-    """Which of the drones (T, N, 3) have a neighbour in their interaction volume, (T, N)."""
+    """Return True (T, N) for drones (T, N, 3) with a neighbor in their interaction volume."""
     apart = np.abs(position[:, :, None] - position[:, None])
     inside = (apart <= INTERACTION_VOLUME).all(axis=-1)
-    return np.asarray(inside.sum(axis=-1) > 1)  # each is in its own
+    return np.asarray(inside.sum(axis=-1) > 1)  # each drone is in its own volume
 
 
 def rows_of_drone(
@@ -40,15 +40,15 @@ def rows_of_drone(
     keep: BoolArray,
     **numbers: int,
 ) -> InteractionRows:
-    """Entries of drone i of a flight as rows, with N - 1 neighbour slots.
+    """Return the entries of drone i of a flight as rows, with N - 1 neighbor slots.
 
     Args:
-        i: the drone that feels the force.
+        i: the drone on which the force acts.
         kinds: interaction types of the N drones.
         position: (T, N, 3), m.
         velocity: (T, N, 3), m/s.
         force_g: labels (T, N, 3), gram-force.
-        keep: (T,) which entries become rows.
+        keep: (T,) mask of the entries that become rows.
         numbers: `flight`, `vehicle` and `validation` of all its rows.
     """
     others, step = [j for j in range(len(kinds)) if j != i], np.flatnonzero(keep)
@@ -71,9 +71,9 @@ def rows_of_drone(
 
 
 def join_rows(parts: Sequence[InteractionRows], names: Mapping[int, str]) -> InteractionRows:
-    """Return the rows of drones as one table, with the names of vehicles by their number.
+    """Return the rows of drones as one table, with the names of vehicles by number.
 
-    There is room for as many neighbours as any part has; parts without rows give no scenario.
+    It has the largest number of neighbor slots of any part; scenarios without rows are omitted.
     """
     slots = max(part.neighbor_type.shape[1] for part in parts)
     some = [part for part in parts if len(part)] or list(parts[:1])

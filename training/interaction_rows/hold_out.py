@@ -1,4 +1,4 @@
-"""Blocks of time that are held out: whole ones, since neighbouring rows are near copies."""
+"""Held-out blocks of time: whole blocks, because consecutive rows are nearly equal."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from swarm_envs.training.interaction_rows.rows import InteractionRows
 __all__ = ["hold_out_blocks"]
 
 BLOCK_S = 5.0
-"""Length of a block, all drones of a flight together, s."""
+"""Duration of a block, for all drones of a flight together, s."""
 ONE_IN = 5
-"""Of so many blocks in a row one is held out."""
+"""One in this many consecutive blocks is held out."""
 GUARD_S = 0.5
-"""Training rows so near in time to a held-out block of their flight are left out, s."""
+"""Time around a held-out block in which training rows of its flight are dropped, s."""
 
 
 def hold_out_blocks(rows: InteractionRows, rate_hz: float, seed: int) -> InteractionRows:
-    """Hold out blocks of time of the flights of a table without marks; one with marks stays.
+    """Hold out blocks of time of a table, unless some of its rows already are held out.
 
-    Flights of the same scenarios share held-out blocks evenly. A table has `rate_hz` steps a
-    second.
+    Held-out blocks are distributed evenly over flights of the same scenarios. The table has
+    `rate_hz` steps per second.
     """
     if rows.validation.any():
         return rows
@@ -40,9 +40,9 @@ def hold_out_blocks(rows: InteractionRows, rate_hz: float, seed: int) -> Interac
 
 
 def draw_blocks(lengths: Sequence[int], seed: int) -> list[BoolArray]:
-    """Draw the blocks that are held out, a mask per flight of so many blocks: one of every few.
+    """Return the masks of held-out blocks of flights with these numbers of blocks.
 
-    A group of blocks runs on into the next flight. Of a single block nothing is held out.
+    One of `ONE_IN` consecutive blocks is held out, counted across flights; a single block is not.
     """
     rng, total = np.random.default_rng(seed), sum(lengths)
     chosen = np.zeros(total, dtype=np.bool_)
@@ -53,7 +53,7 @@ def draw_blocks(lengths: Sequence[int], seed: int) -> list[BoolArray]:
 
 
 def near_blocks(time: FloatArray, blocks: BoolArray) -> BoolArray:
-    """Which of the times (R,), s since the flight's start, lie within the guard gap of a block."""
+    """Return True for times (R,), s since the flight's start, near a held-out block."""
     near = np.zeros(len(time), dtype=np.bool_)
     for block in np.flatnonzero(blocks):
         near |= np.abs(time - (block + 0.5) * BLOCK_S) < 0.5 * BLOCK_S + GUARD_S

@@ -1,4 +1,4 @@
-"""The forces that a model gives for rows: to compare it with labels, or with another model."""
+"""Predictions of a force model for rows, to compare it with labels or another model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["modelled_force_g"]
 
 
 def modelled_force_g(rows: InteractionRows, name: str | InteractionModel) -> FloatArray:
-    """Force (R, 3) of a model that ships, or of a file, in each row, gram-force."""
+    """Return the force (R, 3) of an included model, or that of a file, in each row, gram-force."""
     model, found = load(name), np.zeros((len(rows), 3))
     place = np.array([model.types.index(kind) for kind in rows.types])
     for count in range(rows.neighbor_type.shape[1] + 1):

@@ -1,4 +1,4 @@
-"""Tables of rows: which are refused, the types they show, and names of vehicles."""
+"""Tables of rows: checks, vehicle types, and names of vehicles."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["check_row_table", "vehicle_name", "with_present_types"]
 
 
 def with_present_types(rows: InteractionRows) -> InteractionRows:
-    """Return the rows with only those types that some drone or neighbour has."""
+    """Return the rows with only those types that some drone or neighbor has."""
     used = sorted({*np.unique(rows.ego_type).tolist(), *np.unique(rows.neighbor_type).tolist()})
     used = [index for index in used if index != NO_NEIGHBOR]
-    place = np.full(len(rows.types) + 1, NO_NEIGHBOR)  # the last entry serves empty slots
+    place = np.full(len(rows.types) + 1, NO_NEIGHBOR)  # the last entry is for empty slots
     place[used] = np.arange(len(used))
     return dataclasses.replace(
         rows,
@@ -26,7 +26,7 @@ def with_present_types(rows: InteractionRows) -> InteractionRows:
 
 
 def vehicle_name(rows: InteractionRows, vehicle: int) -> str:
-    """Name of a vehicle; its number if it has none."""
+    """Return the name of a vehicle, or its number if it has none."""
     return rows.vehicle_names.get(vehicle, str(vehicle))
 
 
@@ -38,17 +38,17 @@ LIMITS = {
     "torque": (0.05, "N m"),
 }
 """Largest magnitude of the numbers of an array, and their unit."""
-LOWEST_M = -0.5  # Lowest height that is accepted: the ground is at 0
+LOWEST_M = -0.5  # Lowest allowed height, m; the ground is at 0
 
 
 def check_row_table(rows: InteractionRows) -> None:
-    """Check a table of finite numbers of the right shapes.
+    """Check the values of a table.
 
     Raises:
-        ValueError: it has no row, a row twice, or a number outside of `LIMITS`.
+        ValueError: it has no row, a duplicate row, or a number outside `LIMITS`.
     """
     if not len(rows):
-        raise ValueError("it holds no row; add rows or remove the file")
+        raise ValueError("it has no row; add rows or remove the file")
     _check_twice(rows)
     for name, (most, unit) in LIMITS.items():
         values = getattr(rows, name)
@@ -73,7 +73,7 @@ def _check_twice(rows: InteractionRows) -> None:
         k = int(np.argmax(count > 1))
         flight, vehicle, step = (int(value) for value in found[k])
         raise ValueError(
-            f"step {step} of flight {flight} is there {count[k]} times for vehicle {vehicle} "
-            f"(first in row {first[k]}), but a drone has one row at a time; remove doubles, and "
-            "count steps and number flights so that none collide"
+            f"step {step} of flight {flight} occurs {count[k]} times for vehicle {vehicle} "
+            f"(first in row {first[k]}), but must occur once; remove duplicates, or number flights "
+            "and steps uniquely"
         )

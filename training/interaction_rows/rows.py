@@ -1,7 +1,7 @@
-"""Rows of measured interaction force: one drone at one time, its neighbours, and the label.
+"""Rows of measured interaction force: one drone at one time, its neighbors, and the label.
 
-The table is the one interface between flights (measured or simulated) and everything that is
-fitted to them. World frame, z up; SI, but labels in gram-force, as Neural-Swarm2 gives them.
+The table is the interface between flights (measured or simulated) and the fits. World frame, z up;
+SI units, but labels in gram-force as in Neural-Swarm2.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 __all__ = ["ROW_ARRAYS", "InteractionRows", "read_rows"]
 
 NO_NEIGHBOR = -1
-"""Type of a neighbour slot that is empty."""
+"""Type of a neighbor slot that is empty."""
 
-FORMAT = "interaction-rows-1"  # What a table of rows says it is
-_LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the published flights
+FORMAT = "interaction-rows-1"  # Format of the file
+_LARGE_VEHICLES = 100  # Ids above this are large vehicles in the logs of the published flights
 _PUBLISHED = ("x", "fa", "names", "cf", "flight", "step", "scenario")
 _INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario")
 
 
-Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name, as a file holds them
+Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays of a file by name
 
 
 @dataclass(frozen=True)
 class InteractionRows:
-    """R rows with up to K neighbours each; the arrays share their first axis."""
+    """R rows with up to K neighbors each; the arrays share their first axis."""
 
     types: tuple[str, ...]
     """Names of the vehicle types that `ego_type` and `neighbor_type` index."""
     ego_type: IntArray
-    """(R,) type of the drone that feels the force."""
+    """(R,) type of the drone on which the force acts."""
     position: FloatArray
     """(R, 3) its position p_i, m."""
     velocity: FloatArray
     """(R, 3) its velocity v_i, m/s."""
     neighbor: FloatArray
-    """(R, K, 6) p_j - p_i (m) and v_j - v_i (m/s) of each neighbour; zeros in empty slots."""
+    """(R, K, 6) p_j - p_i (m) and v_j - v_i (m/s) of each neighbor; zeros in empty slots."""
     neighbor_type: IntArray
-    """(R, K) type of each neighbour, -1 where there is none."""
+    """(R, K) type of each neighbor, -1 in empty slots."""
     force_g: FloatArray
     """(R, 3) measured interaction force f_a in gram-force: x, y, z."""
     flight: IntArray
-    """(R,) which flight the row comes from."""
+    """(R,) number of the flight."""
     step: IntArray
     """(R,) time step in the flight, in the units of the log."""
     vehicle: IntArray
@@ -60,19 +60,19 @@ class InteractionRows:
     scenario: IntArray
     """(R,) index into `scenario_names`."""
     validation: BoolArray
-    """(R,) held out of training. Whole blocks of time, since neighbouring rows are near copies."""
+    """(R,) True for rows that are held out of training, in whole blocks of time."""
     scenario_names: tuple[str, ...]
-    """Names of the scenarios: `SL2S` is a small drone under a small and a large one."""
+    """Names of the scenarios: `SL2S` is a small drone below a small and a large one."""
     torque: FloatArray | None = None
-    """(R, 3) measured interaction torque tau_a, N m, world frame; None where it is not known."""
+    """(R, 3) measured interaction torque tau_a, N m, world frame; None if unknown."""
     vehicle_names: dict[int, str] = field(default_factory=dict)
-    """Names of vehicles by their id in `vehicle`; one without a name goes by its number."""
+    """Names of vehicles by their id in `vehicle`; a vehicle without a name has its number."""
 
     def __post_init__(self) -> None:
         if self.neighbor_type.ndim != 2:
             raise ValueError(
                 f"neighbor_type has shape {self.neighbor_type.shape}, but must have (R, K): a row "
-                "per drone and time, an entry per neighbour"
+                "per drone and time, an entry per neighbor"
             )
         count, slots = self.neighbor_type.shape
         shapes = {
@@ -95,7 +95,7 @@ class InteractionRows:
 
     @property
     def has_neighbor(self) -> BoolArray:
-        """(R, K) whether the slot holds a neighbour."""
+        """(R, K) True for slots with a neighbor."""
         return np.not_equal(self.neighbor_type, NO_NEIGHBOR)
 
     def select(self, rows: BoolArray | IntArray) -> InteractionRows:
@@ -105,7 +105,7 @@ class InteractionRows:
         return replace(self, torque=torque, **arrays)
 
     def with_vertical_force(self, force_z_g: FloatArray) -> InteractionRows:
-        """Return the same rows with another vertical label, (R,) in gram-force."""
+        """Return the rows with other vertical labels, (R,) in gram-force."""
         force = self.force_g.copy()
         force[:, 2] = force_z_g
         return replace(self, force_g=force)
@@ -154,11 +154,11 @@ def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
 def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     """Read rows from a file that `save_rows` wrote, or from the published flights' table.
 
-    Without the array that marks rows as held out (`validation`, or `val`) none is.
+    Without the array of held-out rows (`validation`, or `val`), no row is held out.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, has neither format, or breaks a rule of `InteractionRows`.
+        ValueError: the file is damaged, has neither format, or has invalid values.
     """
     name = os.fspath(path)
     if not Path(path).is_file():
@@ -172,7 +172,7 @@ def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     if set(_PUBLISHED) <= set(arrays):
         return _published_rows(arrays)
     raise ValueError(
-        f"it holds {sorted(arrays)}, which is neither {FORMAT!r} nor the "
+        f"it has the arrays {sorted(arrays)}, which is neither {FORMAT!r} nor the "
         "table of published flights (x, fa, names, cf, val, ...); write it with save_rows"
     )
 
@@ -196,23 +196,23 @@ def _saved_rows(arrays: Arrays) -> InteractionRows:
 
 
 def _numbers(arrays: Arrays, name: str) -> npt.NDArray[Any]:
-    """An array as the numbers it must hold: booleans, integers or float64."""
+    """Return an array converted to booleans, integers or float64."""
     array = arrays[name]
     wanted = np.int64 if name in _INTEGERS else np.float64
     allowed = "iub" if name in (*_INTEGERS, "validation") else "iuf"
     if array.dtype.kind not in allowed:
         kind = "integers" if name in _INTEGERS else "numbers"
-        raise ValueError(f"{name} holds {array.dtype}, but must hold {kind}")
+        raise ValueError(f"{name} has type {array.dtype}, but must have {kind}")
     return array.astype(np.bool_ if name == "validation" else wanted)
 
 
 def _published_rows(arrays: Arrays) -> InteractionRows:
     """Read the table of the Neural-Swarm authors' flights.
 
-    Columns of `x`: -p and -v of the drone (the environment as a neighbour at the origin), then
-    p_j - p_i, v_j - v_i of two neighbours, zeros where there is none. A scenario's name gives the
-    types: `SL2S` is neighbours S and L (in this order), drone S; `Ge` means no neighbour.
-    The label is `fa[:, 0:3]`. A row was kept if *any* neighbour is near, so some neighbours stand
+    Columns of `x`: -p and -v of the drone (the environment as a neighbor at the origin), then
+    p_j - p_i, v_j - v_i of two neighbors, zeros in empty slots. A scenario's name gives the
+    types: `SL2S` is neighbors S and L (in this order), drone S; `Ge` means no neighbor.
+    The label is `fa[:, 0:3]`. A row was kept if *any* neighbor is near, so some neighbors are
     outside the interaction volume: they stay in the table, and the models' window masks them.
     """
     x, fa = _numbers(arrays, "x"), _numbers(arrays, "fa")
@@ -226,7 +226,7 @@ def _published_rows(arrays: Arrays) -> InteractionRows:
     if scenario.size and not 0 <= scenario.min() <= scenario.max() < len(names):
         raise ValueError(f"scenario goes to {scenario.max()}, but there are {len(names)} names")
     vehicle = arrays["cf"].astype(np.int64)
-    table = np.array([_neighbours(name) for name in names]).reshape(-1, 2)
+    table = np.array([_neighbors(name) for name in names]).reshape(-1, 2)
     return InteractionRows(
         types=("S", "L"),
         ego_type=(vehicle > _LARGE_VEHICLES).astype(np.int64),
@@ -244,8 +244,8 @@ def _published_rows(arrays: Arrays) -> InteractionRows:
     )
 
 
-def _neighbours(scenario: str) -> list[int]:
-    """Types of the two neighbours of a scenario such as `SL2S`."""
+def _neighbors(scenario: str) -> list[int]:
+    """Return the types of the two neighbors of a scenario such as `SL2S`."""
     above, _, ego = scenario.partition("2")
     above = "" if above == "Ge" else above
     for letter in (*above, ego):
@@ -253,5 +253,5 @@ def _neighbours(scenario: str) -> list[int]:
             where = f"in the scenario {scenario!r}"
             raise ValueError(unknown_name("vehicle type", letter, ("S", "L"), where))
     if len(above) > 2:
-        raise ValueError(f"scenario {scenario!r} has {len(above)} neighbours, but x holds two")
+        raise ValueError(f"scenario {scenario!r} has {len(above)} neighbors, but x has two")
     return [*(("S", "L").index(letter) for letter in above), *[NO_NEIGHBOR] * (2 - len(above))]

@@ -1,4 +1,4 @@
-"""Suggestions for a policy that does not succeed yet, from what its run measured."""
+"""Suggestions for the training of a policy whose success rate is low."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from swarm_envs.training.rl.rl_config import RlConfig
 
 __all__ = ["advice"]
 
-ENOUGH = 0.95  # Success from which on nothing is suggested
-MORE = 0.02  # Differences of success that count
-EPISODES = 64  # In which a teacher is measured
-NEAR = 7  # Neighbors that are enough in every task
+ENOUGH = 0.95  # Success rate from which nothing is suggested
+MORE = 0.02  # Smallest difference of success rates that counts
+EPISODES = 64  # Number of episodes of the evaluation of a teacher
+NEAR = 7  # Number of neighbors that is enough in every task
 
 
 def advice(config: RlConfig, task: str, results: Sequence[Mapping[str, float]]) -> list[str]:
-    """Return what to try next, the most promising first; nothing for a policy that succeeds.
+    """Return suggestions, the most promising first; none for a policy that succeeds.
 
     Args:
-        config: options of the run, with the task's defaults.
-        task: versioned name.
-        results: of the run's evaluations in order, as `evaluate_policy` returns them.
+        config: the options of the run, with the task's defaults.
+        task: the versioned name.
+        results: the results of the run's evaluations in order, from `evaluate_policy`.
     """
     rates = [_mean(result, "_success") for result in results]
     if max(rates) >= ENOUGH:
@@ -40,7 +40,7 @@ def advice(config: RlConfig, task: str, results: Sequence[Mapping[str, float]]) 
     collisions = _mean(results[-1], "_collision")
     if config.action == "acceleration" and collisions > 0.5 * (1.0 - rates[-1]):
         found.append(
-            f"drones collide in {collisions:.0%} of the episodes: fly it behind a safety filter, "
+            f"drones collide in {collisions:.0%} of the episodes: add a safety filter, "
             f"--agent {config.out}+filter"
         )
     return found
@@ -51,51 +51,52 @@ def _mean(result: Mapping[str, float], measure: str) -> float:
 
 
 def _longer(config: RlConfig, rates: Sequence[float]) -> list[str]:
-    """Suggest more steps where success still rose in the end, or steps were few."""
+    """Suggest more steps if the success rate still increased at the end, or steps were few."""
     if len(rates) > 1 and rates[-1] == max(rates) and rates[-1] - rates[-2] >= MORE:
-        said = f"success still rose, from {rates[-2]:.1%} to {rates[-1]:.1%}"
-        return [f"{said}: train longer, --steps {2 * config.steps}"]
+        rise = f"the success rate still increased, from {rates[-2]:.1%} to {rates[-1]:.1%}"
+        return [f"{rise}: train longer, --steps {2 * config.steps}"]
     if config.steps < RlConfig.steps:
         return [f"{config.steps:,} steps are few: train longer, --steps {RlConfig.steps}"]
     return []
 
 
 def _teacher(config: RlConfig, task: str, reached: float) -> list[str]:
-    """Suggest another teacher where this one does not succeed, or imitation of one that does."""
+    """Suggest another teacher if this one does not succeed, or imitation of one that does."""
     best = _best_agent(config, task)
     if not config.imitates:
-        said = f"imitation learns faster: --algo dagger --dagger.teacher {best}"
-        return [said] if best else []
+        hint = f"imitation learns faster: --algo dagger --dagger.teacher {best}"
+        return [hint] if best else []
     name = config.dagger.teacher[-1].rpartition("=")[2]
     measured = _success(config, task, load(name))
     if measured is None or measured >= max(ENOUGH, reached + MORE):
         return [] if measured is None else _paced(config, name, measured)
-    said = f"its teacher {name} itself succeeds in {measured:.0%} of {EPISODES} episodes"
-    another = f": another is {best}, --dagger.teacher {best}" if best not in ("", name) else ""
-    return [said + another]
+    finding = f"the teacher {name} itself succeeds in {measured:.0%} of {EPISODES} episodes"
+    another = f": try another, --dagger.teacher {best}" if best not in ("", name) else ""
+    return [finding + another]
 
 
 def _paced(config: RlConfig, name: str, measured: float) -> list[str]:
-    """Suggest to decide as often as a teacher that succeeds."""
+    """Suggest the decision rate of a teacher that succeeds."""
     rate = load(name).requires.get("decision_rate", config.decision_rate)
     if rate == config.decision_rate:
         return []
-    said = f"its teacher {name} succeeds in {measured:.0%} of {EPISODES} episodes"
-    return [f"{said}, and decides {rate} times a second: --decision-rate {rate}"]
+    finding = f"the teacher {name} succeeds in {measured:.0%} of {EPISODES} episodes"
+    return [f"{finding}, with {rate} decisions per second: --decision-rate {rate}"]
 
 
 def _seeing(config: RlConfig) -> list[str]:
-    """Suggest more neighbors where some are not observed."""
+    """Suggest more observed neighbors if some are not observed."""
     others = max(config.team_sizes) - 1
     if config.num_neighbors >= min(others, NEAR):
         return []
     return [
-        f"it observes {config.num_neighbors} of {others} neighbors: --neighbors {min(others, NEAR)}"
+        f"the policy observes {config.num_neighbors} of {others} neighbors: observe more, "
+        f"--neighbors {min(others, NEAR)}"
     ]
 
 
 def _best_agent(config: RlConfig, task: str) -> str:
-    """The best shipped script that acts as the policy does and sees no more; empty for none."""
+    """Return the best included script with the policy's action and no true state; "" for none."""
     layouts = learning_of(task).layouts[str(config.layout)]
     team: dict[str, Any] = {"num_drones": max(config.team_sizes)}
     if config.team:
@@ -109,7 +110,7 @@ def _best_agent(config: RlConfig, task: str) -> str:
 
 
 def _success(config: RlConfig, task: str, agent: Agent) -> float | None:
-    """Success of a teacher on episodes for choosing; None if it does not fly many at once."""
+    """Return a teacher's success rate on validation seeds; None if it is no `BatchAgent`."""
     learning = learning_of(task)
     given: dict[str, Any] = {**learning.layouts[str(config.layout)], **config.teams[-1]}
     given |= {"interactions": config.interactions, "physics": "batch", **config.world_options()}

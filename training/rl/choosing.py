@@ -1,4 +1,4 @@
-"""The defaults of a task's training, and how policies are chosen."""
+"""The defaults of a task's training, and the validation of policies."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ __all__ = ["choosing_seeds", "evaluate_policy", "learning_of", "with_defaults"]
 
 
 def learning_of(task: str) -> Learning:
-    """Return how a task is learned: by its class, or as it is.
+    """Return the settings of a task's training; a task without any is used as it is.
 
     Args:
-        task: its versioned name, or `path/to/file.py:Class`.
+        task: the versioned name, or `path/to/file.py:Class`.
 
     Raises:
         ValueError: there is no such task.
@@ -35,11 +35,11 @@ def learning_of(task: str) -> Learning:
 
 
 def with_defaults(config: RlConfig, task: str) -> RlConfig:
-    """Return the options of a run, with the defaults of its task for what was not given.
+    """Return the options of a run, with the defaults of its task for options that are None.
 
     Raises:
-        ValueError: the task has no such layout, the algorithm learns one layout alone, or no agent
-            has such a controller.
+        ValueError: the task has no such layout, the algorithm does not support all layouts
+            together, or no agent has such a controller.
     """
     learning = learning_of(task)
     defaults: dict[str, Any] = {
@@ -56,18 +56,18 @@ def with_defaults(config: RlConfig, task: str) -> RlConfig:
     if whole.layout == ALL and not config.imitates:
         single = ", ".join(sorted({*learning.layouts} - {ALL}))
         raise ValueError(
-            f"all layouts of {task} together are learned by --algo dagger alone; name one by "
-            f"--layout: {single}"
+            f"--layout all, which is the default of {task}, needs --algo dagger; use it, or choose "
+            f"one --layout: {single}"
         )
     return whole
 
 
 CHOOSING = (0x63686F6F, 0x73696E67)
-"""Entropy of the seeds on which policies are chosen: no `--seed` of `evaluate` draws the same."""
+"""Entropy of the validation seeds, which no `--seed` of `evaluate` gives."""
 
 
 def choosing_seeds(count: int) -> list[int]:
-    """Return seeds of so many episodes, never trained on; fewer are the first of more."""
+    """Return the seeds of validation episodes; a smaller count gives the first of these seeds."""
     return [int(word) for word in np.random.SeedSequence(CHOOSING).generate_state(count)]
 
 
@@ -79,16 +79,16 @@ def evaluate_policy(
     options: Mapping[str, Any],
     teams: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, float]:
-    """Return averages of the task's measures on each layout, such as `random_success`.
+    """Return means of the task's measures on each layout, such as `random_success`.
 
     Args:
-        policy: what is evaluated.
-        task: versioned name.
-        layouts: of the task.
-        seeds: of the episodes, the same on each layout.
-        options: of the environments, besides what the policy requires.
-        teams: options of each team that flies; of several each has its own averages, such as
-            `random_8_success` of eight drones. With none the other options give the team.
+        policy: the policy.
+        task: the versioned name.
+        layouts: layouts of the task.
+        seeds: the seeds of the episodes, the same for each layout.
+        options: options of the environments, besides those that the policy requires.
+        teams: options of each team; several teams have separate means, such as `random_8_success`
+            for eight drones. Without any, `options` define the team.
     """
     agent, learning, found = PolicyAgent(policy), learning_of(task), {}
     for team, layout in product(teams or ({},), layouts):

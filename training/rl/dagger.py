@@ -1,14 +1,15 @@
-"""DAgger in plain torch: a policy imitates teachers in the states to which it brings itself.
+"""DAgger in torch: a policy imitates teachers in the states that it visits itself.
 
 Ross et al., "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
-Learning", 2011: the policy flies, a teacher labels every decision with what it would have done, and
-the policy is fitted to all that is remembered. At first the teacher flies too, less and less often;
-a third of the environments add noise, from which the policy learns to come back.
+Learning", 2011: the policy acts, a teacher labels every decision with its own action, and the
+policy is fitted to a replay buffer of these labels. At first the teacher's actions are executed
+with a probability that decreases to 0; a third of the environments have noise on the actions, so
+that the policy learns to recover from errors.
 
-A teacher is any agent, and may be privileged: see `labels`. Parts of a curriculum and sizes of
-teams may have teachers of their own. After each checkpoint new episodes begin, with random numbers
-that follow from the seed and the number of rollouts, so that a run that resumes ends like one that
-was never interrupted.
+A teacher is any agent, and may be privileged: see `labels`. Parts of a curriculum and team sizes
+may have different teachers. After each checkpoint new episodes begin, with random numbers that
+depend on the seed and the number of rollouts, so that a resumed run has the same result as one that
+was not interrupted.
 """
 
 from __future__ import annotations
@@ -42,18 +43,18 @@ from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
 
 LARGEST_GRADIENT = 1.0
-NOISY = 3  # every so many environments, one flies with noise
+NOISY = 3  # One in this many environments has noise on its actions
 CURVE = "progress.csv"
 STARTED_ALIKE = (
     *("action", "decision_rate", "num_neighbors", "num_obstacles"),
     *("observe_load", "observe_force", "observe_setpoint"),
 )
-"""Entries of a policy's note in which the policy that a run starts from must be like its own."""
+"""Entries of a policy's note that must be the same for the initial policy of a run."""
 
 
 def train_dagger(config: RlConfig, task: str) -> dict[str, Any]:
-    """Train to the end and return the report, which is also written: see `runs.train_policy`."""
-    torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+    """Train a policy, and write and return the report; see `runs.train_policy`."""
+    torch.set_num_threads(1)  # more threads are slower for small matrices
     with claimed(config.out):
         dagger = Dagger(make_setting(config, task))
         try:
@@ -76,14 +77,14 @@ def train_dagger(config: RlConfig, task: str) -> dict[str, Any]:
 
 
 class Memory:
-    """A ring of decisions: features (size, width), labels (size, actions), weights (size, 1)."""
+    """Replay buffer: features (size, width), labels (size, actions), weights (size, 1)."""
 
     def __init__(self, size: int, width: int, actions: int) -> None:
         self.parts = [torch.zeros(size, columns) for columns in (width, actions, 1)]
         self.size, self.place, self.filled = size, 0, 0
 
     def add(self, *rows: Float32Array) -> None:
-        """Write rows (R, width) of each part over the oldest."""
+        """Add R rows to each part, replacing the oldest."""
         count = len(rows[0])
         places = torch.from_numpy((self.place + np.arange(count)) % self.size)
         for part, new in zip(self.parts, rows, strict=True):
@@ -92,20 +93,20 @@ class Memory:
         self.filled = min(self.filled + count, self.size)
 
     def draw(self, rng: np.random.Generator, count: int) -> list[Tensor]:
-        """Return a batch of each part."""
+        """Return a random batch of each part."""
         chosen = torch.from_numpy(rng.integers(self.filled, size=count))
         return [part[chosen] for part in self.parts]
 
 
 class Dagger:
-    """A policy in training.
+    """A run of DAgger.
 
     Args:
-        setting: what it trains in.
+        setting: the environments and options of the run.
 
     Raises:
-        ValueError: a part of the training has no teacher or no environment, or the policy to start
-            from does not fit.
+        ValueError: a part of the training has no teacher or no environment, or the initial policy
+            has other observations, actions or layers.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -123,7 +124,7 @@ class Dagger:
         self.curve: list[dict[str, Any]] = []
 
     def _make_cores(self) -> None:
-        """Make the parts of every team's curriculum, each with its environments and teacher."""
+        """Create the environments and teachers of all parts of every team's curriculum."""
         share = self.config.environments // len(self.setting.blueprints)
         parts: list[Blueprint] = []
         counts: list[int] = []
@@ -137,7 +138,7 @@ class Dagger:
         if min(counts) < 1:
             raise ValueError(
                 f"--environments is {self.config.environments}, but each of {len(counts)} parts of "
-                f"the training needs one or more; give at least {len(counts)}"
+                f"the training needs at least one; give at least {len(counts)}"
             )
         names = teachers_of(self.config.dagger.teacher, taught)
         self.teachers = [Teacher(n, b) for n, b in zip(names, parts, strict=True)]
@@ -155,18 +156,18 @@ class Dagger:
         for name in STARTED_ALIKE:
             if getattr(theirs, name) != getattr(ours, name):
                 raise ValueError(
-                    f"--start is {self.config.start!r}, whose {name} is {getattr(theirs, name)!r}, "
-                    f"but here it is {getattr(ours, name)!r}; give both the same"
+                    f"--start is {self.config.start!r} with {name} {getattr(theirs, name)!r}, but "
+                    f"this run has {getattr(ours, name)!r}; they must be the same"
                 )
         self.actor.fill(agent.policy.network)
 
     @property
     def steps(self) -> int:
-        """Decisions of single drones so far."""
+        """The number of decisions of single drones so far."""
         return self.rollout * self.config.decisions * self.config.dagger.train_freq
 
     def train(self) -> None:
-        """Train to the end, with checkpoints and evaluations on the way."""
+        """Train to the end, with checkpoints and evaluations."""
         config, total = self.config, self.config.rollouts
         due = [math.ceil((k + 1) * total / config.evaluations) for k in range(config.evaluations)]
         bar = tqdm(total=total, initial=self.rollout, unit="rollout", disable=not config.progress)
@@ -185,7 +186,7 @@ class Dagger:
                     log(entry)
 
     def fly(self, end: int, bar: Any = None) -> dict[str, Any]:
-        """Train up to a rollout from new episodes; return averages over these rollouts."""
+        """Train with new episodes until rollout `end`; return means over these rollouts."""
         config = self.config
         words = np.random.SeedSequence([config.seed, self.rollout]).generate_state(2)
         self.rng, seed = np.random.default_rng(words), int(words[0]) >> 1
@@ -207,27 +208,27 @@ class Dagger:
         return {"step": self.steps, "success": success, "collision": collision, "loss": loss}
 
     def _decide(self, guided: float) -> None:
-        """Fly one decision of every drone, and remember what the teacher would have done."""
+        """Simulate one decision of every drone, and store the teacher's labels."""
         for core, teacher in zip(self.cores, self.teachers, strict=True):
             rows = features_of(core.rows, *core.form[1:])
             with torch.no_grad():
                 own = self.actor(torch.from_numpy(rows)).numpy()
-            wanted, weight = teacher.labels(core, self.config.dagger.avoiding)
+            label, weight = teacher.labels(core, self.config.dagger.avoiding)
             flies = core.world.drones["active"] > 0.0
-            self.memory.add(rows[flies], wanted[flies], weight[flies])
-            result = core.step(self._flown(own, wanted, guided))
+            self.memory.add(rows[flies], label[flies], weight[flies])
+            result = core.step(self._mixed(own, label, guided))
             ended = result.terminated | result.truncated
             if ended.any():
                 metrics = core.metrics_of(np.flatnonzero(ended).tolist())
                 self.ends += [(m["success"], m["collided_drones"] > 0) for m in metrics]
                 core.reset(mask=ended)
 
-    def _flown(self, own: Float32Array, wanted: Float32Array, guided: float) -> Any:
-        """Return each environment's policy or teacher (E, N, width), with noise in some."""
+    def _mixed(self, own: Float32Array, label: Float32Array, guided: float) -> Any:
+        """Return the policy's or the teacher's actions (E, N, width), with noise in some."""
         draws = self.rng.random((len(own), 1, 1))
         noise = self.rng.normal(0.0, self.config.dagger.noise, own.shape)
         noise[np.arange(len(own)) % NOISY != 0] = 0.0
-        return np.clip(np.where(draws < guided, wanted, own) + noise, -1.0, 1.0)
+        return np.clip(np.where(draws < guided, label, own) + noise, -1.0, 1.0)
 
     def _learn(self) -> float:
         """Take the gradient steps of a rollout; return the mean loss."""
@@ -235,9 +236,9 @@ class Dagger:
         cosine = 0.5 + 0.5 * math.cos(math.pi * self.rollout / self.config.rollouts)
         self.adam.param_groups[0]["lr"] = options.learning_rate * max(cosine, options.last_rate)
         for _ in range(options.gradient_steps):
-            seen, wanted, weight = self.memory.draw(self.rng, options.batch_size)
+            seen, label, weight = self.memory.draw(self.rng, options.batch_size)
             errors = nn.functional.huber_loss(
-                self.actor(seen), wanted, reduction="none", delta=options.huber
+                self.actor(seen), label, reduction="none", delta=options.huber
             )
             loss = (weight * errors).mean()
             self.adam.zero_grad()
@@ -248,7 +249,7 @@ class Dagger:
         return float(np.mean(losses))
 
     def save(self) -> None:
-        """Write the checkpoint; that of the end holds no decisions to learn from."""
+        """Write a checkpoint; the last one does not contain the replay buffer."""
         filled = self.memory.filled if self.rollout < self.config.rollouts else 0
         tensors = {f"actor.{n}": t for n, t in self.actor.state_dict().items()}
         tensors |= {f"memory.{k}": part[:filled] for k, part in enumerate(self.memory.parts)}

@@ -1,4 +1,4 @@
-"""The networks of `swarm_envs.agents.networks` in torch, for training; what flies is their twin."""
+"""The networks of `swarm_envs.agents.networks` in torch, for training."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
 
 
 class SetEncoder(nn.Module):
-    """A drone's own features, and the largest and the sum of its neighbors' codes.
+    """Deep set: a drone's own features, and the maximum and the sum of its neighbors' codes.
 
     Args:
-        sizes: where features of a row have what.
-        widths: of the layers of phi.
+        sizes: the numbers of features.
+        widths: the widths of the layers of phi.
         activation: one of `ACTIVATIONS`, after every layer.
     """
 
@@ -39,13 +39,13 @@ class SetEncoder(nn.Module):
         present = around[..., MASK, None]
         beside = own[:, None].expand(-1, sizes.num_neighbors, -1)
         codes = self.phi(torch.cat([beside, around], dim=-1)) * present
-        # Codes are above -1, so that the largest of those that are present is the largest of these
+        # Codes are at least -1, so that absent neighbors never are the maximum
         largest = (codes - (present == 0).float()).amax(dim=1) * present.amax(dim=1)
         return torch.cat([own, largest, codes.sum(dim=1)], dim=1)
 
 
 class SetExtractor(BaseFeaturesExtractor):  # type: ignore[misc]  # SB3's base has no types here
-    """A set where Stable-Baselines3 has features extracted."""
+    """The deep set as a features extractor of Stable-Baselines3."""
 
     def __init__(
         self, observation_space: Any, sizes: FeatureSizes, widths: Sequence[int], activation: str
@@ -55,19 +55,19 @@ class SetExtractor(BaseFeaturesExtractor):  # type: ignore[misc]  # SB3's base h
         self.encoder = encoder
 
     def forward(self, values: Tensor) -> Tensor:
-        """Return what the encoder makes of features (B, width)."""
+        """Return the encoding of features (B, width)."""
         encoded: Tensor = self.encoder(values)
         return encoded
 
 
 class Actor(nn.Module):
-    """A map from features (..., `sizes.width`) to the mean action.
+    """A network that maps features (..., `sizes.width`) to the mean action.
 
     Args:
-        sizes: where features of a row have what.
-        hidden: widths of the hidden layers.
-        actions: numbers of an action.
-        set_hidden: widths of the layers of phi; None for a plain perceptron.
+        sizes: the numbers of features.
+        hidden: the widths of the hidden layers.
+        actions: the width of an action.
+        set_hidden: the widths of the layers of phi; None for no deep set.
         activation: one of `ACTIVATIONS`.
     """
 
@@ -93,13 +93,13 @@ class Actor(nn.Module):
         return means.reshape(*values.shape[:-1], -1)
 
     def network(self) -> Network:
-        """Return the same in numpy."""
+        """Return the network in numpy."""
         phi = None if self.set is None else linear_layers(self.set.phi)
         return Network(linear_layers(self.body, self.head), phi, self.activation)
 
     @torch.no_grad()
     def fill(self, network: Network) -> None:
-        """Take the weights of a network of the same shape.
+        """Copy the weights of a network of the same shape.
 
         Raises:
             ValueError: the network has another shape or activation.
@@ -107,8 +107,8 @@ class Actor(nn.Module):
         own = self.network()
         if _shape(network) != _shape(own):
             raise ValueError(
-                f"the policy to start from has layers {_shape(network)}, but this run's are "
-                f"{_shape(own)}; give it the same widths, activation, neighbors and types"
+                f"the policy of --start has layers {_shape(network)}, but this run has "
+                f"{_shape(own)}; use the same widths, activation, neighbors and types"
             )
         modules = [] if self.set is None else linear_modules(self.set.phi)
         modules += linear_modules(self.body, self.head)
@@ -125,7 +125,7 @@ def _shape(network: Network) -> tuple[str, list[Any], list[Any]]:
 
 
 def hidden_layers(widths: Sequence[int], activation: str) -> nn.Sequential:
-    """Return linear layers from the first width to the last, an activation after each."""
+    """Return linear layers from the first width to the last, each with an activation."""
     parts: list[nn.Module] = []
     for into, out in pairwise(widths):
         parts += [nn.Linear(into, out), ACTIVATIONS[activation]()]
@@ -138,7 +138,7 @@ def linear_modules(*networks: nn.Module) -> list[nn.Linear]:
 
 
 def linear_layers(*networks: nn.Module) -> Layers:
-    """Return weights and biases of the linear layers of modules in numpy, in order."""
+    """Return the weights and biases of the linear layers of modules as numpy arrays, in order."""
     return tuple(
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
         for layer in linear_modules(*networks)

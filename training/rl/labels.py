@@ -1,13 +1,13 @@
-"""What a teacher would do in the true state of every environment: the labels of DAgger.
+"""The labels of DAgger: the teacher's actions in the true state of every environment.
 
-A student observes rows, perhaps noisy ones; its teacher is any agent, and sees more:
+A student observes rows, possibly with noise. Its teacher is any agent, and observes more:
 
-- an agent with `act_batch` that is not privileged sees rows of its own form without noise;
-- an agent with a method `teach(core)` reads the true state of all environments of a core at once;
-- of any other agent there is one for each environment, which acts by its `view`.
+- an agent with `act_batch` that is not privileged observes rows of its own form without noise;
+- an agent with a method `teach(core)` reads the true state of all environments of a core;
+- for any other agent there is an instance for each environment, which acts on its `view`.
 
-Labels of agents that give set-points are the actions that lead the student's set-point there;
-those of agents that give accelerations are velocities to a student that gives these.
+The actions of teachers are converted to those of the student: set-points to velocities or
+accelerations that lead the student's set-point there, and accelerations to velocities.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 __all__ = ["Teacher", "teachers_of"]
 
-_CHANGED = 1e-3  # Change of an action from which on others count as having caused it
+_CHANGED = 1e-3  # Smallest change of an action by neighbors that counts
 _APPROACH, _DAMPING = 4.0, 6.0
-"""With which gains a set-point is led to a teacher's: velocity per distance, and acceleration per
+"""Gains that lead a set-point to the teacher's: velocity per distance, and acceleration per
 velocity, 1/s."""
 _STEERED = {"setpoint": ("acceleration", "velocity"), "acceleration": ("velocity",)}
 """Actions of students to which labels can be converted, by those of their teachers."""
@@ -45,25 +45,25 @@ _STEERED = {"setpoint": ("acceleration", "velocity"), "acceleration": ("velocity
 
 @runtime_checkable
 class CoreTeacher(Protocol):
-    """An agent that labels all environments of a core at once."""
+    """The protocol of an agent that labels all environments of a core at once."""
 
     def teach(self, core: SwarmCore) -> FloatArray:
-        """Its actions (E, N, width) in the present true state."""
+        """Return its actions (E, N, width) in the current true state."""
 
 
 def teachers_of(teachers: tuple[str, ...], taught: Sequence[tuple[str, int]]) -> list[str]:
-    """Name the teacher of each part of the curriculum and size of teams: the last that fits.
+    """Return the teacher of each part of the curriculum and team size: the last that matches.
 
     Raises:
-        ValueError: one of them has no teacher, or a teacher has none of them.
+        ValueError: a part has no teacher, or a teacher has no part.
     """
     chosen = [_last_that_fits(teachers, part, drones) for part, drones in taught]
     for k in sorted({*range(len(teachers))} - {*chosen}):
         parts, sizes = (sorted(set(values)) for values in zip(*taught, strict=True))
         raise ValueError(
             f"--dagger.teacher has {teachers[k]!r}, which teaches nothing here: the parts are "
-            f"{', '.join(parts)}, the teams of {', '.join(map(str, sizes))} drones, and the last "
-            "teacher that fits both teaches"
+            f"{', '.join(parts)}, the teams have {', '.join(map(str, sizes))} drones, and each is "
+            "taught by the last teacher that matches; leave it out, or name it last"
         )
     return [teachers[k].rpartition("=")[2] for k in chosen]
 
@@ -73,22 +73,22 @@ def _last_that_fits(teachers: tuple[str, ...], part: str, drones: int) -> int:
     fit = [k for k, given in enumerate(teachers) if {*given.rpartition("=")[0].split(",")} <= here]
     if not fit:
         raise ValueError(
-            f"--dagger.teacher is {teachers}, but none teaches {drones} drones in {part!r}; first "
-            "name one without a place before it"
+            f"--dagger.teacher is {teachers}, but none teaches {drones} drones in {part!r}; begin "
+            "with a teacher without a layout and a number of drones"
         )
     return fit[-1]
 
 
 class Teacher:
-    """An agent that says what every drone of a core should do.
+    """A teacher of the drones of a core.
 
     Args:
-        name: as `swarm_envs.agents.load` takes it.
-        blueprint: what the core is made from.
+        name: the agent's name for `swarm_envs.agents.load`.
+        blueprint: the blueprint of the core.
 
     Raises:
-        ValueError: the agent acts otherwise than the student, is privileged and decides at another
-            rate, or needs another controller.
+        ValueError: the agent's actions cannot be converted to the student's, it is privileged and
+            has another decision rate, or it needs another controller.
     """
 
     def __init__(self, name: str, blueprint: Blueprint) -> None:
@@ -104,36 +104,36 @@ class Teacher:
         self._each: list[Agent] = []
 
     def labels(self, core: SwarmCore, avoiding: float) -> tuple[Float32Array, Float32Array]:
-        """Actions (E, N, width) in a core's present state, and the weight (E, N, 1) of each.
+        """Return actions (E, N, width) in a core's current state, and their weights (E, N, 1).
 
-        The weight is `avoiding` where the action of an agent on rows would be another without
+        The weight is `avoiding` if the action of a `BatchAgent` would be different without
         neighbors, else 1.
         """
         agent, alone = self._agent, None
         if isinstance(agent, CoreTeacher):
-            wanted = agent.teach(core)
+            desired = agent.teach(core)
         elif isinstance(agent, BatchAgent) and not agent.privileged:
             rows = self._rows(core)
-            wanted = np.clip(agent.act_batch(rows), -1.0, 1.0)
+            desired = np.clip(agent.act_batch(rows), -1.0, 1.0)
             if avoiding != 1.0 and self._form[0]:
                 rows = rows.copy()
                 rows[..., neighbor_columns(*self._form)] = 0.0
                 alone = np.clip(agent.act_batch(rows), -1.0, 1.0)
         else:
-            wanted = self._of_each(core)
-        weight = np.ones((*wanted.shape[:-1], 1), np.float32)
+            desired = self._of_each(core)
+        weight = np.ones((*desired.shape[:-1], 1), np.float32)
         if alone is not None:
-            weight[np.abs(alone - wanted).max(axis=-1) > _CHANGED] = avoiding
+            weight[np.abs(alone - desired).max(axis=-1) > _CHANGED] = avoiding
         if self._action != core.config.action:
-            wanted = steered(core.world.drones, wanted, core.config.action)
-        return np.clip(wanted, -1.0, 1.0).astype(np.float32), weight
+            desired = steered(core.world.drones, desired, core.config.action)
+        return np.clip(desired, -1.0, 1.0).astype(np.float32), weight
 
     def _rows(self, core: SwarmCore) -> Float32Array:
         exact = core.config.hall is None and not (core.ranges is not None and core.ranges.noisy)
         return core.rows if exact and core.form[1:] == self._form else core.true_rows(*self._form)
 
     def _of_each(self, core: SwarmCore) -> FloatArray:
-        """Actions (E, N, width) of an agent for each environment; a new episode resets it."""
+        """Return actions (E, N, width) of one agent per environment, reset at each episode."""
         if not self._each:
             self._each = [load_agent(self._name) for _ in range(core.num_envs)]
         rows, found = self._rows(core), []
@@ -150,7 +150,7 @@ class Teacher:
 
 
 def _environment(core: SwarmCore, view: View, names: list[str], form: Any) -> Any:
-    """What agents look at in an environment at a reset, of one of a core's."""
+    """Return a stand-in for one environment of a core, with the attributes that resets need."""
     return SimpleNamespace(
         core=core,
         view=view,
@@ -161,21 +161,22 @@ def _environment(core: SwarmCore, view: View, names: list[str], form: Any) -> An
 
 
 def _check(name: str, agent: Agent, config: Any) -> None:
-    """Refuse an agent whose actions mean something else to the student's drones.
+    """Raise ValueError for an agent whose actions or controller do not match the student's.
 
-    Agents on rows judge each row by itself, and so teach policies of any decision rate.
+    Agents that are not privileged have no memory, and so teach policies of any decision rate.
     """
     requires = agent.requires
     action = requires.get("action", config.action)
     if config.action not in (action, *_STEERED.get(action, ())):
         raise ValueError(
-            f"{name!r} cannot teach actions of {config.action!r}: its own are {action!r}"
+            f"{name!r} cannot teach --action {config.action}, as its own action is {action!r}; use "
+            "another teacher"
         )
     rate = requires.get("decision_rate", config.decision_rate)
     if agent.privileged and rate != config.decision_rate:
         raise ValueError(
-            f"{name!r} decides {rate} times a second and cannot teach a policy that decides "
-            f"{config.decision_rate} times; give --decision-rate {rate}"
+            f"{name!r} has a decision rate of {rate} Hz and cannot teach a policy of "
+            f"{config.decision_rate} Hz; give --decision-rate {rate}"
         )
     default = ControllerConfig()
     if requires.get("controller", config.controller) != config.controller and (
@@ -187,18 +188,18 @@ def _check(name: str, agent: Agent, config: Any) -> None:
         )
 
 
-def steered(drones: Records, wanted: FloatArray, action: str) -> FloatArray:
-    """Actions (E, N, 3) that lead the set-points of drones to others, or accelerate them.
+def steered(drones: Records, desired: FloatArray, action: str) -> FloatArray:
+    """Return actions (E, N, 3) that lead the drones' set-points to others, or accelerate them.
 
     Args:
         drones: (E, N) records.
-        wanted: (E, N, 14) actions of mode `setpoint`, or (E, N, 3) of `acceleration`.
-        action: what the actions are, `velocity` or `acceleration`.
+        desired: (E, N, 14) actions of mode `setpoint`, or (E, N, 3) of `acceleration`.
+        action: the mode of the result, `velocity` or `acceleration`.
     """
     present = drones["setpoint_velocity"] + ACCELERATION_LAG * drones["setpoint_acceleration"]
-    if wanted.shape[-1] == present.shape[-1]:
-        return np.asarray((present + ACCELERATION_LIMIT * wanted / _DAMPING) / SPEED_LIMIT)
-    position, velocity, acceleration, jerk = (wanted[..., k : k + 3] for k in (0, 3, 6, 9))
+    if desired.shape[-1] == present.shape[-1]:
+        return np.asarray((present + ACCELERATION_LIMIT * desired / _DAMPING) / SPEED_LIMIT)
+    position, velocity, acceleration, jerk = (desired[..., k : k + 3] for k in (0, 3, 6, 9))
     away = position - drones["setpoint_position"]
     coasting = velocity + ACCELERATION_LAG * acceleration + _APPROACH * away
     if action == "velocity":
@@ -209,6 +210,6 @@ def steered(drones: Records, wanted: FloatArray, action: str) -> FloatArray:
 
 
 def neighbor_columns(*form: int) -> slice:
-    """Where a row of a form with one neighbor or more has them."""
+    """Return the columns of neighbors in a row of a form with at least one neighbor."""
     fields = [f for f in observation_layout(*form) if f.name.startswith("neighbor_")]
     return slice(fields[0].where.start, fields[-1].where.stop)

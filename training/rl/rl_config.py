@@ -1,4 +1,4 @@
-"""Options of a training run: readable where torch is not installed."""
+"""Options of a training run; this module does not import torch."""
 
 from __future__ import annotations
 
@@ -31,10 +31,9 @@ _COUNTS = (
     *("checkpoint_rollouts", "evaluations", "evaluation_episodes"),
 )
 """Options that are positive integers."""
-ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # those that need no import path
+ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # Those that need no import path
 
-
-_TYPED = {"num_neighbors": "neighbors"}  # Fields that the command line calls otherwise
+_TYPED = {"num_neighbors": "neighbors"}  # Fields with another name on the command line
 
 
 def _option(name: str) -> str:
@@ -46,33 +45,33 @@ class DaggerConfig:
     """Options of `--algo dagger`: the teachers, and the gradient steps."""
 
     teacher: tuple[str, ...] = ("roundabout",)
-    """the teachers: names or files of agents, which may be privileged, each optionally after a
-    layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`; the last that
-    fits a team teaches it"""
+    """Teachers: names or files of agents, which may observe the true state. A teacher may be
+    restricted to a layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`;
+    each team is taught by the last teacher that matches it."""
     train_freq: int = 10
-    """decisions of each drone between two rounds of gradient steps"""
+    """Decisions of each drone in a rollout, which is followed by gradient steps."""
     gradient_steps: int = 12
-    """gradient steps of a round; each takes a batch from all that is remembered"""
+    """Gradient steps after each rollout, each on a random batch from the replay buffer."""
     batch_size: int = 1024
-    """decisions per gradient step"""
+    """Decisions of single drones per gradient step."""
     learning_rate: float = 2e-3
-    """learning rate of Adam at the start; it falls as a cosine"""
+    """Initial learning rate of Adam; it is annealed along a cosine."""
     last_rate: tyro.conf.Suppress[float] = 0.02
-    """final learning rate, as a share of the initial one"""
+    """Final learning rate divided by the initial one."""
     buffer_size: int = 400_000
-    """size of the replay buffer in decisions of single drones; checkpoints contain it"""
+    """Size of the replay buffer in decisions of single drones; checkpoints contain it."""
     guided: float = 0.125
-    """share of the run during which the teacher flies too; its share of the decisions falls from 1
-    to 0"""
+    """Fraction of the run over which the probability that the teacher's action is executed falls
+    from 1 to 0."""
     noise: tyro.conf.Suppress[float] = 0.1
-    """standard deviation of noise on the actions of a third of the environments"""
+    """Standard deviation of the noise on the actions in a third of the environments."""
     avoiding: float = 3.0
-    """weight of decisions in which other drones change the teacher's action; others have 1"""
+    """Loss weight of decisions in which other drones change the teacher's action; others have 1."""
     huber: tyro.conf.Suppress[float] = 0.1
-    """error of an action from which on the loss grows linearly"""
+    """Threshold of the Huber loss: errors of an action above it count linearly."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers with which nothing is learned."""
+        """Raise ValueError if a number is out of range."""
         for name in ("train_freq", "gradient_steps", "batch_size", "buffer_size"):
             check_integer(_option(f"dagger.{name}"), getattr(self, name), at_least=1)
         for name in ("learning_rate", "last_rate"):
@@ -85,104 +84,109 @@ class DaggerConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """What is trained, and where it is kept: these come first in the help."""
+    """The main options of a run, which come first in the help."""
 
     out: Path
-    """folder of the run: policy.safetensors, progress.csv, report.json, checkpoints, event files"""
+    """Folder of the run: policy.safetensors, progress.csv, report.json, checkpoints and event files
+    of TensorBoard."""
     task: str = "swap"
-    """the task, such as `swap`, or with its version, `swap_v1`; or path/to/file.py:Class"""
+    """Task, such as `swap`, or with a version, such as `swap_v1`; or path/to/file.py:Class."""
     layout: str | None = None
-    """the layout of the task; default: `random` for swap (half of the episodes are crowded, a
-    quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`), `stack` for
-    columns (or `sprint`), `all` for pursuit and crowd, by DAgger"""
+    """Layout of the task. If None: `random` for swap (half of the episodes are crowded, a quarter
+    on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`), `stack` for columns
+    (or `sprint`), and `all` for pursuit and crowd, which needs DAgger."""
     algo: str = "ppo"
-    """the algorithm: `ppo`, `sac` or `td3` of Stable-Baselines3, the import path of another of its
-    algorithms or of sb3-contrib's, such as `sb3_contrib.TQC`, or `dagger`, which imitates another
-    agent where the policy itself has flown; one policy flies all drones"""
+    """Algorithm: `ppo`, `sac` or `td3` of Stable-Baselines3; the import path of another algorithm
+    of it or of sb3-contrib, such as `sb3_contrib.TQC`; or `dagger`, which imitates a teacher in the
+    states that the policy visits. All drones share one policy."""
     start: str | None = None
-    """a trained policy, by name, file or folder, from which DAgger begins"""
+    """Name, file or folder of the trained policy from which DAgger starts. If None, the initial
+    weights are random."""
     drones: int | tuple[int, ...] = 4
-    """number of drones; of several numbers, such as `4 8`, each has an equal share of the
-    environments; the policy will fly in teams from the smallest to the largest"""
+    """Number of drones. With several numbers, such as `4 8`, each is used in an equal share of the
+    environments. The policy supports teams from the smallest to the largest number."""
     fewest: int | None = None
-    """smallest team in which the policy will fly; that of its training if not given"""
+    """Size of the smallest team that the policy supports. If None, the smallest in training."""
     most: int | None = None
-    """largest team in which the policy will fly; that of its training if not given"""
+    """Size of the largest team that the policy supports. If None, the largest in training."""
     team: tuple[str, ...] = ()
-    """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
+    """Vehicle types of one or more teams, such as `SSLL`; they replace --drones."""
     steps: int = 3_000_000
-    """decisions of single drones, rounded up to whole rollouts"""
+    """Training steps, counted in decisions of single drones and rounded up to whole rollouts."""
     seed: int = 0
-    """random seed of initial weights, episodes and exploration; the same seed gives the same
-    policy"""
+    """Random seed of the initial weights, episodes and exploration. The same seed gives the same
+    policy."""
     json: Path | None = None
-    """write the report to this file too"""
+    """Also write the report to this file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RlConfig(WorldOptions, RunOptions):
-    """Train one policy for all drones by Stable-Baselines3, or by DAgger from a teacher.
+    """Train one policy for all drones with Stable-Baselines3, or with DAgger from a teacher.
 
-    Interrupted or killed at any moment, the same command resumes from the last checkpoint. A
-    finished run is not overwritten.
+    An interrupted or killed command resumes from the last checkpoint when it is run again. A
+    complete run is not overwritten.
     """
 
     set: tuple[str, ...] = ()
-    """arguments of the algorithm of Stable-Baselines3, as NAME=VALUE, such as `learning_rate=3e-4
-    n_steps=64`, in place of the defaults that docs/rl.md lists"""
+    """Arguments of the algorithm of Stable-Baselines3 as NAME=VALUE, such as `learning_rate=3e-4
+    n_steps=64`; docs/rl.md lists the defaults."""
     environments: int = 128
-    """teams that fly at once, of all sizes together"""
+    """Number of environments, of all teams together, that are simulated in parallel."""
     threads: int = 2
-    """threads of the environments, which do not change the policy"""
+    """Number of threads that simulate the environments; it does not change the policy."""
     encoder: Encoder = "mlp"
-    """how neighbors are encoded: `mlp`, one after another, nearest first; `deep-set`, each with
-    the drone's own features through a small network, then pooled"""
+    """Encoder of the neighbors: `mlp` concatenates their features, nearest first; `deep-set` passes
+    each neighbor's features and the drone's own through a small network and pools the results."""
     hidden: tuple[int, ...] = (64, 64)
-    """widths of the hidden layers of the actor"""
+    """Widths of the hidden layers of the actor."""
     set_hidden: tuple[int, ...] = (32, 32)
-    """widths of the network to which a deep set gives each neighbor"""
+    """Widths of the hidden layers of the encoder `deep-set`."""
     horizon_s: float | None = None
-    """time limit of an episode in training, s; default: the task's"""
+    """Time limit of an episode in training, s. If None, the task's default."""
     action: Action = "acceleration"
-    """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust
-    and body rates (`ctbr`), or each of the `rotors`; it will fly with this one alone"""
+    """Action space of the policy: `acceleration` or `velocity` of the set-point, collective thrust
+    and body rates (`ctbr`), or the thrust of each rotor (`rotors`). The policy works with this
+    action space only."""
     decision_rate: int = 10
-    """decisions per second, in training and in flight"""
+    """Decisions per second, Hz, in training and afterwards."""
     force_rate: tyro.conf.Suppress[int] = 48
-    """evaluations of the interaction force per second in training"""
+    """Rate at which interaction forces are computed in training, Hz."""
     num_neighbors: Annotated[int, tyro.conf.arg(name=_TYPED["num_neighbors"])] = 3
-    """K, the number of observed neighbors"""
+    """Number of nearest neighbors that each drone observes."""
     num_obstacles: int | None = None
-    """M, the number of observed obstacles; default: 3 where there are any"""
+    """Number of nearest obstacles that each drone observes. If None, 3 if there are obstacles,
+    else 0."""
     observe_load: bool | None = None
-    """observe thrust margins, masses and charges; default: the task's"""
+    """Observe thrust margins, masses and battery charges. If None, the task's default."""
     observe_force: bool = False
-    """observe the force that the shipped belief predicts for the drone"""
+    """Observe the interaction force on the drone that the included controllers predict."""
     observe_setpoint: bool = False
-    """observe velocity and acceleration of the set-point, which are exact where the drone's own
-    velocity is noisy"""
+    """Observe the velocity and acceleration of the set-point, which are exact even if the measured
+    velocity is noisy."""
     controller: str | None = None
-    """the shipped agent whose tracking controller flies the policy's set-points, such as
-    `downwash-aware`; the default controller if not given"""
+    """Included agent whose tracking controller follows the policy's set-points, such as
+    `downwash-aware`. If None, the default controller."""
     interactions: str = "learned"
-    """interaction forces: `none`, `wake`, `learned`, a weights file or path/to/file.py:function"""
+    """Model of the aerodynamic forces between drones: `none`, `wake`, `learned`, a weights file or
+    path/to/file.py:function."""
     proximity: tyro.conf.Suppress[tuple[float, float]] = (4.0, 2.0)
-    """cost of being near another drone, before and after 37 % of the steps; too much for too long,
-    and drones hover next to their goals"""
+    """Cost of proximity to other drones before and after 37 % of the steps. If it is too high for
+    too long, drones learn to hover next to their goals."""
     checkpoint_rollouts: int = 100
-    """rollouts between two checkpoints of DAgger"""
+    """Number of rollouts between two checkpoints of DAgger."""
     evaluations: int = 5
-    """number of evaluations, evenly spread; the last one is at the end"""
+    """Number of evaluations, evenly spaced; the last one is at the end of the training."""
     evaluation_episodes: int = 256
-    """episodes of an evaluation, on each layout, on seeds that are the same in every run and never
-    trained on; the policy that does best on them is kept"""
+    """Episodes per evaluation and layout. Their seeds are the same in every run and never trained
+    on; the policy that performs best on them is saved."""
     progress: bool = True
-    """show a progress bar"""
+    """Show a progress bar."""
     dagger: DaggerConfig = DaggerConfig()
-    """only with `--algo dagger`"""
+    """Options that apply to `--algo dagger` only."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range, and options that do not fit each other."""
+        """Raise ValueError for numbers out of range and for contradictory options."""
         self._check_numbers()
         self._check_teams()
         self._check_belongs()
@@ -204,7 +208,7 @@ class RlConfig(WorldOptions, RunOptions):
         for name in ("hidden", "set_hidden"):
             widths = getattr(self, name)
             if not isinstance(widths, tuple) or not widths:
-                raise ValueError(f"{_option(name)} is {widths!r}, but must be one or more widths")
+                raise ValueError(f"{_option(name)} is {widths!r}, but must have at least one width")
             for width in widths:
                 check_integer(_option(name), width, at_least=1)
         check_name("--encoder", self.encoder, get_args(Encoder))
@@ -222,7 +226,8 @@ class RlConfig(WorldOptions, RunOptions):
         named = [str(team) for team in self.teams]
         if not named or len({*named}) < len(named):
             raise ValueError(
-                f"--drones is {self.drones} and --team {self.team}; name teams, each once"
+                f"--drones is {self.drones} and --team is {self.team}, but they must name one or "
+                "more teams, each once"
             )
         if self.fewest is not None and not 1 <= self.fewest <= min(self.team_sizes):
             raise ValueError(
@@ -236,7 +241,7 @@ class RlConfig(WorldOptions, RunOptions):
             )
 
     def _check_belongs(self) -> None:
-        """Refuse algorithms that do not exist, and options that this one does not have."""
+        """Raise ValueError if the algorithm does not exist or does not have a given option."""
         if "." not in self.algo:
             check_name("--algo", self.algo, ALGORITHMS)
         foreign = ("set", "proximity") if self.imitates else ("start", "dagger")
@@ -249,8 +254,8 @@ class RlConfig(WorldOptions, RunOptions):
         teams = len(self.team_sizes)
         if self.environments % teams:
             raise ValueError(
-                f"--environments is {self.environments}, but must be a multiple of the {teams} "
-                "teams that fly side by side"
+                f"--environments is {self.environments}, but must be a multiple of {teams}, the "
+                "number of teams"
             )
         if self.imitates and self.dagger.batch_size > self.dagger.buffer_size:
             raise ValueError(
@@ -265,14 +270,14 @@ class RlConfig(WorldOptions, RunOptions):
 
     @property
     def teams(self) -> tuple[dict[str, Any], ...]:
-        """Every team that learns, as options of its environments."""
+        """The options of the environments of every team."""
         if self.team:
             return tuple({"team": team} for team in self.team)
         return tuple({"num_drones": count} for count in self._counts)
 
     @property
     def team_sizes(self) -> tuple[int, ...]:
-        """Number of drones of every team."""
+        """The number of drones of every team."""
         return tuple(len(parse_team(team)) for team in self.team) or self._counts
 
     @property
@@ -281,10 +286,10 @@ class RlConfig(WorldOptions, RunOptions):
 
     @property
     def decisions(self) -> int:
-        """Decisions of single drones at one decision of all environments."""
+        """The number of decisions of single drones in one step of all environments."""
         return self.environments // len(self.team_sizes) * sum(self.team_sizes)
 
     @property
     def rollouts(self) -> int:
-        """Rollouts of a run of DAgger."""
+        """The number of rollouts of a run of DAgger."""
         return math.ceil(self.steps / (self.decisions * self.dagger.train_freq))

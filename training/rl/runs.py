@@ -1,4 +1,4 @@
-"""The parts that runs of all algorithms share: environments, evaluation, files of a folder."""
+"""The common parts of runs of all algorithms: environments, evaluation, and files."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from swarm_envs.user_files import file_digest
 
 __all__ = ["finished_report", "train_policy"]
 
-REPORT = "report.json"  # the file of a finished run
-_NO_RESULT = ("out", "json", "progress", "threads")  # options that do not change the policy
+REPORT = "report.json"  # The file of a complete run
+_NO_RESULT = ("out", "json", "progress", "threads")  # Options that do not change the policy
 
 
 class Setting(NamedTuple):
-    """The environments that a run trains in, and the observations of its policy."""
+    """The environments of a run, and the observations of its policy."""
 
-    config: RlConfig  # with the task's defaults
-    task: str  # versioned name
-    blueprints: list[Blueprint]  # of each team
-    sizes: FeatureSizes  # sizes of the features
-    types: tuple[str, ...]  # types of vehicles
+    config: RlConfig  # Options with the task's defaults
+    task: str  # Versioned name
+    blueprints: list[Blueprint]  # Blueprint of each team
+    sizes: FeatureSizes  # Numbers of features
+    types: tuple[str, ...]  # Vehicle types
 
     def note(self) -> PolicyNote:
-        """Return what the policy is trained for."""
+        """Return the description of the environments that the policy is trained for."""
         config = self.config
         return PolicyNote(
             self.blueprints[0].task.name,
@@ -60,7 +60,7 @@ def make_setting(config: RlConfig, task: str) -> Setting:
     """Return the setting of a run.
 
     Raises:
-        ValueError: an option has an impossible value.
+        ValueError: an option has an invalid value.
     """
     config = with_defaults(config, task)
     blueprints = [training_blueprint(config, task, team) for team in config.teams]
@@ -71,10 +71,10 @@ def make_setting(config: RlConfig, task: str) -> Setting:
 
 
 def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> Blueprint:
-    """Return what a team, one of `config.teams`, trains in: the task's curriculum.
+    """Return the training environment of a team, one of `config.teams`, from the curriculum.
 
     Raises:
-        ValueError: an option has an impossible value.
+        ValueError: an option has an invalid value.
     """
     learning = learning_of(task)
     found = batch_of(
@@ -96,29 +96,29 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     clock = config.horizon_s or flown.episode_s
     weights = dict(flown.reward_weights)
     for name in learning.reward_weights.keys() & {"at_goal", "tracking"}:
-        weights[name] = weights[name] / clock  # the task counts these by the second
+        weights[name] = weights[name] / clock  # the task integrates these over time
     return found._replace(task=replace(flown, reward_weights=weights))
 
 
 def senses_of(config: RlConfig) -> tuple[int, bool, bool, bool]:
-    """Return the M of a policy's rows, and whether they hold loads, forces and set-points."""
+    """Return M of a policy's rows, and True for each of loads, forces and set-points they have."""
     extra = (bool(config.observe_load), config.observe_force, config.observe_setpoint)
     return config.num_obstacles or 0, *extra
 
 
 class Evaluation:
-    """Evaluates the policies of a run, and keeps the best one in its folder.
+    """Validation of the policies of a run, which saves the best one in its folder.
 
     Args:
-        setting: of the run.
-        results: of earlier evaluations of the run, when it is resumed.
+        setting: the setting of the run.
+        results: the results of earlier evaluations of a resumed run.
     """
 
     def __init__(self, setting: Setting, results: list[dict[str, float]] | None = None) -> None:
         self.setting, self.results = setting, results or []
 
     def add(self, network: Network, steps: int) -> dict[str, float]:
-        """Evaluate a network after so many steps; return the averages of its measures."""
+        """Evaluate a network after a number of steps; return the means of its measures."""
         config, task = self.setting.config, self.setting.task
         learning = learning_of(task)
         policy = Policy(self.setting.note(), network, {})
@@ -149,7 +149,7 @@ class Evaluation:
 
 
 def result_options(config: RlConfig, task: str) -> dict[str, Any]:
-    """Return what the policy depends on, ready for JSON."""
+    """Return the options on which the policy depends, ready for JSON."""
     config = with_defaults(config, task)
     foreign = ("set", "proximity") if config.imitates else ("start", "dagger")
     names = [f.name for f in fields(config) if f.name not in (*_NO_RESULT, *foreign)]
@@ -161,10 +161,10 @@ def result_options(config: RlConfig, task: str) -> dict[str, Any]:
 
 
 def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
-    """Return the report of the same run, if it has ended; None if there is none.
+    """Return the report of the same run if it is complete, else None.
 
     Raises:
-        ValueError: the folder holds the report of another run, or what is no report.
+        ValueError: the folder has the report of another run, or the report is damaged.
     """
     path = config.out / REPORT
     if not path.is_file():
@@ -181,13 +181,13 @@ def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
 
 
 def train_policy(config: RlConfig, task: str) -> dict[str, Any]:
-    """Train to the end and return the report, which is also written.
+    """Train a policy, and write and return the report.
 
     Raises:
-        BlockingIOError: another process writes into the folder.
+        BlockingIOError: another process writes to the folder.
         ImportError: Stable-Baselines3 is not installed.
         OSError: the folder cannot be written.
-        ValueError: the folder holds another run, or a damaged one.
+        ValueError: the folder has another run, or a damaged one.
     """
     if config.imitates:
         from swarm_envs.training.rl.dagger import train_dagger

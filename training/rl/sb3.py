@@ -1,8 +1,8 @@
-"""Training by an algorithm of Stable-Baselines3, as it is: all drones share one policy.
+"""Training with an unmodified algorithm of Stable-Baselines3: all drones share one policy.
 
-`SharedPolicyVecEnv` makes every drone of every environment a sub-environment. One callback follows
-two schedules that PPO needs to learn to pass close to others; another evaluates the policy and
-keeps the best. The logger, checkpoints and resuming are Stable-Baselines3's.
+`SharedPolicyVecEnv` makes every drone of every environment a sub-environment. One callback applies
+two schedules that PPO needs to learn to pass close to other drones; another evaluates the policy
+and saves the best. Logger, checkpoints and resuming are those of Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_settin
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 SECOND_STAGE = 0.75
-"""Fraction of the steps from which on PPO explores more again."""
-LEAST_DEVIATION = 0.3  # of actions, when the second stage of PPO begins
-CLOSER = 0.37  # fraction of the steps from which on proximity costs less
-RUN, CHECKPOINTS = "run.json", "checkpoints"  # a begun run: its options, its models
+"""Fraction of the steps at which the second stage of PPO, with more exploration, begins."""
+LEAST_DEVIATION = 0.3  # Least standard deviation of actions at the start of the second stage
+CLOSER = 0.37  # Fraction of the steps at which the cost of proximity is reduced
+RUN, CHECKPOINTS = "run.json", "checkpoints"  # Options and models of an incomplete run
 
 OFF_POLICY: dict[str, Any] = {
     "learning_rate": 1e-3,
@@ -50,7 +50,7 @@ OFF_POLICY: dict[str, Any] = {
     "train_freq": 8,
     "gradient_steps": 64,
 }
-"""Defaults of `sac` and `td3`. With a discount factor of 0.98 SAC learns far less."""
+"""Defaults of `sac` and `td3`. With a discount factor of 0.98, SAC learns much less."""
 DEFAULTS: dict[str, dict[str, Any]] = {
     "ppo": {
         "n_steps": 32,
@@ -62,13 +62,13 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "sac": {**OFF_POLICY, "ent_coef": "auto_0.02"},
     "td3": OFF_POLICY,
 }
-"""Arguments of each algorithm by its name; others have Stable-Baselines3's own defaults."""
+"""Default arguments by algorithm; others have the defaults of Stable-Baselines3."""
 CLASSES = {name: f"stable_baselines3.{name.upper()}" for name in DEFAULTS}
 
 
 def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
-    """Train to the end and return the report, which is also written: see `runs.train_policy`."""
-    torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+    """Train a policy, and write and return the report; see `runs.train_policy`."""
+    torch.set_num_threads(1)  # more threads are slower for small matrices
     setting = make_setting(config, task)
     algorithm, arguments = algorithm_of(config.algo), arguments_of(setting)
     with claimed(config.out):
@@ -80,7 +80,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             features=True,
         )
         model, evaluation = _begin(algorithm, arguments, env, setting)
-        network_of(model)  # refuses before the training what cannot be written after it
+        network_of(model)  # raises before the training if the policy could not be written
         outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
         model.set_logger(configure(str(config.out), outputs))
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
@@ -128,7 +128,7 @@ def algorithm_of(name: str) -> type[BaseAlgorithm]:
 
 
 def arguments_of(setting: Setting) -> dict[str, Any]:
-    """Return the arguments of the algorithm's class: our defaults, then those of `--set`.
+    """Return the arguments of the algorithm's class: the defaults, then those of `--set`.
 
     Raises:
         ValueError: an entry of `--set` is not NAME=VALUE.
@@ -154,12 +154,12 @@ def arguments_of(setting: Setting) -> dict[str, Any]:
         try:
             arguments[name] = ast.literal_eval(value)
         except (ValueError, SyntaxError):
-            arguments[name] = value  # a word, such as auto
+            arguments[name] = value  # a string, such as auto
     return {"policy_kwargs": policy, "seed": config.seed, "device": "cpu", **arguments}
 
 
 def falling_rate(remaining: float) -> float:
-    """Return PPO's learning rate: it falls from 1e-3, and in the second stage from 7e-4."""
+    """Return PPO's learning rate, which decreases from 1e-3, and in the second stage from 7e-4."""
     done = 1.0 - remaining
     if done < SECOND_STAGE:
         return 1e-3 * max(1.0 - done / SECOND_STAGE, 0.02)
@@ -172,7 +172,7 @@ def _begin(
     """Return a new model, or that of the last checkpoint, and the evaluations before it.
 
     Raises:
-        ValueError: the folder holds a run with other options, or the class refuses an argument.
+        ValueError: the folder has a run with other options, or the class refuses an argument.
     """
     config, path = setting.config, setting.config.out / RUN
     options = result_options(config, setting.task)
@@ -180,7 +180,7 @@ def _begin(
     if path.is_file() and models:
         content = json.loads(path.read_text(encoding="utf-8"))
         check_same(path, content["config"], options)
-        model = algorithm.load(models[-1], env=env, device="cpu")  # a pickle of this run's own
+        model = algorithm.load(models[-1], env=env, device="cpu")  # a pickle from this run
         tqdm.write(f"resuming at {model.num_timesteps:,} steps from {models[-1]}")
         kept = [e for e in content["evaluations"] if e["step"] <= model.num_timesteps]
         return model, Evaluation(setting, kept)
@@ -197,7 +197,7 @@ def _steps_of(path: Path) -> int:
 
 
 class Watch(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
-    """Moves a progress bar, and logs how training episodes end."""
+    """Callback that updates a progress bar, and logs success and collisions in training."""
 
     def __init__(self, bar: Any) -> None:
         super().__init__()
@@ -214,12 +214,12 @@ class Watch(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
 
 
 class Schedules(BaseCallback):  # type: ignore[misc]
-    """The cost of proximity, which falls, and the second stage of PPO, which explores again."""
+    """Callback that reduces the cost of proximity, and begins the second stage of PPO."""
 
     def __init__(self, setting: Setting) -> None:
         super().__init__()
         self._steps, self._proximity = setting.config.steps, setting.config.proximity
-        self._done = 0.0  # fraction of the steps at the last rollout
+        self._done = 0.0  # Fraction of the steps at the last rollout
 
     def _on_step(self) -> bool:
         return True
@@ -237,7 +237,7 @@ class Schedules(BaseCallback):  # type: ignore[misc]
 
 
 class EvaluationCallback(BaseCallback):  # type: ignore[misc]
-    """Evaluates the policy at equal distances, and logs the averages."""
+    """Callback that evaluates the policy at regular intervals, and logs the results."""
 
     def __init__(self, evaluation: Evaluation) -> None:
         super().__init__()
@@ -259,14 +259,14 @@ def network_of(model: BaseAlgorithm) -> Network:
     """Return the mean action of a model of Stable-Baselines3 as a network in numpy.
 
     Raises:
-        ValueError: the model's actor has another form than PPO's, SAC's or TD3's, or its hidden
-            layers are not followed by tanh.
+        ValueError: the model's actor has another structure than that of PPO, SAC or TD3, or its
+            activation is not tanh.
     """
     policy: Any = model.policy
     if getattr(policy, "activation_fn", None) is not nn.Tanh:
         raise ValueError(
-            "hidden layers of the policy are not followed by tanh, so that it cannot be written as "
-            "a policy file; leave policy_kwargs out of --set, or fly the model in Python by "
+            "the activation of the policy is not tanh, so that it cannot be written as a policy "
+            "file; leave policy_kwargs out of --set, or use the model in Python with "
             "swarm_envs.agents.from_model"
         )
     if hasattr(policy, "action_net"):
@@ -276,13 +276,13 @@ def network_of(model: BaseAlgorithm) -> Network:
         extractor, actor = policy.actor.features_extractor, policy.actor
         parts = [actor.latent_pi] if hasattr(actor, "latent_pi") else []
         width = model.action_space.shape[0]
-        # The last tanh is a hidden activation, when the identity follows as another layer.
+        # The final tanh becomes a hidden activation by an identity layer after it.
         identity = (np.eye(width, dtype=np.float32), np.zeros(width, np.float32))
         layers = (*linear_layers(*parts, actor.mu), identity)
     else:
         raise ValueError(
-            f"{type(model).__name__} has no actor that can be written as a policy file; fly it in "
-            "Python by swarm_envs.agents.from_model"
+            f"{type(model).__name__} has no actor that can be written as a policy file; use it in "
+            "Python with swarm_envs.agents.from_model"
         )
     phi = linear_layers(extractor.encoder.phi) if isinstance(extractor, SetExtractor) else None
     return Network(layers, phi, "tanh")

@@ -1,6 +1,6 @@
-"""Agents that teach and do not ship: `--dagger.teacher swarm_envs/training/rl/teachers.py:NAME`.
+"""Agents that only teach: `--dagger.teacher swarm_envs/training/rl/teachers.py:NAME`.
 
-Some are privileged: they label by the true state, which the student does not observe.
+Some are privileged: their labels depend on the true state, which the student does not observe.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 
 def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
-    """The shipped `roundabout`, faster and with a wider margin.
+    """Return `roundabout` with a higher speed and a larger margin.
 
-    An imitation errs by some of the margin, and is somewhat slower than its teacher.
+    A student's errors use part of the margin, and it is somewhat slower than its teacher.
     """
     shipped = TUNED["roundabout"]
     cruise = replace(shipped.cruise, position_gain=16.0, velocity_gain=6.0, speed_mps=speed_mps)
@@ -41,46 +41,47 @@ def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
 
 
 def slow_roundabout() -> SafetyFilter:
-    """The same at 1.5 m/s, for teams of 32: near misses in 0.4 % of their episodes, not 4.7 %."""
+    """Return `wide_roundabout` at 1.5 m/s, for teams of 32: near misses fall from 4.7 to 0.4 %."""
     return wide_roundabout(1.5)
 
 
 def tracking_20() -> TrackingAgent:
-    """The shipped `tracking`, 20 times a second: for goals that move."""
+    """Return `tracking` with a decision rate of 20 Hz, for goals that move."""
     return TrackingAgent(decision_rate=20)
 
 
 class CoreAgent(ABC):
-    """An agent that labels by `teach`; it also flies alone, in `evaluate`."""
+    """Base class of agents with `teach`, which can also be evaluated."""
 
     requires: Mapping[str, Any] = MappingProxyType({})
     privileged = True
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Note the environment."""
+        """Store the environment."""
         self._env = env
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """The labels of the environment's present state."""
+        """Return the labels of the environment's current state."""
         actions = np.clip(self.teach(self._env.core)[0], -1.0, 1.0)
         return dict(zip(observations, actions, strict=True))
 
     @abstractmethod
     def teach(self, core: SwarmCore) -> FloatArray:
-        """Actions (E, N, width) in the present state."""
+        """Return actions (E, N, width) in the current state."""
 
 
 class SetpointTeacher(CoreAgent):
-    """Leads set-points along the reference, or straight to goals at rest as fast as they can brake.
+    """Teacher whose set-points follow the reference, or fly straight to goals at rest.
 
-    Where any drone may take any place, the heavy go on top, as with `downwash-aware`.
+    The speed is limited by the braking distance. If any drone may take any goal, large drones are
+    placed above small ones, as with `downwash-aware`.
     """
 
     controller = "downwash-aware"
     compensates = False
-    """Whether set-points are moved by what the true force would displace the drones."""
+    """True if set-points are shifted to cancel the displacement by the true force."""
     slope, braking_mps2, speed_mps = 6.0, 3.0, 1.9
-    approach = 5.0  # Velocity for each metre to a reference that moves, 1/s
+    approach = 5.0  # Velocity per distance to a moving reference, 1/s
 
     def __init__(self) -> None:
         flown = controller_of(self.controller)
@@ -89,7 +90,7 @@ class SetpointTeacher(CoreAgent):
         self._places: FloatArray | None = None
 
     def teach(self, core: SwarmCore) -> FloatArray:
-        """Velocities of the set-points."""
+        """Return velocities of the set-points."""
         drones = core.world.drones
         if not getattr(core.task.success, "named", True):
             velocity = self._towards(drones, self._chosen(core))
@@ -103,16 +104,16 @@ class SetpointTeacher(CoreAgent):
         return np.asarray(velocity / SPEED_LIMIT)
 
     def _towards(self, drones: Records, places: FloatArray) -> FloatArray:
-        """Velocities: by the slope near the place, then by the square root of the distance."""
-        way = places - drones["setpoint_position"]
-        distance = np.linalg.norm(way, axis=-1, keepdims=True)
+        """Return velocities: linear in the distance near the goal, then with its square root."""
+        delta = places - drones["setpoint_position"]
+        distance = np.linalg.norm(delta, axis=-1, keepdims=True)
         least = self.braking_mps2 / self.slope
         root = 2.0 * self.braking_mps2 * distance - least**2
         near = np.minimum(self.slope * distance, np.sqrt(np.maximum(root, least**2)))
-        return np.asarray(way / np.maximum(distance, 1e-9) * np.minimum(near, self.speed_mps))
+        return np.asarray(delta / np.maximum(distance, 1e-9) * np.minimum(near, self.speed_mps))
 
     def _chosen(self, core: SwarmCore) -> FloatArray:
-        """(E, N, 3) the places that drones choose when an episode begins."""
+        """Return the goals (E, N, 3) that are assigned to drones at the start of an episode."""
         if self._places is None:
             self._places = np.array(core.world.drones["goal"])
         for e in np.flatnonzero(core.world.environments["decisions"] == 0):
@@ -121,7 +122,7 @@ class SetpointTeacher(CoreAgent):
         return self._places + self._shift(core)
 
     def _shift(self, core: SwarmCore) -> FloatArray | float:
-        """What to add to a place so that the drone, not its set-point, rests there, m."""
+        """Return the shift of set-points that cancels the displacement by the true force, m."""
         if not self.compensates:
             return 0.0
         drones, g = core.world.drones, self._gains
@@ -132,10 +133,10 @@ class SetpointTeacher(CoreAgent):
 
 
 def _all_force(core: SwarmCore) -> FloatArray:
-    """(E, N, 3) of other drones, and vertically of what no model knows in the hall, N.
+    """Return the interaction force (E, N, 3) and the vertical random force of the hall, N.
 
-    The physics keeps no record of that force, which pushes in one step alone; it is computed again
-    from its process, for drones that have others near.
+    The physics does not store the random force; it is computed again from its process, for drones
+    with neighbors.
     """
     force, drones = np.array(core.physics.force), core.world.drones
     if core.config.hall is not None:
@@ -147,23 +148,23 @@ def _all_force(core: SwarmCore) -> FloatArray:
 
 
 class RingLine(SetpointTeacher):
-    """The same with the gains of `tracking`, which the errors of the hall disturb less."""
+    """`SetpointTeacher` with the gains of `tracking`, which are more robust in the hall."""
 
     controller = "tracking+compensated+adaptive"
 
 
 class TimedTeacher(SetpointTeacher):
-    """Leads set-points to places by minimum-jerk ways that take a time, and holds them there.
+    """Teacher whose set-points follow minimum-jerk paths of a fixed duration to goals.
 
-    The velocity is a multiple of the distance left, which depends on the time since the stage
-    began: a student learns it from those two.
+    The velocity is the remaining distance times a gain that depends on the time since the stage
+    began, so that a student can learn it from these two.
     """
 
     controller, travel_s = "heavy-on-top", 1.6
-    latest = 0.7  # Share of that time from which on the multiple stays the same
+    latest = 0.7  # Fraction of the duration after which the gain is constant
 
     def teach(self, core: SwarmCore) -> FloatArray:
-        """Velocities of the set-points."""
+        """Return velocities of the set-points."""
         drones, task = core.world.drones, core.task
         named = getattr(task.success, "named", True)
         places = drones["goal"] + self._shift(core) if named else self._chosen(core)
@@ -178,39 +179,39 @@ class TimedTeacher(SetpointTeacher):
 
 
 class SprintInTime(TimedTeacher):
-    """The same in the time that `sprint` leaves."""
+    """`TimedTeacher` with the duration of the layout `sprint`."""
 
     controller, travel_s, latest = "downwash-aware", 0.85, 0.55
 
 
 class DeliveryInTime(TimedTeacher):
-    """The same in the time that `delivery` leaves, with an estimate of the force."""
+    """`TimedTeacher` with the duration of the task `delivery`, and a force estimate."""
 
     controller, travel_s, latest = "pid+adaptive", 1.5, 0.8
 
 
 class OracleTeacher(SetpointTeacher):
-    """The same with a controller that knows no force model; it reads the true force instead."""
+    """`SetpointTeacher` that reads the true force, with a controller without a force model."""
 
     controller, compensates = "pid", True
 
 
 class Carousel(CoreAgent):
-    """Circles: all fly half a turn to the right at one speed, so that their distances stay.
+    """Teacher for circles: all drones fly half a turn to the right at one speed.
 
-    It reads where they started; a student finds the turn from its goal, its velocity and who is
-    near. No circle is too crowded for it, as long as neighbors at rest have room.
+    Their distances stay constant, so that it works for any circle whose goals do not overlap. It
+    reads the starts; a student infers the turn from goal, velocity and neighbors.
     """
 
     requires = MappingProxyType({"action": "acceleration", "decision_rate": 20, "num_neighbors": 7})
     speed_mps, gain, braking = 1.5, 5.0, 2.0  # Gain and braking: velocity and distance, 1/s
-    straight_m = 0.35  # Arc that is left where it begins to fly straight to the goal
+    straight_m = 0.35  # Remaining arc at which it begins to fly straight to the goal
 
     def teach(self, core: SwarmCore) -> FloatArray:
-        """Accelerations along the arc."""
+        """Return accelerations along the arc."""
         drones = core.world.drones
         start, goal, position = drones["start"], drones["goal"], drones["position"]
-        middle, way = 0.5 * (start + goal), goal - position
+        middle, delta = 0.5 * (start + goal), goal - position
         radius = 0.5 * np.linalg.norm((goal - start)[..., :2], axis=-1, keepdims=True)
         out, last = (position - middle)[..., :2], (goal - middle)[..., :2]
         distance = np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 0.05)
@@ -222,8 +223,8 @@ class Carousel(CoreAgent):
         along = np.stack([-out[..., 1], out[..., 0]], axis=-1)
         level = speed * along + self.braking * (radius - distance) * out
         near = left < self.straight_m
-        level = np.where(near, self.braking * way[..., :2], level)
-        wanted = np.concatenate([level, self.braking * way[..., 2:]], axis=-1)
+        level = np.where(near, self.braking * delta[..., :2], level)
+        wanted = np.concatenate([level, self.braking * delta[..., 2:]], axis=-1)
         asked = self.gain * (wanted - drones["velocity"])
         asked[..., :2] -= np.where(near, 0.0, speed**2 / radius) * out
         size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
@@ -231,7 +232,7 @@ class Carousel(CoreAgent):
 
 
 class StackOracle(OracleTeacher, TimedTeacher):
-    """The same in time, for `stack`; where there are no forces, to the nearest places."""
+    """`OracleTeacher` with a fixed duration, for `stack`; without forces, for the nearest goals."""
 
     def _chosen(self, core: SwarmCore) -> FloatArray:
         if core.config.interactions == "none":
@@ -240,29 +241,29 @@ class StackOracle(OracleTeacher, TimedTeacher):
 
 
 class SprintOracle(OracleTeacher, SprintInTime):
-    """The same in the time that `sprint` leaves."""
+    """`OracleTeacher` with the duration of the layout `sprint`."""
 
 
 class DeliveryOracle(OracleTeacher, DeliveryInTime):
-    """The same in the time that `delivery` leaves."""
+    """`OracleTeacher` with the duration of the task `delivery`."""
 
 
 class _Ahead(RoundaboutAgent):
-    """The roundabout without the evasion of obstacles: another finds the way."""
+    """The roundabout without the avoidance of obstacles, which `WayFinder` adds."""
 
     def _around(self, rows: Float32Array, wanted: Float32Array) -> Float32Array:
         return wanted
 
 
 class WayFinder(CoreAgent):
-    """Flies past obstacles on the shorter side and through goals at speed, behind a filter.
+    """Teacher that passes obstacles on the shorter side and goals at speed, with a safety filter.
 
-    Obstacles are taken for columns that reach the ceiling. It reads where all of them are; the
-    filter, who is near, from rows without noise.
+    Obstacles are treated as columns up to the ceiling. It reads the positions of all of them; the
+    filter reads those of neighbors from rows without noise.
     """
 
     past_m, keep_m = 0.1, 0.28
-    """How far beyond a goal it aims, and how far from obstacles, m."""
+    """Distance beyond a goal at which it aims, and clearance to obstacles, m."""
 
     def __init__(self) -> None:
         shipped = TUNED["roundabout"]
@@ -272,7 +273,7 @@ class WayFinder(CoreAgent):
         self.requires = {**self._pilot.requires, "num_obstacles": 3, "observe_load": False}
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Prepare the pilot, and note where obstacles stand."""
+        """Reset the filtered agent, and store the obstacles."""
         super().reset(env, seed)
         self._pilot.reset(env, seed)
         self._form = env.core.form[1:]
@@ -284,26 +285,26 @@ class WayFinder(CoreAgent):
         self._radius = np.where(box[:, 0], 1.15 * half, rows[:, 3])
 
     def teach(self, core: SwarmCore) -> FloatArray:
-        """Accelerations: those of the pilot towards the next point of the way."""
+        """Return accelerations toward the next point of the path."""
         rows = core.true_rows(*self._form)
-        position, way = core.world.drones["position"], rows[..., self._goal].astype(np.float64)
-        length = np.linalg.norm(way, axis=-1, keepdims=True)
-        turned = self._turned(position[..., :2], way[..., :2])
-        way = np.concatenate([turned, way[..., 2:]], axis=-1)
-        rows[..., self._goal] = way * (1.0 + self.past_m / np.maximum(length, 0.05))
+        position, delta = core.world.drones["position"], rows[..., self._goal].astype(np.float64)
+        length = np.linalg.norm(delta, axis=-1, keepdims=True)
+        turned = self._turned(position[..., :2], delta[..., :2])
+        delta = np.concatenate([turned, delta[..., 2:]], axis=-1)
+        rows[..., self._goal] = delta * (1.0 + self.past_m / np.maximum(length, 0.05))
         return np.asarray(self._pilot.act_batch(rows), np.float64)
 
-    def _turned(self, at: FloatArray, way: FloatArray) -> FloatArray:
-        """Level ways (..., 2) turned past the first obstacle in them, m."""
+    def _turned(self, at: FloatArray, delta: FloatArray) -> FloatArray:
+        """Return horizontal displacements (..., 2), turned past the first obstacle, m."""
         if not len(self._radius):
-            return way
-        length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)
-        ahead, side = way / length, np.stack([-way[..., 1], way[..., 0]], axis=-1) / length
+            return delta
+        length = np.maximum(np.linalg.norm(delta, axis=-1, keepdims=True), 1e-6)
+        ahead, side = delta / length, np.stack([-delta[..., 1], delta[..., 0]], axis=-1) / length
         place = self._middle - at[..., None, :]  # (..., M, 2)
         along = np.einsum("...mk,...k->...m", place, ahead)
         beside = np.einsum("...mk,...k->...m", place, side)
         away = np.linalg.norm(place, axis=-1)
-        to_goal = np.linalg.norm(place - way[..., None, :], axis=-1)
+        to_goal = np.linalg.norm(place - delta[..., None, :], axis=-1)
         keep = np.minimum(self._radius + self.keep_m, np.minimum(0.98 * away, 0.98 * to_goal))
         hit = (np.abs(beside) < keep) & (along > 0.0) & (along < length)
         first = np.where(hit, along, np.inf).argmin(axis=-1)[..., None]
@@ -313,4 +314,4 @@ class WayFinder(CoreAgent):
         tangent = np.arcsin(np.clip(clear / distance, 0.0, 1.0))
         turn = np.where(offset > 0.0, angle - tangent, angle + tangent)
         turn = np.where(hit.any(axis=-1), turn, 0.0)[..., None]
-        return np.asarray(np.cos(turn) * way + np.sin(turn) * side * length)
+        return np.asarray(np.cos(turn) * delta + np.sin(turn) * side * length)

@@ -1,1 +1,1 @@
-"""The benchmark: every agent on every task, in one table of episodes."""
+"""The benchmark: the evaluation of every agent on every task."""

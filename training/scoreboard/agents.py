@@ -1,7 +1,7 @@
-"""The agents of the benchmark: every included one, and some behind a safety filter.
+"""The agents of the benchmark: every included agent, and some with a safety filter.
 
-How many of a task's episodes an agent flies follows from its cost, and is fixed here: all agents on
-all tasks take less than an hour on two processors.
+Slow agents are evaluated on fewer episodes, so that all agents on all tasks take less than an hour
+on two processors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from swarm_envs.training.scoreboard.tasks import ScoredTask
 
 __all__ = ["AGENTS", "choose_agents"]
 
-LEAST = 8  # Episodes that every agent flies at least
+LEAST = 8  # Least number of episodes of every agent
 
 AGENTS: Mapping[str, int] = MappingProxyType(
     {
@@ -57,35 +57,35 @@ AGENTS: Mapping[str, int] = MappingProxyType(
         "rth3d+compensated": 4,
     }
 )
-"""Agents by name, in the order in which they are shown. Of slow ones the number is greater: an
-agent flies the first 1 / number of a task's episodes."""
-_OTHERS = 4  # The number of agents that do not ship
+"""Agents and their slowness, in the order of tables: an agent is evaluated on the first
+1 / slowness of a task's episodes."""
+_OTHERS = 4  # Slowness of custom agents
 
 
 def slowness_of(name: str) -> int:
-    """Return an agent's number in the table; one that does not ship has that of slow agents."""
+    """Return an agent's slowness from the table, or that of custom agents."""
     return AGENTS.get(name) or AGENTS.get(name.removesuffix(FILTER)) or _OTHERS
 
 
 def episodes_of(name: str, task: ScoredTask) -> int:
-    """Return how many of a task's episodes an agent flies."""
+    """Return the number of a task's episodes on which an agent is evaluated."""
     return min(task.episodes, max(LEAST, task.episodes // slowness_of(name)))
 
 
 def cost_of(name: str, task: ScoredTask) -> float:
-    """Return the cost of an episode, relative to others, roughly."""
+    """Return the approximate relative cost of an episode."""
     return slowness_of(name) * task.drones * task.clock_s
 
 
 def choose_agents(patterns: Sequence[str]) -> list[str]:
-    """Return names of agents: those of the table first, in its order.
+    """Return the names of agents: those of the table first, in its order.
 
     Args:
-        patterns: names of the table, or such as `swap-*`; and agents as `swarm_envs.agents.load`
-            takes them: path/to/file.py:Class, folders of trained policies.
+        patterns: names of the table, patterns such as `swap-*`, and other names for
+            `swarm_envs.agents.load`: path/to/file.py:Class and folders of trained policies.
 
     Raises:
-        ValueError: nothing has this name; the message names the nearest.
+        ValueError: no agent has this name; the message names the most similar.
     """
     found: dict[str, None] = {}
     others: dict[str, None] = {}
@@ -98,10 +98,10 @@ def choose_agents(patterns: Sequence[str]) -> list[str]:
         else:
             raise ValueError(
                 unknown_name("agent", pattern, AGENTS)
-                + "; one of your own is path/to/file.py:Class, or a folder of a trained policy"
+                + "; a custom agent is path/to/file.py:Class, or the folder of a trained policy"
             )
     if not found and not others:
-        raise ValueError("no agent is named; '*' names all that ship")
+        raise ValueError("--agent is empty; '*' stands for all included agents")
     return [*(name for name in AGENTS if name in found), *others]
 
 

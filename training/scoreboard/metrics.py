@@ -1,13 +1,13 @@
-"""The columns of the table of episodes, and what the episodes of an agent on a task add up to.
+"""The columns of the table of episodes, and the metrics of an agent on a task.
 
 An episode's score in [0, 1] makes episodes of different tasks comparable:
 
-- `time` (swap): success weighted by completion time (Yokoyama, Ha and Batra, IROS 2021): the time
-  in which the slowest drone could be at its goal, over the time it took; 0 without success.
-- `shapes` (formation): of the shapes the share that was reached.
-- `tracking` (ring): 1 less the worst error over 0.15 m, at which success ends; 0 without success.
-- `own` (crowd, pursuit, gates): the task's own score over the one that the row calls full, at most
-  1; with or without success.
+- `time` (swap): success weighted by completion time (Yokoyama, Ha and Batra, IROS 2021): the
+  shortest possible time of the slowest drone to its goal, over its actual time; 0 without success.
+- `shapes` (formation): the fraction of the shapes that were reached.
+- `tracking` (ring): 1 minus the worst error over 0.15 m, the bound of success; 0 without success.
+- `own` (crowd, pursuit, gates): the task's own score over that of `full_score`, at most 1; with or
+  without success.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from swarm_envs.training.scoreboard.tasks import ScoredTask, make_scored
 
 __all__ = ["COLUMNS", "METRICS", "EpisodeRow", "fastest_times", "row_of", "values_of"]
 
-EpisodeRow = dict[str, Any]  # An episode as a row of the table of episodes: values by column
+EpisodeRow = dict[str, Any]  # A row of the table of episodes: values by column
 _SAMPLES_S = 1.0 / 48.0
 _NUMBERS = (
     "minimum_separation_m",
@@ -56,25 +56,25 @@ COLUMNS: Mapping[str, str] = MappingProxyType(
         "agent": "string",
         "task": "string",
         "seed": "int64",
-        "episode": "int64",  # Position of the seed
+        "episode": "int64",  # Index of the seed
         "drones": "int64",
-        "refusal": "string",  # Why the agent's reset refused the episode
+        "refusal": "string",  # The error of an agent's reset that refused the episode
         **dict.fromkeys(("success", "collided", "near_miss"), "bool_"),
         **dict.fromkeys(("score", "makespan_s", *_NUMBERS), "float64"),
-        **dict.fromkeys(("act_us_p50", "act_us_p99"), "float64"),  # Where decisions were timed
+        **dict.fromkeys(("act_us_p50", "act_us_p99"), "float64"),  # If decisions were timed
     }
 )
-"""Columns of the table of episodes, and their types in Arrow; null where there is no value."""
+"""Columns of the table of episodes, and their types in Arrow; null without a value."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A number that the episodes of an agent on a task add up to."""
+    """A statistic of the episodes of an agent on a task."""
 
     name: str
     statistic: Literal["rate", "mean", "iqm", "median"] = "iqm"
     column: str = ""
-    """Of the table of episodes, if it has another name."""
+    """The column of the table of episodes; empty for the metric's name."""
     of_successes: bool = False
     """True if only successful episodes count."""
 
@@ -96,20 +96,20 @@ METRICS = (
     Metric("act_us_p50", "median"),
     Metric("act_us_p99", "median"),
 )
-"""Metrics of the benchmark, in order; docs/benchmark.md explains them."""
+"""The metrics of the benchmark in order; docs/benchmark.md explains them."""
 
 
 def row_of(
     task: ScoredTask, agent: str, index: int, episode: Episode, fastest_s: float | None
 ) -> EpisodeRow:
-    """Return an episode's row; of one that the agent refused, the metrics are missing.
+    """Return an episode's row; the metrics of an episode that the agent refused are null.
 
     Args:
-        task: what was flown.
-        agent: who flew.
-        index: of the seed among the frozen ones.
-        episode: as of `swarm_envs.agents.evaluation`.
-        fastest_s: of its seed, as of `fastest_times`, where the score is of time.
+        task: the task.
+        agent: the name of the agent.
+        index: the index of the seed.
+        episode: the episode, from `swarm_envs.agents.evaluation`.
+        fastest_s: the shortest time of its seed, from `fastest_times`, for the score `time`.
     """
     metrics, act_us = episode["metrics"], episode["act_us"]
     row: EpisodeRow = dict.fromkeys(COLUMNS)
@@ -130,7 +130,7 @@ def row_of(
 
 
 def _makespan(task: ScoredTask, metrics: Mapping[str, Any]) -> float | None:
-    """Return when the team was done, s; a ring or a crowd lasts until the clock ends."""
+    """Return the completion time, s; None for tasks that last until the time limit."""
     if task.score in ("tracking", "own"):
         return None
     found: float = metrics["length_s" if task.score == "shapes" else "time_to_goal_s"]
@@ -158,10 +158,10 @@ def _value(metric: Metric, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
 
 
 def fastest_times(task: ScoredTask, seeds: Sequence[int]) -> dict[int, float]:
-    """Return by seed the time in which the slowest drone could be within reach of its goal, s.
+    """Return, by seed, the shortest time in which the slowest drone can reach its goal, s.
 
-    From rest to rest on a straight line at the limits of acceleration and speed; where the task
-    gives a moving reference, no less than that takes, as nobody is asked to be faster.
+    It is the time of rest-to-rest motion on a straight line at the limits of acceleration and
+    speed, and at least that of a moving reference of the task.
     """
     env = make_scored(task.environment, task.setting)
     try:
@@ -192,9 +192,9 @@ def score_of(task: ScoredTask, metrics: Mapping[str, Any], fastest_s: float | No
     """Return the score of an episode.
 
     Args:
-        task: what was flown.
-        metrics: of the episode, as of `swarm_envs.envs.evaluation.metrics`.
-        fastest_s: of its seed, where the score is of time.
+        task: the task.
+        metrics: the metrics of the episode, from `swarm_envs.envs.evaluation.metrics`.
+        fastest_s: the shortest time of its seed, for the score `time`.
     """
     if task.score == "shapes":
         return float(metrics["stages_reached"]) / float(metrics["stages"])

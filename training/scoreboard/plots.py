@@ -14,18 +14,18 @@ from swarm_envs.files import written_whole
 
 __all__ = ["plot_scores", "plot_success"]
 
-_SHOWN = 8  # Agents of a family that are plotted, the best by score
+_SHOWN = 8  # Number of plotted agents of a family, the best by score
 _STYLE: Any = {
     "axes.grid": True,
     "grid.alpha": 0.3,
     "legend.fontsize": 7,
     "font.size": 8,
-    "text.parse_math": False,  # names are the users'
+    "text.parse_math": False,  # names of custom agents may contain $
 }
 
 
 def plot_success(path: Path, content: Mapping[str, Any]) -> None:
-    """Plot success rates with Wilson's 95 % intervals by task, a panel for each family."""
+    """Plot success rates with Wilson's 95 % intervals by task, one panel per family."""
     families, about = content["families"], content["about"]
     cells = {(cell["task"], cell["agent"]): cell for cell in content["cells"]}
     tasks = {f: [k for k, v in about["tasks"].items() if v["family"] == f] for f in families}
@@ -66,7 +66,7 @@ def plot_scores(path: Path, content: Mapping[str, Any]) -> None:
             left.set(title=f"{family}: interquartile mean", xlim=(-0.02, 1.02))
             left.set_yticks(range(len(shown)), shown)
             left.invert_yaxis()
-            right.set(title=f"{family}: performance profile", ylabel="share of episodes above")
+            right.set(title=f"{family}: performance profile", ylabel="fraction of episodes above")
             right.set(xlim=(0.0, 1.0), ylim=(-0.02, 1.02))
         for axes in panels[-1]:
             axes.set_xlabel("score")
@@ -74,7 +74,7 @@ def plot_scores(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _best(content: Mapping[str, Any], family: str) -> list[str]:
-    """Return the agents of a family with the highest scores, in that order."""
+    """Return the agents of a family with the highest scores, best first."""
     found = content["families"][family]
     return sorted(found, key=lambda name: -found[name]["value"])[:_SHOWN]
 
@@ -82,7 +82,7 @@ def _best(content: Mapping[str, Any], family: str) -> list[str]:
 def _intervals(
     axes: Axes, places: list[float], values: list[Mapping[str, Any]], label: str
 ) -> None:
-    """Draw values with their intervals as horizontal bars at places of the vertical axis."""
+    """Draw values with their intervals as horizontal bars at vertical positions."""
     middle = [each["value"] for each in values]
     below = [max(0.0, each["value"] - each["interval"][0]) for each in values]
     above = [max(0.0, each["interval"][1] - each["value"]) for each in values]

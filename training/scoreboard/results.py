@@ -1,8 +1,7 @@
-"""The file of a benchmark's results: a row per episode, and in its metadata how it was made.
+"""The file of a benchmark's results: one row per episode, and metadata.
 
-`episodes.parquet` can be read by anything that reads Parquet. The key `swarm-envs benchmark` of its
-metadata holds JSON: the command, the seed, versions and machine, digests of tasks and agents, and
-why agents did not fly a task.
+The key `swarm-envs benchmark` of the metadata of `episodes.parquet` is JSON: the command, the seed,
+versions and machine, digests of tasks and agents, and the reasons of missing results.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from swarm_envs.training.scoreboard.metrics import COLUMNS, EpisodeRow
 __all__ = ["FILE", "Cell", "Results", "need_parquet", "read_results"]
 
 FILE = "episodes.parquet"
-"""Its name in a benchmark's folder."""
+"""Name of the file in a benchmark's folder."""
 _KEY = b"swarm-envs benchmark"
 
 
@@ -30,20 +29,20 @@ class Cell:
     agent: str
     rows: list[EpisodeRow] = field(default_factory=list)
     failure: str = ""
-    """Why the agent failed, or could not be made; then there is no episode."""
+    """The error of an agent that failed, without episodes; empty for none."""
     mismatch: str = ""
-    """Why the agent cannot fly the task, found before it flew."""
+    """The reason that the agent does not support the task; empty for none."""
 
     @property
     def status(self) -> Literal["flown", "failed", "unsupported"]:
-        """Return what became of it: an agent that refuses every episode does not support a task."""
+        """The status; an agent that refuses every episode does not support a task."""
         if self.failure:
             return "failed"
         return "flown" if any(row["refusal"] is None for row in self.rows) else "unsupported"
 
     @property
     def reason(self) -> str:
-        """Return why it was not flown, or why episodes were refused; empty if all were flown."""
+        """The reason of missing or refused episodes; empty for none."""
         refusals = [row["refusal"] for row in self.rows if row["refusal"] is not None]
         if self.status == "flown" and refusals:
             return f"refused {len(refusals)} of {len(self.rows)} episodes: {refusals[0]}"
@@ -55,16 +54,16 @@ class Results:
     """The results of a benchmark.
 
     Args:
-        about: how it was made: `command`, `seed`, `versions`, `machine`; `tasks` by id and `agents`
+        about: the metadata: `command`, `seed`, `versions`, `machine`; `tasks` by id and `agents`
             by name, each with its `digest`.
-        cells: every agent on every task.
+        cells: the results of every agent on every task.
     """
 
     about: dict[str, Any]
     cells: list[Cell]
 
     def write(self, path: Path) -> None:
-        """Write the file, whole or not at all.
+        """Write the file atomically.
 
         Raises:
             OSError: it cannot be written.
@@ -86,9 +85,9 @@ def read_results(path: Path) -> Results:
     """Read a benchmark's file, or that of its folder.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: there is no such file.
         ImportError: pyarrow is not installed.
-        ValueError: it is no such file.
+        ValueError: it is no file of a benchmark.
     """
     arrow, parquet = need_parquet()
     path = path / FILE if path.is_dir() else path
@@ -111,6 +110,6 @@ def need_parquet() -> tuple[Any, Any]:
     """Return pyarrow and pyarrow.parquet.
 
     Raises:
-        ImportError: they are not installed; the message says how to get them.
+        ImportError: pyarrow is not installed.
     """
-    return pyarrow("the benchmark", "evaluate agents by `swarm-envs evaluate`")
+    return pyarrow("the benchmark", "evaluate agents with `swarm-envs evaluate`")

@@ -1,4 +1,4 @@
-"""The loop of the benchmark: every agent on every task, resumed where it was interrupted."""
+"""The loop of the benchmark over every agent and task, which resumes after an interruption."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from swarm_envs.training.scoreboard.tasks import SEED, ScoredTask, digest, make_
 
 __all__ = ["fly_benchmark"]
 
-PARTS = "parts"  # Where episodes are kept, in a benchmark's folder
-_QUICK = 16  # A quick benchmark flies so many times fewer episodes
+PARTS = "parts"  # Folder of stored episodes in a benchmark's folder
+_QUICK = 16  # Divisor of the number of episodes with --quick
 
 
 @dataclass(frozen=True)
 class _Loaded:
-    """An agent that was asked for."""
+    """A requested agent."""
 
     name: str
-    agent: Agent | None  # None if it could not be made
+    agent: Agent | None  # None if it cannot be loaded
     digest: str
-    error: str = ""  # Why it could not be made
+    error: str = ""  # The reason that it cannot be loaded
 
 
 @dataclass(frozen=True)
 class _Flying:
-    """A cell that is flown, and where its episodes are kept."""
+    """A cell that is evaluated, with the file of its episodes."""
 
     cell: Cell
     task: ScoredTask
@@ -63,24 +63,25 @@ def fly_benchmark(
     episodes: int | None = None,
     quick: bool = False,
 ) -> Results:
-    """Fly what a folder does not have yet, and write `episodes.parquet`.
+    """Simulate the episodes that are missing in a folder, and write `episodes.parquet`.
 
-    Episodes are kept in `parts/`, in files by agent and task, their digests, and the version of the
-    package. The folder must be claimed (`swarm_envs.files.claimed`).
+    Episodes are stored in `parts/`, in a file for each agent, task, their digests, and the version
+    of the package. The folder must be claimed (`swarm_envs.files.claimed`).
 
     Args:
         tasks: rows of the table of tasks.
-        agents: names as of `swarm_envs.agents.load`.
+        agents: names for `swarm_envs.agents.load`.
         out: the folder.
         scale: the workers; except for times of decisions, the results do not depend on them.
-        seed: from which the seeds of the episodes are drawn; scores of other seeds do not compare.
-        episodes: of every agent on every task; None for those of the tables.
-        quick: fly a sixteenth of those, and at least one.
+        seed: the seed from which those of the episodes are drawn; scores of different seeds are not
+            comparable.
+        episodes: the number of episodes of every agent on every task; None for that of the tables.
+        quick: simulate a sixteenth of the episodes, and at least one.
 
     Raises:
         ConnectionError: there is no such cluster.
-        ImportError: pyarrow or Ray is needed and not installed.
-        OSError: something cannot be written.
+        ImportError: pyarrow, or Ray if it is requested, is not installed.
+        OSError: a file cannot be written.
         ValueError: a file of episodes is damaged.
     """
     need_parquet()
@@ -111,11 +112,11 @@ def _load(name: str) -> _Loaded:
         agent = load(name)
         return _Loaded(name, agent, source_digest(agent, name))
     except (Exception, SystemExit) as error:
-        return _Loaded(name, None, "", f"cannot be made: {type(error).__name__}: {error}")
+        return _Loaded(name, None, "", f"cannot be loaded: {type(error).__name__}: {error}")
 
 
 def _flight(task: ScoredTask, name: str, agent: Agent, seeds: Sequence[int]) -> Flight:
-    """Return what an agent flies of a task; an exception if it does not fly it."""
+    """Return the episodes of an agent on a task; raise an exception if it does not support it."""
     check_options_agree(agent, task.setting)
     with closing(make_scored(task.environment, {**task.setting, **agent.requires})) as env:
         batched = flies_batches(env, agent)
@@ -138,7 +139,7 @@ def _file(parts: Path, task: ScoredTask, flight: Flight) -> EpisodeFile:
 
 
 def _fly(flying: Sequence[_Flying], scale: ScaleOptions) -> None:
-    """Fill cells."""
+    """Simulate the episodes, and fill the cells."""
     flown = fly_flights([(each.flight, each.file) for each in flying], scale)
     fastest: dict[str, dict[int, float]] = {}
     traces = {}
@@ -155,12 +156,12 @@ def _fly(flying: Sequence[_Flying], scale: ScaleOptions) -> None:
             row_of(task, cell.agent, k, episode, times.get(episode["seed"]))
             for k, episode in enumerate(episodes)
         ]
-    # Whoever wrote a file needs to see where it failed.
+    # Authors of custom agents need the tracebacks.
     sys.stderr.write("".join(trace for name, trace in traces.items() if ":" in name))
 
 
 def _about(tasks: Sequence[ScoredTask], loaded: Sequence[_Loaded], seed: int) -> dict[str, Any]:
-    """Return how results were made, ready for JSON."""
+    """Return the metadata of results, ready for JSON."""
     found = versions()
     for package in ("torch", "pyarrow", "ray"):
         with suppress(metadata.PackageNotFoundError):

@@ -1,10 +1,10 @@
-"""Summaries of a benchmark's results, as JSON, tables of text and Markdown.
+"""Summaries of a benchmark's results as JSON, text tables and Markdown.
 
-Scores over the tasks of a family are aggregated as Agarwal et al. propose (Deep reinforcement
+Scores over the tasks of a family are aggregated as proposed by Agarwal et al. (Deep reinforcement
 learning at the edge of the statistical precipice, NeurIPS 2021, and its library rliable): the
-interquartile mean of the scores of all episodes of all tasks, and the share of them above each
-threshold; intervals by the stratified bootstrap, which samples again within each task. Tasks weigh
-the same, however many episodes were flown of each.
+interquartile mean of the scores of all episodes of all tasks, and the fraction of them above each
+threshold; intervals are those of the stratified bootstrap, which resamples within each task. All
+tasks have the same weight, independent of their number of episodes.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from swarm_envs.training.scoreboard.results import Cell, Results
 
 __all__ = ["NOTE", "aggregate", "align_columns", "markdown", "standings", "summarize"]
 
-THRESHOLDS = np.linspace(0.0, 1.0, 51)  # Scores at which profiles are given
-_AT_ONCE = 4_000_000  # Numbers that a bootstrap holds at once
-NOTE = "* sees the true state; (k of n): of the tasks it supports, all where nothing stands"
+THRESHOLDS = np.linspace(0.0, 1.0, 51)  # Scores at which profiles are evaluated
+_AT_ONCE = 4_000_000  # Numbers that a bootstrap has in memory at once
+NOTE = "* sees the true state; (k of n): supports only k of the n tasks"
 """Explanation of the marks in the tables."""
 _NOT_FLOWN = {"unsupported": "-", "failed": "failed"}
 
@@ -33,7 +33,7 @@ _NOT_FLOWN = {"unsupported": "-", "failed": "failed"}
 def weighted_interquartile_mean(values: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the mean of the middle half by weight of values (..., n) with weights (n,) >= 0.
 
-    Where a quarter of the weight ends within a value, that part of the value counts.
+    Values at the quartiles count partially.
     """
     order = np.argsort(values, axis=-1, kind="stable")
     share = weights[order] / weights.sum()
@@ -47,15 +47,15 @@ def aggregate(scores: Sequence[FloatArray]) -> dict[str, Any]:
 
     Returns:
         `value` and `interval` of the interquartile mean, and the performance profile: `fraction`,
-        the share of episodes that score more than each of `THRESHOLDS` (or as much, at the last),
-        with the ends `low` and `high` of its pointwise intervals.
+        the fraction of episodes with a score above each of `THRESHOLDS` (or equal to the last),
+        with the bounds `low` and `high` of its pointwise intervals.
 
     Raises:
         ValueError: there is no task, or one without episodes.
     """
     if not scores or any(len(part) == 0 for part in scores):
-        raise ValueError("there is no score to aggregate: name a task, and fly an episode of it")
-    # A bootstrap needs two values; the same one twice changes nothing.
+        raise ValueError("there is no score to aggregate; evaluate at least one episode per task")
+    # A bootstrap needs two values; a repeated value does not change the result.
     parts = [part if len(part) > 1 else np.repeat(part, 2) for part in scores]
     weights = np.concatenate([np.full(len(part), 1.0 / len(part)) for part in parts])
 
@@ -91,9 +91,9 @@ def summarize(results: Results) -> dict[str, Any]:
     """Summarize results, ready for JSON.
 
     Returns:
-        `about`; `cells`, every agent on every task with its metrics; `families`: by family of tasks
-        and agent what `aggregate` gives, and of how many tasks. Only tasks that an agent supports
-        count. One on which it failed counts as a score of 0.
+        `about`; `cells`: every agent on every task with its metrics; `families`: by family of tasks
+        and agent, the result of `aggregate` and the number of tasks. Only tasks that an agent
+        supports count. A task on which it failed has a score of 0.
     """
     cells = tqdm(results.cells, desc="intervals", unit="cell", mininterval=0.5)
     families: dict[str, Any] = {}
@@ -130,7 +130,7 @@ def _describe(cell: Cell) -> dict[str, Any]:
 
 
 def standings(content: Mapping[str, Any]) -> list[list[str]]:
-    """Return rows of the agents' aggregates by family, the head first, of a summary."""
+    """Return rows of the agents' aggregate scores by family, the header first."""
     families = content["families"]
     rows = [["agent", *families]]
     for name in content["about"]["agents"]:
@@ -152,9 +152,9 @@ def _standing(standing: Mapping[str, Any] | None) -> str:
 
 
 def success_rates(content: Mapping[str, Any], family: str) -> list[list[str]]:
-    """Return rows of the agents' success rates on a family's tasks, percent, the head first.
+    """Return rows of the agents' success rates on a family's tasks, percent, the header first.
 
-    Agents that support none of them are left out.
+    Agents that support none of the tasks are omitted.
     """
     tasks = [k for k, v in content["about"]["tasks"].items() if v["family"] == family]
     cells = {(cell["task"], cell["agent"]): cell for cell in content["cells"]}
@@ -166,7 +166,7 @@ def success_rates(content: Mapping[str, Any], family: str) -> list[list[str]]:
 
 
 def _short(task_id: str, family: str) -> str:
-    """Return a task's id without version, and without what the table's title or others say."""
+    """Return a task's id without its version, and without the family or a common task."""
     first, *words, _ = task_id.split("-")
     return " ".join(words if first in {family, "swap", "formation"} else [first, *words])
 
@@ -178,7 +178,7 @@ def _rate(cell: Mapping[str, Any]) -> str:
 
 
 def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return lines of a table whose columns stand below each other."""
+    """Return the lines of a table with aligned columns."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
     return [line.rstrip() for line in lines]

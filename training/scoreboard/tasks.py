@@ -1,13 +1,13 @@
-"""The benchmark's tasks: these tables are their definition.
+"""The definition of the benchmark's tasks.
 
-They come in families: *classic*, swaps, rings and formations, with clocks that are long enough for
-planners; *air*, tasks in which downwash decides; *crowd*, more drones, goals that go on or move;
-*robust*, other worlds, vehicles and engines; *transfer*, forces with which nothing that ships was
-trained. To add a task, add a row and its digest (`tests/training/scoreboard`).
+The families are: *classic*, swaps, rings and formations with time limits long enough for planners;
+*air*, tasks in which downwash matters most; *crowd*, more drones, and goals that change or move;
+*robust*, other worlds, vehicles and engines; *transfer*, force models with which no included agent
+was trained. To add a task, add a row and its digest (`tests/training/scoreboard`).
 
-An id names what is flown for good: the task's version, every option, the force model by the digest
-of its weights, the seeds and the score. A change of any of these makes another benchmark, so the
-row gets a new version (`swap-circle-4-v3`). A test holds the digest of each definition.
+An id permanently identifies a definition: the task's version, every option, the digest of the force
+model's weights, the seeds and the score. If any of these changes, the row gets a new version
+(`swap-circle-4-v3`). A test compares the digest of each definition.
 """
 
 from __future__ import annotations
@@ -31,57 +31,57 @@ from swarm_envs.vehicles import parse_team
 __all__ = ["SEED", "TASKS", "choose_tasks", "digest", "make_scored"]
 
 SEED = 2026
-"""What the frozen seeds are drawn from, for every task and agent: one on which nothing that ships
-was trained, tuned or chosen."""
+"""Seed from which those of the episodes are drawn, for every task and agent. No included agent was
+trained, tuned or selected on it."""
 COMMON: Mapping[str, Any] = MappingProxyType(
     {"physics": "batch", "interactions": "learned", "force_rate": 240}
 )
 """Options of every task's environments."""
 
 Score = Literal["time", "shapes", "tracking", "own"]
-"""What an episode's score says: see `swarm_envs.training.scoreboard.metrics`."""
+"""Kinds of scores; see `swarm_envs.training.scoreboard.metrics`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredTask:
-    """A row of the table; its options are those beside `COMMON`, ready for JSON."""
+    """A task of the benchmark; its options are those besides `COMMON`, ready for JSON."""
 
     id: str
-    """Such as `swap-circle-4-v2`; another meaning has another version."""
+    """The id, such as `swap-circle-4-v2`; another definition has another version."""
     family: str
-    """Such as `classic` or `air`."""
+    """The family, such as `classic` or `air`."""
     environment: str
-    """First argument of `swarm_envs.make`."""
+    """The first argument of `swarm_envs.make`."""
     options: Mapping[str, Any]
-    """Of the environment, beside what an agent requires."""
+    """The options of the environment besides those that an agent requires."""
     episodes: int
-    """Of each agent; slow agents fly the first of them."""
+    """The number of episodes of each agent; slow agents are evaluated on fewer."""
     score: Score
-    """The measure that scores an episode."""
+    """The kind of score of an episode."""
     clock_s: float
-    """Longest duration of an episode, s."""
+    """The longest duration of an episode, s."""
     full_score: tuple[str, float] | None = None
-    """Where the score is `own`: the metric that is the task's own score, and what counts as 1."""
+    """For the score `own`: the metric, and its value that counts as 1."""
     certificate: str
-    """Agent that succeeds in 95 % of the episodes or more: the task can be solved. With `@` and a
-    number behind it, within a clock of so many seconds."""
+    """An agent that succeeds in at least 95 % of the episodes, as a proof that the task can be
+    solved; `NAME@SECONDS` with a time limit of so many seconds."""
 
     @property
     def drones(self) -> int:
-        """How many fly."""
+        """The number of drones."""
         team = self.options.get("team")
         return int(self.options["num_drones"]) if team is None else len(parse_team(team))
 
     @property
     def setting(self) -> dict[str, Any]:
-        """Every option of its environments beside those that an agent requires."""
+        """All options of its environments besides those that an agent requires."""
         return {**self.options, **{k: v for k, v in COMMON.items() if k not in self.options}}
 
 
 def definition(task: ScoredTask) -> dict[str, Any]:
-    """Everything that an id stands for, ready for JSON.
+    """Return the definition of a task, ready for JSON.
 
-    How many episodes are flown is no part of it: fewer seeds are the first of more.
+    The number of episodes is not part of it, because fewer seeds are the first of more.
     """
     setting = task.setting
     world = Hall.of(setting.get("world", "ideal"))
@@ -97,7 +97,7 @@ def definition(task: ScoredTask) -> dict[str, Any]:
 
 
 def make_scored(environment: str, setting: Mapping[str, Any]) -> SwarmParallelEnv:
-    """An environment of a setting that is ready for JSON, as `swarm_envs.make` makes it."""
+    """Return the environment of a setting that is ready for JSON, from `swarm_envs.make`."""
     options = dict(setting)
     if isinstance(options.get("randomization"), Mapping):
         options["randomization"] = Randomization(**options["randomization"])
@@ -105,7 +105,7 @@ def make_scored(environment: str, setting: Mapping[str, Any]) -> SwarmParallelEn
 
 
 def digest(task: ScoredTask) -> str:
-    """SHA-256 of a task's definition: 16 of its digits."""
+    """Return the first 16 digits of the SHA-256 of a task's definition."""
     content = json.dumps(definition(task), sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
@@ -130,8 +130,8 @@ _KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
         "formation shuffle": ("time", 8.0, 128),
     }
 )
-"""Score, clock in seconds, and episodes."""
-_LONG_S = 12.0  # The clock of swaps of 16 drones and more, in which planners arrive
+"""Score, time limit in seconds, and episodes."""
+_LONG_S = 12.0  # Time limit of swaps of 16 drones and more, long enough for planners, s
 
 
 def _classic(name: str, layout: str | None, size: int | str) -> ScoredTask:
@@ -154,43 +154,43 @@ def _classic(name: str, layout: str | None, size: int | str) -> ScoredTask:
 
 
 _CLASSIC_ROWS = (
-    # Starts anywhere at least 0.5 m apart; each drone's goal is another's start.
+    # Random starts at least 0.5 m apart; each drone's goal is another's start.
     _classic("swap", "random", 2),
     _classic("swap", "random", 4),
     _classic("swap", "random", "SSLL"),
     _classic("swap", "random", 8),
     _classic("swap", "random", 16),
-    # Antipodal goals on a level circle: every way crosses the centre.
+    # Antipodal goals on a horizontal circle: all paths cross the center.
     _classic("swap", "circle", 2),
     _classic("swap", "circle", 4),
     _classic("swap", "circle", 8),
     _classic("swap", "circle", 16),
-    # A small drone passes right below a large one; four planes of one drone, aligned half way.
+    # A small drone passes directly below a large one; four drones in four planes, aligned half way.
     _classic("swap", "stacked", "L2S"),
     _classic("swap", "stacked", 4),
-    # Upright and level circles; the paper's are those of 5 (two types) and 16 (three).
+    # Vertical and horizontal circles; the paper's are those of 5 (two types) and 16 (three).
     _classic("ring", None, 4),
     _classic("ring", None, 5),
     _classic("ring", None, 8),
     _classic("ring", None, 16),
-    # Plane, pyramid, cube, sphere and plane again, each drone to the place nearest to it.
+    # Plane, pyramid, cube, sphere and plane again; each drone flies to the nearest goal.
     _classic("formation", "tour", 8),
     _classic("formation", "tour", 16),
-    # From a plane into a cube, places drawn: ways cross, above and below others.
+    # From a plane to a cube with random goals: paths cross above and below others.
     _classic("formation", "shuffle", 8),
     _classic("formation", "shuffle", 16),
 )
 
 
 def _new(name: str, base: str, certificate: str, episodes: int, **options: Any) -> ScoredTask:
-    """A row that is a classic one with other options.
+    """Return a classic task with other options.
 
     Args:
         name: the id without its version; its first word is the family.
-        base: id of the other, without its version.
-        certificate: as of `ScoredTask`.
-        episodes: of each agent.
-        **options: what differs.
+        base: the id of the classic task without its version.
+        certificate: see `ScoredTask`.
+        episodes: the number of episodes of each agent.
+        **options: the options that differ.
     """
     other = _CLASSIC[f"{base}-v2"]
     team = {"num_drones", "team"} & set(options)
@@ -214,7 +214,7 @@ def _of_own(
     version: int = 2,
     **options: Any,
 ) -> ScoredTask:
-    """A row of another environment than the classic ones; arguments as of `_new`."""
+    """Return a task of another environment than the classic ones; see `_new`."""
     score, clock_s, full_score = _SCORES[environment]
     return ScoredTask(
         id=f"{name}-v{version}",
@@ -238,7 +238,7 @@ _SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingPr
         "pursuit_v0": ("own", 20.0, ("share_on_goal", 1.0)),
     }
 )
-"""Score, clock in seconds, and full score."""
+"""Score, time limit in seconds, and full score."""
 
 _CLASSIC = {task.id: task for task in _CLASSIC_ROWS}
 _NOISE = {
@@ -250,44 +250,44 @@ _NOISE = {
 }
 
 _NEW = (
-    # Two columns of small drones, half with a payload, or of a large one and two small ones.
+    # Two columns of small drones, half with a payload, or of a large drone and two small ones.
     _of_own("air-stack-8", "columns_v0", _TOP, 128, 3, layout="stack", num_drones=8,
             gap_m=[0.28, 0.33], payload_kg=[0.013, 0.016]),
     _of_own("air-mixed-6", "columns_v0", _TOP, 128, 3, layout="stack", team="LSSLSS",
             gap_m=[0.30, 0.36], payload_kg=[0.013, 0.016]),
-    # Two columns of large drones and a small one, in at most 2 s, within 3 cm.
+    # Two columns of large drones and a small one, in at most 2 s, with errors below 3 cm.
     _of_own("air-sprint-8", "columns_v0", f"{_AWARE}@2", 128, 3, layout="sprint",
             num_drones=8, horizon_s=1.8),
-    # Couriers dock above the floor, at two of three docks below others.
+    # Drones deliver to docks above the floor, two of three below other drones.
     _of_own("air-delivery-7", "delivery_v0", "pid+adaptive", 128, num_drones=7),
-    # A slalom in vertical formation, in 12 s.
+    # A slalom in a vertical formation, in 12 s.
     _of_own("air-gates-4", "gates_v0", _AWARE, 64, num_drones=4, horizon_s=12.0),
-    # A reached goal gives another, 1 to 3 m away; in the forest between trees.
+    # A drone that reaches its goal gets another, 1 to 3 m away; in the forest between trees.
     _of_own("crowd-open-64", "crowd_v0", _ROUND, 16, layout="open", num_drones=64),
     _of_own("crowd-forest-16", "crowd_v0", _LINE, 64, layout="forest", num_drones=16),
     _of_own("crowd-forest-64", "crowd_v0", _LINE, 16, layout="forest", num_drones=64),
-    # A reached goal gives another, 0.8 to 1.6 m away, between towers.
+    # A drone that reaches its goal gets another, 0.8 to 1.6 m away, between towers.
     _of_own("crowd-buildings-32", "crowd_v0", _LINE, 32, layout="buildings", num_drones=32,
             reach_m=[0.8, 1.6]),
-    # Goals are a formation that flies an ellipse; another's every 5 s; beside other drones.
+    # Goals in a moving formation; goals exchanged every 5 s; goals beside other drones.
     _of_own("crowd-moving-8", "pursuit_v0", _TRACKING, 64, layout="moving", num_drones=8),
     _of_own("crowd-swaps-8", "pursuit_v0", _ROUND, 64, layout="swap-goals", num_drones=8),
     _of_own("crowd-chase-8", "pursuit_v0", "pid", 64, layout="chase", num_drones=8),
     _new("crowd-random-32", "swap-random-16", _ROUND, 64, num_drones=32),
     _new("crowd-random-64", "swap-random-16", _DETOUR, 32, num_drones=64),
     _new("crowd-circle-32", "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
-    # Force that no model knows, and a state that is estimated.
+    # Random forces, and an estimate of the state.
     _new("robust-random-8-hall", "swap-random-8", _ROUND, 128, world="hall"),
     _new("robust-ring-5-hall", "ring-5", _ADAPTIVE, 64, world="hall"),
     _new("robust-ring-16-hall", "ring-16", _ADAPTIVE, 64, world="hall"),
     _new("robust-shuffle-8-hall", "formation-shuffle-8", _ROUND, 64, world="hall"),
-    # Mass, thrust and motors differ; observed as by radio ranging.
+    # Random mass, thrust and motor rate; observation noise as of radio ranging.
     _new("robust-random-8-noise", "swap-random-8", _DETOUR, 128, randomization=_NOISE),
     _new("robust-circle-8-noise", "swap-circle-8", _DETOUR, 128, randomization=_NOISE),
     _new("robust-random-LLLLSSSS", "swap-random-8", _ROUND, 128, team="LLLLSSSS"),
-    # On Bullet, where drones push each other.
+    # On Bullet, with contact forces between drones.
     _new("robust-random-4-bullet", "swap-random-4", _ROUND, 32, physics="bullet"),
-    # Air in which nothing that ships was trained.
+    # Force models with which no included agent was trained.
     _new("transfer-random-8-none", "swap-random-8", _ROUND, 128, interactions="none"),
     _new("transfer-random-8-wake", "swap-random-8", _ROUND, 128, interactions="wake"),
     _new("transfer-stacked-L2S-wake", "swap-stacked-L2S", _TRACKING, 128, interactions="wake"),
@@ -297,20 +297,20 @@ _NEW = (
 TASKS: Mapping[str, ScoredTask] = MappingProxyType(
     {task.id: task for task in (*_CLASSIC_ROWS, *_NEW)}
 )
-"""Every task by its id, in the order in which they are shown."""
+"""All tasks by id, in the order of tables."""
 
 
 def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
     """Return the tasks whose ids match any of the patterns, in the table's order.
 
     Args:
-        patterns: ids, or such as `swap-*` (`*`, `?`, `[...]` as in file names).
+        patterns: ids, or patterns such as `swap-*` (`*`, `?`, `[...]` as in file names).
 
     Raises:
-        ValueError: a pattern matches none; the message names the nearest id.
+        ValueError: a pattern matches none; the message names the most similar id.
     """
     if not patterns:
-        raise ValueError("no task is named; '*' names all")
+        raise ValueError("--task is empty; '*' stands for all tasks")
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in TASKS):
             raise ValueError(unknown_name("task", pattern, TASKS, "of the benchmark"))

@@ -1,4 +1,4 @@
-"""Starter: a PD law on the reference, as the acceleration of the set-point."""
+"""Starter: PD control of the reference; the action is the acceleration of the set-point."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ SPEED, ACCELERATION = 2.0, 5.0  # scales of observations and actions, m/s and m/
 class MyController:
     requires = {"action": "acceleration", "observation": "flat", "decision_rate": 48}
     privileged = False
-    stiffness, damping = 3.0, 3.0  # 1/s^2, 1/s: yours to choose
+    stiffness, damping = 3.0, 3.0  # 1/s^2, 1/s; change them
 
     def reset(self, env, seed):
         self.at = {field.name: field.where for field in env.observation_layout}

@@ -1,4 +1,4 @@
-"""Run with `pytest`: whether the controller can be graded. Points need more than this."""
+"""Run with `pytest`: checks that the controller can be graded. Points need more than this."""
 
 from controller import MyController
 

@@ -1,4 +1,4 @@
-"""Run with `pytest`: whether the planner can be graded. Points need more than this."""
+"""Run with `pytest`: checks that the planner can be graded. Points need more than this."""
 
 import numpy as np
 from planner import HORIZON, MAX_ACCELERATION, ROUND_S, MyPlanner

@@ -1,13 +1,13 @@
-"""Starter: the push of a wake that fades with the distance from its axis, by least squares."""
+"""Starter: the force of a wake that decays with the distance from its axis, by least squares."""
 
 import numpy as np
 
-WIDTH, LENGTH = 0.3, 0.5  # of a wake, m: yours to choose
+WIDTH, LENGTH = 0.3, 0.5  # of a wake, m; change them
 
 
 class MyModel:
     def features(self, rows):
-        """(R, F) numbers of each row that the force is a weighed sum of."""
+        """Return features (R, F) of the rows, of which the force is a weighted sum."""
         there = rows.neighbor_type >= 0  # (R, K); empty slots are zero
         x, y, z = np.moveaxis(rows.neighbor[..., :3], -1, 0)  # p_j - p_i, m
         wake = np.exp(-(x**2 + y**2) / WIDTH**2) * (z > 0) * there
@@ -17,5 +17,5 @@ class MyModel:
         self.weights, *_ = np.linalg.lstsq(self.features(rows), rows.force_g[:, 2], rcond=None)
 
     def predict(self, rows):
-        """(R,) vertical force, gram-force."""
+        """Return vertical forces (R,), gram-force."""
         return self.features(rows) @ self.weights

@@ -1,4 +1,4 @@
-"""Run with `pytest`: whether the model can be graded. Points need more than this."""
+"""Run with `pytest`: checks that the model can be graded. Points need more than this."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Starter: random search over the gains of a rule, each tried in 64 environments at once."""
+"""Starter: random search over the gains of a control law, each tested in 64 environments."""
 
 import time
 
@@ -21,10 +21,10 @@ class MyLearner:
     privileged = False
 
     def __init__(self):
-        self.gains = np.array([2.0, 2.0, 3.0, 0.3])  # to the goal, damping, repulsion, its reach
+        self.gains = np.array([2.0, 2.0, 3.0, 0.3])  # goal, damping, repulsion, its range
 
     def train(self, seconds):
-        """Learn for so many seconds; the flights that are graded come afterwards."""
+        """Learn for a number of seconds; the graded episodes follow."""
         until = time.monotonic() + seconds
         options = {"num_drones": DRONES, "layout": "random", **self.requires}
         self.find(swarm_envs.make("swap_v1", physics="batch", **options).observation_layout)
@@ -39,7 +39,7 @@ class MyLearner:
         envs.close()
 
     def trial(self, envs, gains):
-        """Mean reward of a drone in 6 s with these gains."""
+        """Return the mean reward of a drone in 6 s with these gains."""
         rows, _ = envs.reset(seed=0)
         total = 0.0
         for _ in range(60):
@@ -62,7 +62,7 @@ class MyLearner:
         return self.decide(rows, self.gains)
 
     def decide(self, rows, gains):
-        """Accelerations for rows (..., width) of any number of drones."""
+        """Return accelerations for rows (..., width) of any number of drones."""
         to_goal, damping, push, reach = gains
         way, velocity = rows[..., self.at["task.goal"]], SPEED * rows[..., self.at["self.velocity"]]
         distance = np.linalg.norm(way, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Run with `pytest`: whether the learner can be graded. Points need more than this."""
+"""Run with `pytest`: checks that the learner can be graded. Points need more than this."""
 
 import numpy as np
 from learner import MyLearner

@@ -1,4 +1,4 @@
-"""Starter: straight at the goal, pushed away by whoever is near."""
+"""Starter: straight flight to the goal, with repulsion by close neighbors."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ class MyAgent:
         return dict(zip(observations, self.act_batch(rows), strict=True))
 
     def act_batch(self, rows):
-        """Rows (..., width) of any number of drones to actions: many episodes fly at once."""
+        """Return actions for rows (..., width) of any number of drones."""
         way, velocity = rows[..., self.at["task.goal"]], SPEED * rows[..., self.at["self.velocity"]]
         distance = np.linalg.norm(way, axis=-1, keepdims=True)
         asked = 3.0 * way / np.maximum(distance, 1.0) - 3.0 * velocity

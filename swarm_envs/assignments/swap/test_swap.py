@@ -1,4 +1,4 @@
-"""Run with `pytest`: whether the agent can be graded. Points need more than this."""
+"""Run with `pytest`: checks that the agent can be graded. Points need more than this."""
 
 import numpy as np
 from swap import MyAgent
@@ -14,7 +14,7 @@ def test_it_flies_an_episode():
     assert metrics["length_s"] > 0.5
 
 
-def test_a_drone_alone_is_asked_towards_its_goal():
+def test_a_drone_alone_accelerates_toward_its_goal():
     agent = MyAgent()
     env = swarm_envs.make("swap_v1", num_drones=1, physics="batch", **MyAgent.requires)
     rows, _ = env.reset(seed=0)

@@ -35,7 +35,7 @@
   function drawDrone(f, n) {
     const p = at("position", f, n), g = at("force", f, n), { arm, rotor_radius: rotor } = types[drones[n].type];
     view.drone(p, turned(f, n), arm, rotor, drones[n].color);
-    if (state.forces && length(g) >= HIDDEN) view.arrow(p, g.map((v) => v * data.metre_per_gram));
+    if (state.forces && length(g) >= HIDDEN) view.arrow(p, g.map((v) => v * data.meter_per_gram));
   }
   function drawTrail(f, n) {
     let first = f;

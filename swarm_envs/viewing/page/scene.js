@@ -16,7 +16,7 @@ function makeScene(canvas, redraw) {
     [c1, s1, c2, s2] = [Math.cos(camera.turn), Math.sin(camera.turn), Math.cos(camera.tilt), Math.sin(camera.tilt)];
     focal = 1.2 * Math.min(width, height); // 45 degrees across the shorter side
   }
-  function project(p) { // x, y, depth, pixels a metre
+  function project(p) { // x, y, depth, pixels a meter
     const x = p[0] - camera.middle[0], y = p[1] - camera.middle[1], z = p[2] - camera.middle[2];
     const ahead = -(c1 * x + s1 * y), depth = Math.max(camera.distance + c2 * ahead - s2 * z, 0.05), scale = focal / depth;
     return [width / 2 + scale * (c1 * y - s1 * x), height / 2 - scale * (c2 * z + s2 * ahead), depth, scale];
@@ -39,7 +39,7 @@ function makeScene(canvas, redraw) {
   const circle = (p, q, radius) => Array.from({ length: RIM }, (_, k) =>
     plus(p, rotate(q, [radius * Math.cos(2 * Math.PI * k / RIM), radius * Math.sin(2 * Math.PI * k / RIM), 0])));
 
-  function ground(low, high) { // a floor with lines each metre
+  function ground(low, high) { // a floor with lines each meter
     const corner = (x, y) => [x, y, low[2]];
     fill([corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])], colors.ground);
     for (let x = Math.ceil(low[0]); x <= high[0]; x++) path([corner(x, low[1]), corner(x, high[1])], colors.line);

@@ -71,7 +71,7 @@ def test_columns_in_any_order_quoted_spaced_and_strange_ones_named(table, tmp_pa
         ),
         (lambda t: t.replace(",pwm4", "", 1), r"column 'pwm4' is missing"),
         (lambda t: t.replace(",ay,", ",accy,", 1), r"column 'ay' is missing"),
-        (lambda t: t.replace(",vx,", ",x,", 1), r"column 'x' is there more than once"),
+        (lambda t: t.replace(",vx,", ",x,", 1), r"column 'x' exists more than once"),
         (lambda t: t.replace(",", ";"), "separated by commas"),
         (lambda t: t.splitlines()[0], "no line follows the header"),
         (lambda t: "", "the file is empty; copy it again or delete it$"),
@@ -117,12 +117,17 @@ def parquet_of(table, path, **changes):
     [
         ("drone", ["cf0", None], "string", "line 2: column 'drone' is empty"),
         ("drone", ["cf0", " "], "string", "line 2: column 'drone' is empty"),
-        ("drone", [b"cf0", b"cf1"], "binary", "column 'drone' holds binary, but must hold text"),
-        ("type", [1, 2], "int64", "column 'type' holds int64, but must hold text"),
+        ("drone", [b"cf0", b"cf1"], "binary", "column 'drone' has type binary, but must have text"),
+        ("type", [1, 2], "int64", "column 'type' has type int64, but must have text"),
         ("x", [0.0, None], "float64", "line 2: column 'x' is empty"),
-        ("x", ["0", "1"], "string", "column 'x' holds string, but must hold numbers"),
-        ("time", [0, 1], "timestamp[ns]", "column 'time' holds timestamp"),
-        ("voltage", [True, False], "bool_", "column 'voltage' holds bool, but must hold numbers"),
+        ("x", ["0", "1"], "string", "column 'x' has type string, but must have numbers"),
+        ("time", [0, 1], "timestamp[ns]", "column 'time' has type timestamp"),
+        (
+            "voltage",
+            [True, False],
+            "bool_",
+            "column 'voltage' has type bool, but must have numbers",
+        ),
     ],
 )
 def test_a_parquet_column_must_hold_what_it_says(name, values, kind, message, table, tmp_path):
@@ -225,8 +230,8 @@ ACCELERATION = ["ax", "ay", "az"]
         (lambda c: c | {"qx": c["qw"], "qw": c["qx"]}, "qx, qy, qz, qw, body to world, z up"),
         (degrees, r"line 2: column 'qx' is \S+, but must lie between -1.01 and 1.01"),
         (scaled(["x", "y", "z"], 1000.0), r"column 'x' is \S+, but .* -200 and 200 m|moves 1e"),
-        (scaled(["x", "y", "z"], 10.0), "moves 10 times as its velocity says"),
-        (scaled(["vx", "vy", "vz"], -1.0), "moves -1 times as its velocity says"),
+        (scaled(["x", "y", "z"], 10.0), "is 10 times the integral of its velocity"),
+        (scaled(["vx", "vy", "vz"], -1.0), "is -1 times the integral of its velocity"),
         (scaled(ACCELERATION, 1 / 9.80665), r"az of drone 'cf0' is usually \+1 m/s\^2, but must"),
         (scaled(ACCELERATION, 1000 / 9.80665), r"column 'az' is .* between -200 and 200 m/s\^2"),
         (mirrored, r"az of drone 'cf\d' opposes the change of vz .*z up"),
@@ -262,13 +267,13 @@ def test_a_bad_file_costs_that_file_alone(flown, as_table, tmp_path):
     assert np.array_equal(rows.force_g, alone.force_g)
     assert set(rows.vehicle_names.values()) == {"cf0", "cf1"}
     first, *others = [report.line() for report in reports]
-    assert first.startswith("a.csv: 512 rows of 8 s (not: between kept entries: ")
+    assert first.startswith("a.csv: 512 rows of 8 s (dropped: between kept entries: ")
     for line, said in zip(
         others,
         (
             "refused b.csv: line 2: column 'voltage' is ",
-            "refused c.csv: drone 'cf0' has type L, but S in a.csv; give each vehicle a name",
-            "refused d.csv: it is a copy of a.csv, but rows that are held out may not",
+            "refused c.csv: drone 'cf0' has type L, but S in a.csv; give each vehicle a",
+            "refused d.csv: it is a copy of a.csv, so that held-out rows could be",
             "refused notes.txt: the name must end in .csv or .parquet",
             "refused old: the name must end in .csv or .parquet",
         ),
@@ -286,7 +291,7 @@ def test_what_gives_no_row_says_why(flown, as_table, tmp_path):
     level = table.velocity * [1.0, 1.0, 0.0]
     low = dataclasses.replace(table, position=low, velocity=level, acceleration=None)
     write_table(tmp_path / "a.csv", low)
-    with pytest.raises(ValueError, match=r"no row is left \(a\.csv: 0 rows of 8 s .*too low: \d+"):
+    with pytest.raises(ValueError, match=r"no row remains \(a\.csv: 0 rows of 8 s .*too low: \d+"):
         read_data(tmp_path)
     with pytest.raises(FileNotFoundError, match="no data at"):
         read_data(tmp_path / "none")

@@ -70,7 +70,9 @@ def test_logs_that_cannot_be_fitted_are_explained_without_traceback(logs, tmp_pa
 def test_a_folder_that_collect_wrote_is_read(tmp_path):
     config = CollectionConfig(teams=("S", "SL"), walks=2, low_walks=0, swaps=0, duration_s=3.0)
     flights = collect(config, tmp_path, progress=False)
-    with pytest.raises(FileNotFoundError, match=r"no rows\.npz: the collection was not finished"):
+    with pytest.raises(
+        FileNotFoundError, match=r"no rows\.npz, because the collection is incomplete"
+    ):
         read_data(tmp_path)
     table = interaction_rows(flights)
     save_rows(tmp_path / "rows.npz", table)

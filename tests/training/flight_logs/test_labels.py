@@ -102,7 +102,9 @@ def test_only_common_time_counts(flown, as_table, tmp_path):
     assert report[0].seconds == pytest.approx(4.0, abs=0.05)
     late = dataclasses.replace(table, time=table.time + np.where(table.drone == "cf0", 50.0, 0.0))
     write_table(tmp_path / "b.csv", late)
-    with pytest.raises(ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one flight a file"):
+    with pytest.raises(
+        ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one file per flight"
+    ):
         read_data(tmp_path / "b.csv", EXACT)
 
 
@@ -124,8 +126,8 @@ def test_the_authors_filter():
     cases = [  # height, force, shift, reason
         (1.0, -5.0, near, None),
         (1.0, -5.0, (0.35, -0.35, 1.1), None),
-        (1.0, -5.0, (0.36, 0.0, 0.3), "no neighbour in the volume"),
-        (1.0, -5.0, (0.0, 0.0, -1.2), "no neighbour in the volume"),
+        (1.0, -5.0, (0.36, 0.0, 0.3), "no neighbor in the volume"),
+        (1.0, -5.0, (0.0, 0.0, -1.2), "no neighbor in the volume"),
         (0.07, -5.0, near, "too low"),
         (0.071, -5.0, near, None),
         (1.0, -50.1, near, "force over 50 g"),

@@ -79,15 +79,15 @@ BAD: list[tuple[Callable[[Arrays], Arrays], str]] = [
     (edited("neighbor_type", lambda k: k[:, 0]), r"neighbor_type has shape \(1200,\), .*\(R, K\)"),
     (edited("neighbor_type", at((5, 0), 2)), r"neighbor_type lies in \[-1, 2\], but must .* 1\]"),
     (edited("ego_type", at(5, -1)), r"ego_type lies in \[-1, 1\]"),
-    (edited("ego_type", lambda e: e + 0.5), "ego_type holds float64, but must hold integers"),
-    (edited("force_g", lambda f: f.astype(str)), "force_g holds <U.*, but must hold numbers"),
+    (edited("ego_type", lambda e: e + 0.5), "ego_type has type float64, but must have integers"),
+    (edited("force_g", lambda f: f.astype(str)), "force_g has type <U.*, but must have numbers"),
     (without("step"), "array 'step' is missing; there are"),
     (edited("force_g", lambda f: f * 1000), r"force_g is \S+ at index .* -200 and 200 \(gram-"),
     (edited("position", lambda p: p * 1000), r"position is \S+ at index .* -200 and 200 \(m"),
     (edited("position", lambda p: -p), r"heights must be at least -0\.5 m: z points up"),
     (edited("velocity", lambda v: v * 1000), r"velocity is \S+ at index .* -30 and 30 \(m/s"),
     (edited("neighbor", lambda n: n * 1e4), r"neighbor is \S+ at index .* -400 and 400"),
-    (edited("step", at(4, 0)), "step 0 of flight 0 is there 2 times for vehicle 50 .*doubles"),
+    (edited("step", at(4, 0)), "step 0 of flight 0 occurs 2 times for vehicle 50 .*duplicates"),
 ]
 
 
@@ -180,7 +180,7 @@ def test_the_published_format_names_its_types_by_scenario(tmp_path: Path) -> Non
     with pytest.raises(ValueError, match=r"unknown vehicle type 'M' in the scenario 'SM2S'; .*'S'"):
         read_rows(path)
     np.savez(path, **published(("Ge2S", "SLL2S", "L2L")))
-    with pytest.raises(ValueError, match="has 3 neighbours, but x holds two"):
+    with pytest.raises(ValueError, match="has 3 neighbors, but x has two"):
         read_rows(path)
     np.savez(path, **edited("x", lambda x: x[:, :12])(published(("Ge2S", "L2L"))))
     with pytest.raises(ValueError, match=r"x has shape \(900, 12\) and fa"):

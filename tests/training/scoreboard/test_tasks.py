@@ -166,7 +166,7 @@ def test_what_is_no_name_is_refused_with_the_nearest(choose):
     }[choose]
     with pytest.raises(ValueError, match=f"did you mean '{right}'"):
         choose(["*", wrong])
-    with pytest.raises(ValueError, match="is named"):
+    with pytest.raises(ValueError, match="is empty"):
         choose([])
 
 
