@@ -39,7 +39,7 @@ BATCH, LARGE = (1024, 4), (1024, 16)  # environments and drones of the batches
 
 
 class Measured(NamedTuple):
-    """What is measured in both trees."""
+    """A measurement that is made in both trees."""
 
     row: Row  # as the table shows it
     maker: str  # of `MAKERS` in the worker
@@ -89,7 +89,7 @@ class Tree:
         return {**os.environ, **ONE_THREAD, **paths}
 
     def ask(self, **order: Any) -> dict[str, Any]:
-        """What the process answers: `seconds`, or the text of an `error`."""
+        """Return the answer of the process: `seconds`, or the text of an `error`."""
         if self._process is None:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", str(WORKER)],

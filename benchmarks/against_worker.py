@@ -82,7 +82,7 @@ MAKERS: dict[str, Callable[..., Call]] = {
     "batch": batch,
     "flight": flight,
 }
-"""What can be measured: makes what is called, warmed up."""
+"""Measurements by name: functions that return a warmed-up function to time."""
 
 
 def cpu_seconds(call: Call, times: int, clock: Callable[[], float] = time.thread_time) -> float:

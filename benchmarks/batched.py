@@ -68,7 +68,7 @@ def batch_row(start: str, force_rate: int, precision: str, repetitions: int) -> 
 
 
 def thread_row(force_rate: int, repetitions: int) -> Row:
-    """How much faster two threads are than one, in wall time, measured in turn."""
+    """Return the wall time of one thread over that of two, measured in turn."""
     envs, drones = BATCH
     cores = [make_core(envs, drones, force_rate=force_rate, threads=k) for k in (1, 2)]
     one, two = rates_of(cores, repetitions, wall=True)
@@ -77,7 +77,7 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
 
 
 def hall_row(force_rate: int, forces: str, repetitions: int) -> Row:
-    """How much longer a decision takes in the world "hall", measured in turn."""
+    """Return the time of a decision in the hall over that in the ideal world, measured in turn."""
     options: dict[str, Any] = {"force_rate": force_rate, "interactions": forces, "threads": 1}
     cores = [make_core(*BATCH, world=world, **options) for world in ("ideal", "hall")]
     ideal, hall = rates_of(cores, 10 * repetitions)

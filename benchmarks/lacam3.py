@@ -31,7 +31,7 @@ METHODS = ("lacam", "auto")
 
 
 class Found(NamedTuple):
-    """What a planner has found."""
+    """The plan of a planner."""
 
     solved: bool
     cpu_s: float

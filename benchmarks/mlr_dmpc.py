@@ -1,4 +1,4 @@
-"""How long MLR-DMPC takes for a trajectory and for a round, without message loss.
+"""Measure the time of MLR-DMPC for a trajectory and for a round, without message loss.
 
     python -m benchmarks.mlr_dmpc [--drones 4 8 16 32 64 128 256] [--plans 400]
         [--planes fixed] [--picture scale.png] [--json FILE]

@@ -33,7 +33,7 @@ Row = dict[str, Any]  # as in `benchmarks.rows`
 
 DRONES_PEER, BATCH_PEER = "gym-pybullet-drones", "crazyflow"
 MODULES = {DRONES_PEER: "gym_pybullet_drones", BATCH_PEER: "crazyflow"}
-"""What is imported of each; where this is what is missing, the peer is not installed."""
+"""The module of each peer; if it is missing, the peer is not installed."""
 EFFECTS = {"no effects": "PYB", "ground effect, drag, downwash": "PYB_GND_DRAG_DW"}
 RATES = {"50/500 Hz": (50, 500), "48/240 Hz": (48, 240)}
 ONE_THREAD = {

@@ -1,4 +1,4 @@
-"""How long the planner takes and how often it succeeds: a three-robot swap, and flights.
+"""Measure time and success of the planner: a three-robot swap, and flights.
 
     python benchmarks/planning.py [--seeds 20] [--json FILE]
     python benchmarks/planning.py --task swap --layout random --drones 4 [--seeds 20]
@@ -41,7 +41,7 @@ def plan_row(seed: int) -> Row:
 
 
 def about(plan: SwarmPlan) -> Row:
-    """What a row says of a plan."""
+    """The numbers of a plan in a row."""
     return {
         "success": plan.converged,
         "status": plan.status,

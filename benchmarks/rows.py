@@ -1,4 +1,4 @@
-"""What every benchmark does: repeat, take the median, print a table, write JSON."""
+"""Shared by all benchmarks: repetitions, medians, tables and JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the site is built: `make docs`, without a network."""
+"""Configuration of the site that `make docs` builds, without a network."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ LARGEST = 400_000
 
 
 class Take(NamedTuple):
-    """What is filmed."""
+    """An episode to film."""
 
     task: str
     agent: str

@@ -1,1 +1,1 @@
-"""What the site needs beyond Sphinx: pages from docstrings, tables of options and state, links."""
+"""Extensions of Sphinx for the site: pages from docstrings, tables of options and state, links."""

@@ -47,7 +47,7 @@ def expand(text: str, packages: list[str]) -> str:
 
 
 def _offered(module: str) -> str:
-    """What users import from a module; empty if that is nothing."""
+    """Return the line of the names that users import from a module; empty if there are none."""
     names = (exports(module) or listed_names(module)) if _is_public(module) else []
     if re.fullmatch(r"swarm_envs\.[a-z]+_v\d+", module):
         names = [(name, f"{module}.{name}") for name in ("parallel_env", "env")]
@@ -59,7 +59,7 @@ def _offered(module: str) -> str:
 
 
 def _is_public(module: str) -> bool:
-    """Whether it is a package, one of `SINGLE`, or in a package that offers nothing itself."""
+    """Return True for a package, one of `SINGLE`, or a module of a package without names."""
     package = module.rpartition(".")[0]
     alone = package in modules() and package != "swarm_envs" and not exports(package)
     return modules()[module].name == "__init__.py" or module in SINGLE or alone

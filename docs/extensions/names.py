@@ -72,7 +72,7 @@ def type_aliases() -> list[str]:
 
 
 def exports(package: str) -> list[tuple[str, str]]:
-    """What a package's `__all__` offers: pairs of a name and the full name of what it is."""
+    """Return the names in a package's `__all__`, each with its full name."""
     file = modules()[package]
     tree = ast.parse(file.read_text(encoding="utf-8"))
     homes = {

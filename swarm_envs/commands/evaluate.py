@@ -128,7 +128,7 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
 def _prepared(
     name: str, options: EvaluateOptions, task: str
 ) -> tuple[Agent, Blueprint] | BaseException:
-    """What `prepare` makes, or what an agent's own file raises."""
+    """Return what `prepare` returns, or raise the error of an agent's own file."""
     try:
         return prepare(name, options, task)
     except (ValueError, TypeError, FileNotFoundError) as error:

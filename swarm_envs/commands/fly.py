@@ -19,7 +19,7 @@ from swarm_envs.commands.checks import (
     as_misuse,
     output_files,
 )
-from swarm_envs.envs.options import task_class
+from swarm_envs.envs.options import blueprint_of, task_class
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
@@ -153,7 +153,7 @@ class FlyOptions(EpisodeOptions):
 
 
 def run_fly(options: FlyOptions) -> None:
-    """Fly, print and write."""
+    """Fly an episode, print its summary, and write the requested files."""
     from swarm_envs.agents.recommendation import avoids_obstacles
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
@@ -165,8 +165,8 @@ def run_fly(options: FlyOptions) -> None:
         task = find_task(options.task)
         name = best_agent(options, task) if options.agent is None else options.agent
         try:
-            agent, wanted = prepare(name, options, task)
-            env = SwarmParallelEnv(*wanted)
+            agent, blueprint = prepare(name, options, task)
+            env = SwarmParallelEnv(*blueprint)
         except ValueError as error:
             raise ValueError(cannot_fly(name, error)) from error
     with closing(env):
@@ -190,32 +190,30 @@ def _check_writers(files: Mapping[str, Path]) -> None:
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, Blueprint]:
-    """The agent of a name, and what the environment that it requires is made from.
+    """Return an agent, and the blueprint of the environment that it requires.
 
-    The task or team that an agent which ships says it cannot fly is refused here: there is no
-    environment yet, so nothing is compiled.
+    An included agent refuses tasks and teams here, before an environment compiles kernels.
     """
     from swarm_envs.agents import load
     from swarm_envs.agents.protocol import check_options_agree, check_task
-    from swarm_envs.envs.options import blueprint_of
 
     agent, given = load(name), options.setting()
     check_options_agree(agent, given)
-    wanted = blueprint_of(task, **{**given, **agent.requires})
+    blueprint = blueprint_of(task, **{**given, **agent.requires})
     try:
         if ":" not in name:
-            check_task(agent, wanted.task)
+            check_task(agent, blueprint.task)
     except ValueError as error:
-        raise Misuse(_refusal(name, error, options, wanted.task.name)) from error
-    return agent, wanted
+        raise Misuse(_refusal(name, error, options, blueprint.task.name)) from error
+    return agent, blueprint
 
 
 def check_flies(
     name: str, agent: Agent, env: SwarmParallelEnv, options: EpisodeOptions, seed: int
 ) -> None:
-    """Refuse an agent that ships, or a policy, for which this task or team is none of its own.
+    """Raise Misuse if an included agent or a policy refuses this task or team in `reset`.
 
-    What a user's own file refuses is said of its flight.
+    Agents from a user's file are not checked: their errors are reported in flight.
     """
     from swarm_envs.agents.policy import PolicyAgent
 
@@ -231,7 +229,7 @@ def check_flies(
 
 
 def find_task(name: str) -> str:
-    """The versioned name of a task; of the newest version if the name has none."""
+    """Return the versioned name of a task, the newest if the name has no version."""
     if ".py:" in name:  # a task of one's own
         task_class(name)
         return name
@@ -240,12 +238,12 @@ def find_task(name: str) -> str:
 
 
 def _newest() -> dict[str, str]:
-    """The newest version of every task, by its family."""
+    """Return the newest version of every task, by its family."""
     return {task_family(task): task for task in sorted(TASKS)}
 
 
 def check_layout(task: str, layout: str) -> None:
-    """Refuse a layout that a task does not have, and name the tasks that have it."""
+    """Raise ValueError, naming the tasks that have it, if a task does not have a layout."""
     valid, family = task_class(task).layouts, task_family(task)
     if layout in valid:
         return
@@ -258,9 +256,8 @@ def check_layout(task: str, layout: str) -> None:
 
 
 def best_agent(options: EpisodeOptions, task: str) -> str:
-    """The best agent for a task, as it was asked for."""
+    """Return the recommended agent for a task with these options."""
     from swarm_envs.agents import recommended
-    from swarm_envs.envs.options import blueprint_of
 
     setting = options.setting()
     drones = len(blueprint_of(task, **setting).task.team)
@@ -299,13 +296,13 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
 
 
 def cannot_fly(name: str, error: Exception) -> str:
-    """What an error says, and of which agent."""
+    """Return the message of an error with the name of the agent."""
     said = str(error)
     return said if repr(name) in said else f"agent {name!r} cannot fly: {said}"
 
 
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
-    """Why an agent cannot fly, and who can, if the benchmark has one."""
+    """Return why an agent cannot fly a task, and which agent can, if there is one."""
     said = cannot_fly(name, error)
     try:
         best = best_agent(options, task)
@@ -318,7 +315,7 @@ _LETTERS = 32  # Drones up to which a team is written out
 
 
 def team_text(team: Team) -> str:
-    """What a command prints of a team: its string, or its size where that is long."""
+    """Return the string of a team, or its size if the string is long."""
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
@@ -390,7 +387,7 @@ def _write_video(path: Path, recording: Recording) -> None:
 
 
 def _write_files(files: Mapping[str, Path], recording: Recording) -> None:
-    """Write a recording into files, by their options, and say so."""
+    """Write a recording into files, by their options, and print their names."""
     from swarm_envs.viewing import write_replay, write_trajectory
 
     for option, path in files.items():

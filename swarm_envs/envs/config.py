@@ -257,7 +257,7 @@ class EnvConfig:
 
 
 RESET_OPTIONS = ("start", "goal", "team")
-"""What `reset(options=...)` takes of every interface."""
+"""Names that `reset(options=...)` accepts in every interface."""
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
