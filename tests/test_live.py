@@ -213,4 +213,4 @@ def test_the_page_draws_the_swarm_in_a_browser(monkeypatch):
             assert time.monotonic() < deadline
         assert not said
         env.close()
-        page.wait_for_function("document.getElementById('said').textContent.includes('closed')")
+        page.wait_for_function("document.getElementById('status').textContent.includes('closed')")

@@ -247,12 +247,12 @@ def check_layout(task: str, layout: str) -> None:
     valid, family = task_class(task).layouts, task_family(task)
     if layout in valid:
         return
-    said = f"--layout is {layout!r}, but task {family!r} has no layouts; leave it out"
+    message = f"--layout is {layout!r}, but task {family!r} has no layouts; leave it out"
     if valid:
-        said = unknown_name("layout", layout, valid, f"of task {family!r}")
+        message = unknown_name("layout", layout, valid, f"of task {family!r}")
     newest = _newest().items()
     others = [other for other, name in newest if layout in task_class(name).layouts]
-    raise ValueError("; ".join([said, *(f"--task {other} has {layout!r}" for other in others)]))
+    raise ValueError("; ".join([message, *(f"--task {other} has {layout!r}" for other in others)]))
 
 
 def best_agent(options: EpisodeOptions, task: str) -> str:
@@ -297,18 +297,18 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
 
 def cannot_fly(name: str, error: Exception) -> str:
     """Return the message of an error with the name of the agent."""
-    said = str(error)
-    return said if repr(name) in said else f"agent {name!r} cannot fly: {said}"
+    message = str(error)
+    return message if repr(name) in message else f"agent {name!r} cannot fly: {message}"
 
 
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
     """Return why an agent cannot fly a task, and which agent can, if there is one."""
-    said = cannot_fly(name, error)
+    message = cannot_fly(name, error)
     try:
         best = best_agent(options, task)
     except ValueError:
-        return said
-    return f"{said}; try --agent {best}" if best != name else said
+        return message
+    return f"{message}; try --agent {best}" if best != name else message
 
 
 _LETTERS = 32  # Drones up to which a team is written out

@@ -62,7 +62,7 @@ def copied_files(home: Path, work: str) -> str:
         if left > 0:  # any file may be text that is executed
             others = _known_functions()
             with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
-                if found := [others[said] for said in _functions(file) if said in others]:
+                if found := [others[source] for source in _functions(file) if source in others]:
                     return found[0]
     return ""
 
@@ -94,12 +94,16 @@ def known_forces() -> dict[str, InteractionModel]:
 @cache
 def _known_functions() -> dict[str, str]:
     """Return the names of known files by the functions in them, except those of starters."""
-    given = {said for file in (_PACKAGE / "assignments").rglob("*.py") for said in _functions(file)}
+    given = {
+        source for file in (_PACKAGE / "assignments").rglob("*.py") for source in _functions(file)
+    }
     places = [place.partition(":")[0].replace(".", "/") for place in SHIPPED.values()]
     files = [_PACKAGE.parent / f"{place}.py" for place in places]
     files += [*(_PACKAGE / "agents").glob("*.py"), *SOLUTIONS.glob("*.py")]
-    found = {said: f for f in filter(Path.is_file, files) for said in _functions(f)}
-    return {said: f"{f.parent.name}/{f.name}" for said, f in found.items() if said not in given}
+    found = {source: f for f in filter(Path.is_file, files) for source in _functions(f)}
+    return {
+        source: f"{f.parent.name}/{f.name}" for source, f in found.items() if source not in given
+    }
 
 
 def _functions(file: Path) -> Iterator[str]:
@@ -111,9 +115,9 @@ def _functions(file: Path) -> Iterator[str]:
         if isinstance(node, ast.FunctionDef):
             with suppress(RecursionError):
                 body = map(_Nameless().visit, node.body)
-                said = "\n".join(ast.dump(line) for line in body if line is not None)
-                if len(said) >= _SHORTEST:
-                    yield said
+                source = "\n".join(ast.dump(line) for line in body if line is not None)
+                if len(source) >= _SHORTEST:
+                    yield source
 
 
 class _Nameless(ast.NodeTransformer):

@@ -47,7 +47,7 @@ class Grade(NamedTuple):
     copied: str = ""  # The name of the copied agent; empty for none
 
     @property
-    def said(self) -> str:
+    def verdict(self) -> str:
         """The metric as text, with a star for a copy, or the reason of the failure."""
         number = "-" if self.value is None else f"{self.value:.4g}"
         star = f" * as {self.copied}" if self.copied else ""
@@ -118,8 +118,8 @@ class Course(NamedTuple):
                 raise WorkFailed(f"{self.assignment.metric} is {value}")
         except Exception as error:  # a submission may fail in any way; the next one is still graded
             kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
-            said = printable(f"{self._blame(error)}{kind}{error}")
-            return Grade(printable(work), 0.0, error=said), None
+            text = printable(f"{self._blame(error)}{kind}{error}")
+            return Grade(printable(work), 0.0, error=text), None
         copied = str(found.get("copied", ""))
         points = 0.0 if copied and not self.allow_copies else self.assignment.points(found)
         return Grade(printable(work), points, value, crashes, "", copied), found.get("failure")
@@ -208,7 +208,7 @@ def grade_table(assignment: Assignment, grades: Sequence[Grade]) -> str:
     for grade in grades:
         crashes = "-" if grade.crashes is None else f"{grade.crashes:.0%}"
         name = grade.work.ljust(width)
-        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {grade.said}")
+        lines.append(f"{name}  {grade.points:6.1f}  {crashes:>7}  {grade.verdict}")
     if any(grade.copied for grade in grades):
         lines.append("* similar to the named agent or file in actions, weights or source code")
     return "\n" + "\n".join(lines)
@@ -263,7 +263,7 @@ def write_feedback(
 def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
     """Return Gradescope's results: gradescope-autograders.readthedocs.io/en/latest/specs."""
     reached = [other.value for other in grades if other.value is not None]
-    lines = [assignment.rubric, f"yours: {grade.said}"]
+    lines = [assignment.rubric, f"yours: {grade.verdict}"]
     if grade.crashes is not None:
         lines.append(f"share of episodes with a crash: {grade.crashes:.0%}")
     if len(reached) > 1:

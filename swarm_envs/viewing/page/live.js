@@ -61,7 +61,7 @@
     });
     frame = next;
     get("time").textContent = frame.time.length > 1 ? `${frame.time.length} environments` : `${frame.time[0].toFixed(2)} s`;
-    get("said").textContent = scene.task;
+    get("status").textContent = scene.task;
     requestAnimationFrame(draw);
   }
 
@@ -82,10 +82,10 @@
   const events = new EventSource(`events?token=${token}`);
   events.onmessage = (event) => {
     const next = JSON.parse(event.data);
-    if (next.closed) { events.close(); get("said").textContent = `${scene.task}: the environment was closed`; }
+    if (next.closed) { events.close(); get("status").textContent = `${scene.task}: the environment was closed`; }
     else if (next.teams) teams = next.teams;
     else take(decode(next));
   };
-  events.onerror = () => { get("said").textContent = "the program has ended"; events.close(); };
+  events.onerror = () => { get("status").textContent = "the program has ended"; events.close(); };
   window.live = { get frame() { return frame; }, camera: view.camera };
 })();
