@@ -130,7 +130,8 @@ def _observed_by(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], 
     raise ValueError(
         f"the model observes {expected}, but rows of this environment have "
         f"{observation_width(*form)} numbers and {feature_sizes(*form).width} features; make the "
-        "environment with the options of its training, such as num_neighbors"
+        "environment with the options of its training, such as num_neighbors, or give a function "
+        "of rows for observations of your own: lambda rows: model.predict(own(rows))[0]"
     )
 
 

@@ -138,7 +138,7 @@ def announce_compilation(entry: Callable[..., Any]) -> None:
             "set NUMBA_CACHE_DIR to a writable folder"
         )
     elif not any(folder.glob(f"*/*.{_NO_BRACKETS.sub('', function.__qualname__)}-*.nbi")):
-        when = ", once after an installation or an edit"
+        when = " of a feature, once; `swarm-envs compile` compiles all"
     else:
         return
     _announced = True

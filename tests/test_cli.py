@@ -56,7 +56,7 @@ def test_names_that_the_output_s_encoding_lacks_are_escaped(encoding, printed, t
     environment = {**os.environ, "PYTHONIOENCODING": encoding}
     done = subprocess.run(script, capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
-    assert printed + b": read " in done.stdout
+    assert printed + b"; read " in done.stdout
     assert (folder / "README.md").exists()
 
 

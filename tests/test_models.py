@@ -68,7 +68,9 @@ def test_a_module_and_a_function_fly_alike_and_in_batches(env: SwarmParallelEnv)
 def test_what_is_no_model_is_refused(env: SwarmParallelEnv) -> None:
     with pytest.raises(TypeError, match="model is 3, but must be a model of Stable-Baselines3"):
         from_model(3, env)
-    with pytest.raises(ValueError, match="env has observation='dict', but agents of models see"):
+    with pytest.raises(
+        ValueError, match="env has observation='dict', but agents of models need flat"
+    ):
         from_model(len, swap_v1.parallel_env(**OPTIONS, observation="dict"))
     agent = from_model(lambda rows: rows[:1, :3], env)
     env.reset(seed=0)

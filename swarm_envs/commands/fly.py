@@ -114,13 +114,14 @@ class EpisodeOptions(WorldOptions, EpisodeFields):
 class FlyOptions(EpisodeOptions):
     """Fly one episode, print its key figures, and write the requested files.
 
-    The output has the outcome and four figures. Goals: how many drones ended at their goals, and
-    when the last one arrived, or the score of a task whose goals continue. Distance: the smallest
-    distance between two drones; a near miss is a distance below 1.5 times that of contact. Force:
-    the largest interaction force on a drone, beside the thrust that the weakest drone has left at
-    hover; a larger force makes it sink. Height: the largest error of height to the reference, in
-    tasks that have one; below 5 cm is as good as the flights of Neural-Swarm2. All metrics are in
-    the file of --json. A crash is a valid result, with exit status 0.
+    The output has the outcome and four figures. Goals: when the last drone arrived for good, or
+    how many sets of goals all drones reached, or the score of a task whose goals continue; success
+    needs half a second at the goals. Distance: the smallest distance between two drones; a near
+    miss is one below 1.5 times that of contact, without a contact. Force: the largest interaction
+    force on a drone, beside the thrust that the weakest drone has left at hover; a larger force
+    makes it sink. Height: the largest error of height to the reference, in tasks that have one;
+    below 5 cm is as good as the flights of Neural-Swarm2. All metrics are in the file of --json. A
+    crash is a valid result, with exit status 0.
     """
 
     agent: str | None = None
@@ -171,7 +172,11 @@ def run_fly(options: FlyOptions) -> None:
             raise ValueError(cannot_fly(name, error)) from error
     with closing(env):
         recording = _fly(env, agent, name, options)
-    _print_summary(recording, agent)
+    _print_summary(recording)
+    if agent.privileged:
+        limited = blueprint.config.communicates
+        more = ", so that the limits of communication have no effect" if limited else ""
+        print(f"note: this agent sees the true state{more}")
     if options.obstacles and options.agent is None and not avoids_obstacles(agent):
         print(f"note: {name} was measured without obstacles, and may fly into them")
     _write_files(files, recording)
@@ -319,7 +324,7 @@ def team_text(team: Team) -> str:
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
-def _print_summary(recording: Recording, agent: Agent) -> None:
+def _print_summary(recording: Recording) -> None:
     from swarm_envs.viewing.summary import outcome
 
     about, metrics = recording.about, recording.about.metrics
@@ -336,8 +341,6 @@ def _print_summary(recording: Recording, agent: Agent) -> None:
     if (height := metrics["worst_height_error_m"]) is not None:
         verdict = "good" if height <= _GOOD_HEIGHT_M else "large, see --help"
         print(f"  Height    {100 * height:.1f} cm from the reference at worst; {verdict}")
-    if agent.privileged:
-        print("note: this agent sees the true state")
 
 
 def _goals_text(metrics: Mapping[str, Any], drones: int) -> str:

@@ -280,7 +280,7 @@ def test_the_command_covers_table_ii_and_says_so(tmp_path, capsys):
     assert main(["collect", "--out", str(out), "--json", str(numbers), *words.split()]) == 0
     said = capsys.readouterr()
     assert "all twelve scenarios of Table II have rows" in said.out
-    assert "flights: 100%" in said.err
+    assert "simulated time: 100%" in said.err
     summary = json.loads(numbers.read_text())
     assert list(summary["scenarios"]) == list(SCENARIOS)
     assert sum(s["rows"] for s in summary["scenarios"].values()) == summary["rows"]

@@ -195,7 +195,7 @@ def test_a_task_is_trained_and_what_comes_out_flies(task, tmp_path, capsys):
     fly = ["--task", task, "--drones", "2", "--episodes", "1", "--horizon-s", "0.5"]
     assert main(["evaluate", *fly, "--interactions", "none", "--agent", str(out)]) == 0
     assert main(["evaluate", "--agent", str(out), "--episodes", "1", "--drones", "2"]) == 2
-    assert f"flies {task}, but the environment's task is swap" in capsys.readouterr().err
+    assert f"{task}, but the environment's task is swap" in capsys.readouterr().err
 
 
 def test_rewards_follow_new_weights():
