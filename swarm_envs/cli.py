@@ -13,7 +13,8 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
-from typing import Any, NamedTuple
+from dataclasses import is_dataclass
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from swarm_envs import __version__
 from swarm_envs.commands.checks import Misuse, forget_output
@@ -195,8 +196,10 @@ def read_options(name: str, words: Sequence[str]) -> Any:
             raise Misuse("the value of an option is empty; give a value, or leave the option out")
     given: dict[str, Any] = {"args": [*words], "prog": program}
     given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
-    helps = not HELP.isdisjoint(words)
-    columns = max(NARROWEST, shutil.get_terminal_size().columns) if helps else WIDE
+    columns = WIDE
+    if not HELP.isdisjoint(words):
+        columns = max(NARROWEST, shutil.get_terminal_size().columns)
+        _join_lines_of_help(options)
     printed = io.StringIO()
     try:
         with _columns(columns), redirect_stderr(printed):
@@ -208,6 +211,22 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     except ValueError as error:
         message = str(error)
     raise Misuse(f"{message} (see `{program} --help`)")
+
+
+def _join_lines_of_help(options: type) -> None:
+    """Let tyro wrap the docstrings of fields anew: it keeps line breaks before indented lines."""
+    import tyro
+
+    from swarm_envs.envs.options import field_docstrings
+
+    for base in filter(is_dataclass, options.__mro__):
+        kinds, texts = get_type_hints(base, include_extras=True), field_docstrings(base)
+        unresolved = [n for n, kind in base.__annotations__.items() if isinstance(kind, str)]
+        for name in unresolved:  # each is done once: its annotation is no string then
+            if is_dataclass(kinds[name]):
+                _join_lines_of_help(kinds[name])
+            elif text := texts.get(name):
+                base.__annotations__[name] = Annotated[kinds[name], tyro.conf.arg(help=text)]
 
 
 @contextmanager

@@ -42,6 +42,16 @@ def test_of_an_output_the_head_alone_may_be_read(words):
     assert running.returncode == 0
 
 
+def test_help_texts_are_wrapped_to_the_window(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["fly", "--help"])
+    lines = [line.strip("│ \n") for line in capsys.readouterr().out.splitlines()]
+    start = next(i for i, line in enumerate(lines) if line.startswith("--task"))
+    assert lines[start].endswith("delivery, gates,")
+    assert lines[start + 1] == "pursuit or crowd, optionally with a version, such as"
+
+
 @pytest.mark.parametrize(
     ("encoding", "printed"),
     [
