@@ -44,10 +44,10 @@ COMMANDS: Mapping[str, str] = {
 }
 """Every command that writes, as small as it can be."""
 TIMES = re.compile(
-    r"(^|_)(s|ms|us|seconds|times?|wall|rate|per_s|p50|p99|command|started|runs)(_least|_most)?$"
+    r"(^|_)(s|ms|us|seconds|times?|wall|rate|per_s|p50|p99|command|started|runs|next)(_least|_most)?$"
 )
-"""Names of what says how long a run took, when it ran and by which command."""
-UNCOMPARED = re.compile(r"^manifest\.json$|\.lock$|partial|\.(png|html|md)$")
+"""Names of entries that differ between two runs: times, commands, and advice with the folder."""
+UNCOMPARED = re.compile(r"^manifest\.json$|\.lock$|partial|tfevents|\.(png|html|md)$")
 """Files of which no two runs write the same bytes, or that show what is in others."""
 
 
