@@ -29,8 +29,9 @@ class Communication:
     observing drone's own state is not delayed.
 
     Args:
-        num_envs: E.
-        num_drones: N.
+        neighbors: (E, N, K, width) fields of the observed neighbors, nearest first, as
+            `write_neighbor` orders them; `write` overwrites them.
+        mask: (E, N, K), overwritten too: 1 if there is a neighbor.
         range_m: the largest distance to a sender, m.
         delay: number of decisions between sending and receiving.
         loss: probability that a message to a drone is lost.
@@ -38,13 +39,15 @@ class Communication:
 
     def __init__(
         self,
-        num_envs: int,
-        num_drones: int,
+        neighbors: Float32Array,
+        mask: Float32Array,
         range_m: float,
         delay: int,
         loss: float,
     ) -> None:
+        self._neighbors, self._mask = neighbors, mask
         self._square, self._delay, self._loss = range_m**2, delay, loss
+        num_envs, num_drones, _ = mask.shape
         self.messages: FloatArray = np.zeros((num_envs, delay + 1, num_drones, _WIDTH))
         """The messages of the last decisions, at the index of the decision modulo `delay` + 1."""
         self.keys: npt.NDArray[np.uint64] = np.zeros(num_envs, np.uint64)
@@ -62,36 +65,32 @@ class Communication:
         seen: Records,
         drones: Records,
         decisions: npt.NDArray[Any],
-        neighbors: Float32Array,
-        mask: Float32Array,
     ) -> None:
         """Send the messages of a decision, and write the neighbors that are received.
 
         Args:
-            where: indices of the environments.
+            where: (E',) indices of the environments.
             seen: (E, N) measured records of the drones.
             drones: (E, N) true records.
             decisions: (E,) number of the decision in each episode.
-            neighbors: (E, N, K, width) observed fields of the neighbors, nearest first, written.
-            mask: (E, N, K), written: 1 if there is a neighbor.
         """
         slots, now = self._delay + 1, decisions[where].astype(np.int64)
         self.messages[where, now % slots] = _messages(seen[where], drones[where])
         sent = self.messages[where, (now - self._delay) % slots]
         received = self._received(where, now, sent)
         received &= (drones["active"][where] + drones["crashed"][where] > 0.0)[..., None]
-        neighbors[where], mask[where] = 0.0, 0.0
-        offset = sent[:, None, :, :3] - seen["position"][where][:, :, None]
+        position, velocity = seen["position"][where], seen["velocity"][where]
+        offset = sent[:, None, :, :3] - position[:, :, None]
         square = np.where(received, np.einsum("eijk,eijk->eij", offset, offset), np.inf)
-        nearest = np.argsort(square, axis=-1, kind="stable")[..., : mask.shape[2], None]
-        found = np.take_along_axis(received[..., None], nearest, axis=2)
-        velocity = sent[:, None, :, 3:6] - seen["velocity"][where][:, :, None]
-        others = np.broadcast_to(sent[:, None, :, 6:_ACTIVE], (*square.shape, _ACTIVE - 6))
-        fields = np.concatenate([offset, velocity / SPEED_LIMIT, others], axis=-1)
-        near = np.take_along_axis(fields, nearest, axis=2)[..., : neighbors.shape[3]]
-        count = nearest.shape[2]
-        neighbors[where, :, :count] = np.where(found, near, 0.0)
-        mask[where, :, :count] = found[..., 0]
+        nearest = np.argsort(square, axis=-1, kind="stable")[..., : self._mask.shape[2]]
+        found = np.take_along_axis(received, nearest, axis=2)
+        fields = sent[np.arange(len(where))[:, None, None], nearest]
+        fields[..., :3] -= position[:, :, None]
+        fields[..., 3:6] = (fields[..., 3:6] - velocity[:, :, None]) / SPEED_LIMIT
+        self._neighbors[where], self._mask[where] = 0.0, 0.0
+        width, count = self._neighbors.shape[3], nearest.shape[2]
+        self._neighbors[where, :, :count] = fields[..., :width] * found[..., None]
+        self._mask[where, :, :count] = found
 
     def _received(
         self, where: npt.NDArray[np.intp], now: npt.NDArray[np.int64], sent: FloatArray

@@ -184,13 +184,13 @@ class SwarmCore:
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
 
     def _make_communication(self) -> Communication:
-        """Return the model of limited communication, and keep views of the neighbors' fields."""
+        """Return the model of limited communication, which writes into the rows."""
         config = self.config
-        parts = shaper("dict", *self.form[1:])(self.rows)
-        self._neighbors = parts["neighbors"], parts["mask"]  # views of the rows
+        parts = shaper("dict", *self.form[1:])(self.rows)  # views of them
         delay = round(config.observe_delay_s * config.decision_rate)
         range_m = np.inf if config.observe_range_m is None else config.observe_range_m
-        return Communication(self.num_envs, self.num_drones, range_m, delay, config.observe_loss)
+        views = parts["neighbors"], parts["mask"]
+        return Communication(*views, range_m, delay, config.observe_loss)
 
     def _set_rules(self) -> None:
         """Write the rules of episodes, from task and options, into the settings."""
@@ -400,7 +400,7 @@ class SwarmCore:
             drones, environments, _ = self.world
             written = first + np.flatnonzero(where[first:last])
             state = self._seen, drones, environments["decisions"]
-            self._communication.write(written, *state, *self._neighbors)
+            self._communication.write(written, *state)
 
     def _task_for(self, team: Team | None) -> Task:
         """Return the task of new episodes with a team; None for the constructor's team.
