@@ -286,8 +286,8 @@ def _check(folder: Path) -> None:
         recorded = dict(json.loads((folder / _DIGESTS).read_text(encoding="utf-8")))
     for file in folder.glob(_KERNELS):
         with suppress(OSError):
-            digest = _digest(file)
-            if not _whole(file) or recorded.get(file.name, digest) != digest:
+            known = recorded.get(file.name)
+            if not _whole(file) if known is None else known != _digest(file):
                 index = file.with_suffix("").with_suffix(".nbi") if file.suffix == ".nbc" else file
                 index.unlink(missing_ok=True)  # so that the compilation is announced
                 file.unlink(missing_ok=True)

@@ -69,8 +69,7 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
     Args:
         options: the command's options, with the fields `out` and every name in `kinds`; a field
             is None if the option was not given.
-        kinds: for each option, the file's name in the folder (empty if it is not written there),
-            then the allowed suffixes.
+        kinds: for each option, the file's name in the folder, and the allowed suffixes.
 
     Raises:
         Misuse: a suffix is not allowed, or a file cannot be written.
@@ -80,7 +79,7 @@ def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str
         check_folder("--out", options.out)
     for option, (name, *suffixes) in kinds.items():
         path = getattr(options, option)
-        if path is None and options.out is not None and name:
+        if path is None and options.out is not None:
             path = options.out / name
         if path is not None:
             check_file(f"--{option}", path, tuple(suffixes))

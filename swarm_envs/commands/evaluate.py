@@ -114,9 +114,9 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
         if isinstance(given, BaseException):
             found[name] = given
             continue
-        agent, wanted = given
+        agent, blueprint = given
         try:
-            env = SwarmParallelEnv(*wanted)
+            env = SwarmParallelEnv(*blueprint)
         except (ValueError, TypeError) as error:
             raise Misuse(cannot_fly(name, error)) from error
         opened.callback(env.close)

@@ -17,6 +17,7 @@ from swarm_envs.commands.checks import (
     FlightBar,
     Misuse,
     as_misuse,
+    check_file,
     output_files,
 )
 from swarm_envs.envs.options import blueprint_of, task_class
@@ -37,11 +38,10 @@ _FILES = {
     "json": ("flight.json", ".json"),
     "trajectory": ("trajectory.parquet", ".parquet", ".npz"),
     "replay": ("replay.html", ".html"),
-    "video": ("", ".mp4", ".gif"),
 }
-"""Files of a flight: option, name in the folder `--out`, if it is written there, and suffixes."""
+"""Files that `--out` writes: by option, the file's name and the allowed suffixes."""
 _GOOD_HEIGHT_M = 0.05
-"""The height error that Neural-Swarm2 reaches with compensation, m (its Figs. 8 and 9)."""
+"""The height error of compensated rings in Neural-Swarm2, Fig. 9, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +159,9 @@ def run_fly(options: FlyOptions) -> None:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
     files = output_files(options, _FILES)
+    if options.video is not None:
+        check_file("--video", options.video, (".mp4", ".gif"))
+        files["video"] = options.video
     if options.trajectory is None and "trajectory" in files and find_spec("pyarrow") is None:
         files["trajectory"] = files["trajectory"].with_suffix(".npz")
     _check_writers(files)
