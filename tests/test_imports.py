@@ -81,7 +81,7 @@ def test_examples_import_only_public_names():
 
 @pytest.mark.parametrize("name", [file.stem for file in files_below(ROOT / "benchmarks", "*.py")])
 def test_a_benchmark_imports(name):
-    """How fast anything is, no test measures."""
+    """Benchmarks import; no test measures time."""
     assert importlib.import_module(f"benchmarks.{name}").__doc__
 
 

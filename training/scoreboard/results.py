@@ -77,8 +77,9 @@ class Results:
         note = {_KEY: json.dumps({**self.about, "not_flown": not_flown})}
         schema = arrow.schema([(name, getattr(arrow, kind)()) for name, kind in COLUMNS.items()])
         rows = [row for cell in self.cells for row in cell.rows]
-        with written_whole(path) as partial:
-            parquet.write_table(arrow.Table.from_pylist(rows, schema.with_metadata(note)), partial)
+        table = arrow.Table.from_pylist(rows, schema.with_metadata(note))
+        with written_whole(path) as partial, partial.open("wb") as file:
+            parquet.write_table(table, file)  # pyarrow takes no path that is not Unicode
 
 
 def read_results(path: Path) -> Results:
@@ -94,7 +95,8 @@ def read_results(path: Path) -> Results:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {str(path)!r}; `swarm-envs benchmark` writes it")
     try:
-        table = parquet.read_table(path)
+        with path.open("rb") as file:
+            table = parquet.read_table(file)
         about = json.loads(table.schema.metadata[_KEY])
     except (arrow.ArrowException, KeyError, TypeError) as error:
         raise ValueError(f"{str(path)!r} is no file of a benchmark: {error!r}") from error

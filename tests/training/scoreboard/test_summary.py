@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -194,8 +195,10 @@ def test_a_cell_says_why_it_was_not_flown():
 def test_the_file_has_everything(tmp_path):
     pytest.importorskip("pyarrow")
     made = results()
-    made.write(tmp_path / "episodes.parquet")
-    read = read_results(tmp_path)
+    folder = tmp_path / os.fsdecode(b"\xdcbung")  # no Unicode, which pyarrow would refuse
+    folder.mkdir()
+    made.write(folder / "episodes.parquet")
+    read = read_results(folder)
     assert read.about == made.about
     assert summarize(read) == summarize(made)
     with pytest.raises(FileNotFoundError, match=r"there is no file .*none"):
