@@ -57,6 +57,15 @@ def test_a_flight_is_printed_and_written(capsys, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.json", "a.npz"]
 
 
+def test_a_delay_need_not_be_a_multiple_of_any_decision(capsys):
+    limited = ["--physics", "batch", "--observe-delay-s", "0.1", "--horizon-s", "0.3"]
+    assert main(["fly", *limited]) == 0
+    assert main(["fly", *limited, "--agent", "detour"]) == 0
+    assert "limits of communication hold for observations only" in capsys.readouterr().out
+    assert main(["fly", "--agent", "tracking", "--observe-loss", "nan"]) == 2
+    assert "error: observe_loss is nan" in capsys.readouterr().err
+
+
 def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
     numbers = tmp_path / "a.json"
     agent = f"{crash(tmp_path)}:Down"

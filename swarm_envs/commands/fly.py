@@ -167,6 +167,7 @@ def run_fly(options: FlyOptions) -> None:
     _check_writers(files)
     with as_misuse(TypeError, FileNotFoundError):
         task = find_task(options.task)
+        blueprint_of(task, **options.setting())  # refuses options whatever the agent
         name = best_agent(options, task) if options.agent is None else options.agent
         try:
             agent, blueprint = prepare(name, options, task)
@@ -178,7 +179,7 @@ def run_fly(options: FlyOptions) -> None:
     _print_summary(recording)
     if agent.privileged:
         limited = blueprint.config.communicates
-        more = ", so that the limits of communication have no effect" if limited else ""
+        more = "; limits of communication hold for observations only" if limited else ""
         print(f"note: this agent sees the true state{more}")
     if options.obstacles and options.agent is None and not avoids_obstacles(agent):
         print(f"note: {name} was measured without obstacles, and may fly into them")

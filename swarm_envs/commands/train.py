@@ -87,9 +87,11 @@ def run_train(config: RlConfig) -> None:
 def setting(config: RlConfig) -> list[str]:
     """Return the environment of the run with its largest team, as options of `evaluate`."""
     words = ["--task", config.task]
-    for name in ("layout", "obstacles", "world"):
-        if value := getattr(config, name):
-            words += [f"--{name}", value]
+    given = {"layout": config.layout, **config.world_options()}
+    given.pop("randomization", None)  # which is for training
+    for name, value in given.items():
+        if value is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
     if config.interactions != "learned":
         words += ["--interactions", config.interactions]
     largest = max(config.team_sizes)

@@ -17,16 +17,17 @@ from swarm_envs.vehicles import GRAVITY, SMALL
 __all__ = ["Communication"]
 
 _ACTIVE = 15  # Column of a message that is 1 until the episode of its sender ends
-_WIDTH = 16
+_PLACE = slice(16, 19)  # The sender's true position, by which the range is measured
+_WIDTH = 19
 
 
 class Communication:
     """The messages of drones, and the observations of neighbors by received messages.
 
     At each decision a drone broadcasts its measured position and velocity, its goal, type and
-    loads. Drones that are within the range at this time receive the message after the delay, unless
-    it is lost. A neighbor without a received message in a decision is not observed (`mask` 0). The
-    observing drone's own state is not delayed.
+    loads. Drones that are within the range at this time, by true positions, receive the message
+    after the delay, unless it is lost. A neighbor without a received message in a decision is not
+    observed (`mask` 0). The observing drone's own state is not delayed.
 
     Args:
         neighbors: (E, N, K, width) fields of the observed neighbors, nearest first, as
@@ -46,7 +47,7 @@ class Communication:
         loss: float,
     ) -> None:
         self._neighbors, self._mask = neighbors, mask
-        self._square, self._delay, self._loss = range_m**2, delay, loss
+        self._range_m, self._delay, self._loss = range_m, delay, loss
         num_envs, num_drones, _ = mask.shape
         self.messages: FloatArray = np.zeros((num_envs, delay + 1, num_drones, _WIDTH))
         """The messages of the last decisions, at the index of the decision modulo `delay` + 1."""
@@ -81,15 +82,15 @@ class Communication:
         received &= (drones["active"][where] + drones["crashed"][where] > 0.0)[..., None]
         position, velocity = seen["position"][where], seen["velocity"][where]
         offset = sent[:, None, :, :3] - position[:, :, None]
-        square = np.where(received, np.einsum("eijk,eijk->eij", offset, offset), np.inf)
-        nearest = np.argsort(square, axis=-1, kind="stable")[..., : self._mask.shape[2]]
+        distance = np.where(received, _norm(offset), np.inf)
+        nearest = np.argsort(distance, axis=-1, kind="stable")[..., : self._mask.shape[2]]
         found = np.take_along_axis(received, nearest, axis=2)
         fields = sent[np.arange(len(where))[:, None, None], nearest]
         fields[..., :3] -= position[:, :, None]
         fields[..., 3:6] = (fields[..., 3:6] - velocity[:, :, None]) / SPEED_LIMIT
         self._neighbors[where], self._mask[where] = 0.0, 0.0
         width, count = self._neighbors.shape[3], nearest.shape[2]
-        self._neighbors[where, :, :count] = fields[..., :width] * found[..., None]
+        self._neighbors[where, :, :count] = np.where(found[..., None], fields[..., :width], 0.0)
         self._mask[where, :, :count] = found
 
     def _received(
@@ -97,8 +98,8 @@ class Communication:
     ) -> BoolArray:
         """Return (E', N, N), True where drone i receives the message of drone j."""
         drones = sent.shape[1]
-        apart = sent[:, None, :, :3] - sent[:, :, None, :3]
-        received: BoolArray = np.einsum("eijk,eijk->eij", apart, apart) <= self._square
+        place = sent[..., _PLACE]
+        received: BoolArray = _norm(place[:, None] - place[:, :, None]) <= self._range_m
         received &= (sent[..., _ACTIVE] > 0.0)[:, None, :] & ~np.eye(drones, dtype=np.bool_)
         received &= (now >= self._delay)[:, None, None]
         if self._loss > 0.0:
@@ -109,8 +110,13 @@ class Communication:
         return received
 
 
+def _norm(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors (..., 3)."""
+    return np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
+
+
 def _messages(seen: Records, drones: Records) -> FloatArray:
-    """Return the drones' messages (E, N, 16): position, velocity, goal, type, loads, activity."""
+    """Return the messages (E, N, 19): position, velocity, goal, type, loads, activity, place."""
     weight = drones["nominal_mass"] * GRAVITY
     parts = [
         seen["position"],
@@ -121,5 +127,6 @@ def _messages(seen: Records, drones: Records) -> FloatArray:
         (drones["nominal_mass"] / SMALL.mass)[..., None],
         seen["battery"][..., None],
         drones["active"][..., None],
+        drones["position"],
     ]
     return np.concatenate(parts, axis=-1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import cached_property
@@ -187,7 +188,7 @@ class SwarmCore:
         """Return the model of limited communication, which writes into the rows."""
         config = self.config
         parts = shaper("dict", *self.form[1:])(self.rows)  # views of them
-        delay = round(config.observe_delay_s * config.decision_rate)
+        delay = math.ceil(config.observe_delay_s * config.decision_rate - 1e-6)
         range_m = np.inf if config.observe_range_m is None else config.observe_range_m
         views = parts["neighbors"], parts["mask"]
         return Communication(*views, range_m, delay, config.observe_loss)

@@ -33,7 +33,7 @@ class WorldOptions:
     observe_range_m: float | None = None
     """Communication range, m; neighbors farther away are not observed. If None, unlimited."""
     observe_delay_s: float | None = None
-    """Communication delay of observed neighbors, s, a whole number of decisions. If None, 0."""
+    """Communication delay of observed neighbors, s, rounded up to decisions. If None, 0."""
     observe_loss: float | None = None
     """Packet loss: probability that a neighbor is not observed in a decision. If None, 0."""
 

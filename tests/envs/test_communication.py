@@ -13,7 +13,7 @@ import swarm_envs
 from swarm_envs import swap_v1
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
-FAR = {"observe_range_m": 1e6}
+FAR = {"observe_range_m": 1e200}
 """A limit that limits nothing."""
 
 
@@ -45,7 +45,7 @@ def test_limits_that_limit_nothing_give_the_same_bytes(more, neighbors):
     for ours, theirs in zip(free, limited, strict=True):
         for agent in ours:
             for name, part in ours[agent].items():
-                np.testing.assert_array_equal(part, theirs[agent][name])
+                assert part.tobytes() == theirs[agent][name].tobytes()
 
 
 def test_neighbors_beyond_the_range_are_not_observed():
@@ -76,6 +76,23 @@ def test_late_neighbors_are_where_they_were_and_own_states_are_not_late():
             places = [row["self"][:3] - own for name, row in was.items() if name != agent]
             nearest = sorted(places, key=np.linalg.norm)[:3]
             np.testing.assert_allclose(seen["neighbors"][:, :3], nearest, atol=1e-6)
+
+
+def test_delays_are_rounded_up_to_decisions_of_any_rate():
+    for rate, delay_s, decisions in ((48, 0.05, 3), (48, 1 / 48, 1), (20, 0.05, 1), (10, 0.01, 1)):
+        masks = [
+            rows["drone_0"]["mask"].any()
+            for rows in fly(make(decision_rate=rate, observe_delay_s=delay_s), steps=4)
+        ]
+        assert masks == [step >= decisions for step in range(5)]
+
+
+def test_the_range_is_that_of_true_positions():
+    start = [[0.0, 0, 1], [0.9, 0, 1], [0, 1.4, 1]]
+    env = make(num_drones=3, observe_range_m=1.0, randomization="position_noise_m=0.3")
+    for seed in range(20):
+        rows, _ = env.reset(seed=seed, options={"start": start, "goal": start})
+        assert [row["mask"].sum() for row in rows.values()] == [1, 1, 0]
 
 
 def test_the_share_of_messages_that_is_lost_is_the_probability():
@@ -132,7 +149,7 @@ def test_every_interface_has_it():
     ("options", "words"),
     [
         ({"observe_range_m": 0.0}, "observe_range_m is 0"),
-        ({"observe_delay_s": 0.03}, "whole number of decisions of 1/48 s, such as 1/48"),
+        ({"observe_delay_s": -0.1}, "observe_delay_s is -0.1"),
         ({"observe_loss": 1.5}, "observe_loss is 1.5"),
     ],
 )

@@ -155,9 +155,11 @@ def core_of(task: str, **given: Any) -> tuple[SwarmCore, Any]:
     return core, blueprint
 
 
-@pytest.mark.parametrize("given", [{"randomization": NOISE}, {"world": "hall"}])
+@pytest.mark.parametrize(
+    "given", [{"randomization": NOISE}, {"world": "hall"}, {"observe_loss": 1.0}]
+)
 def test_labels_are_of_the_true_state(given):
-    """Where students observe noise, or an estimate."""
+    """Where students observe noise, an estimate, or no neighbors."""
     given = {"num_drones": 6, "num_neighbors": 7, "decision_rate": 20, **given}
     core, blueprint = core_of("swap_v1", **given)
     agent: Any = load("roundabout")

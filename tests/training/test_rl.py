@@ -111,7 +111,11 @@ def test_an_interrupted_run_of_stable_baselines3_goes_on(tmp_path, capsys):
         ({"team": ("SL", "SSLL"), "environments": 64}, "--task swap --team SSLL"),
         (
             {"obstacles": "column=1:1:0.1", "world": "hall"},
-            "--task swap --obstacles column=1:1:0.1 --world hall --drones 4",
+            "--task swap --world hall --obstacles column=1:1:0.1 --drones 4",
+        ),
+        (
+            {"observe_delay_s": 0.1, "observe_loss": 0.2, "randomization": "mass=0.9:1.1"},
+            "--task swap --observe-delay-s 0.1 --observe-loss 0.2 --drones 4",
         ),
     ],
 )

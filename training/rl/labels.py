@@ -129,7 +129,8 @@ class Teacher:
         return np.clip(desired, -1.0, 1.0).astype(np.float32), weight
 
     def _rows(self, core: SwarmCore) -> Float32Array:
-        exact = core.config.hall is None and not (core.ranges is not None and core.ranges.noisy)
+        noisy = core.config.hall is not None or (core.ranges is not None and core.ranges.noisy)
+        exact = not noisy and not core.config.communicates
         return core.rows if exact and core.form[1:] == self._form else core.true_rows(*self._form)
 
     def _of_each(self, core: SwarmCore) -> FloatArray:
