@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from examples.papers.neural_swarm2 import real_flights
 from examples.papers.neural_swarm2.__main__ import main
 from examples.papers.neural_swarm2.published_weights import FOLDERS, PublishedWeights
 from swarm_envs.motors import rotor_force_g
@@ -72,6 +73,30 @@ def test_what_was_planted_in_a_log_is_found(tmp_path):
     main(["real-flights", "--arplab", str(tmp_path / "arplab"), "--out", str(tmp_path)])
     (flight,) = json.loads((tmp_path / "real_flights.json").read_text())["flights"]
     assert flight["motor_rate"] == pytest.approx(RATE, abs=1.0)
+
+
+def test_planted_inertia_is_found_where_the_torque_explains_the_rotation():
+    rng = np.random.default_rng(2)
+    rotors = np.repeat(rng.uniform(4.0, 9.0, (100, 4)), 60, axis=0)  # g
+    first, second, third, fourth = (GRAM_FORCE * real_flights.lagged(rotors, RATE, 1e-3)).T
+    arm, moments = SMALL.arm / np.sqrt(2.0), np.array([20.0, 25.0, 30.0])
+    torques = np.stack([
+        arm * (third + fourth - first - second),
+        arm * (second + third - first - fourth),
+        SMALL.thrust_to_torque * (second + fourth - first - third),
+    ], axis=1)  # fmt: skip
+    turning = np.cumsum(torques / (1e-6 * moments), axis=0) * 1e-3
+    turning[:, 1] = rng.standard_normal(len(turning))  # says nothing
+    used = np.arange(500, len(rotors) - 500)
+    found = real_flights.inertia(rotors, turning, used, RATE, 1e-3)
+    assert found == pytest.approx({"inertia_x": 20.0, "inertia_z": 30.0}, rel=0.02)
+
+
+def test_a_target_at_constant_speed_is_followed_at_speed_over_gain():
+    time = np.arange(0.0, 12.0, 0.01)
+    targets = np.stack([0.5 * time, np.zeros_like(time), np.ones_like(time)], axis=1)
+    errors = real_flights.fly_targets(targets, time)
+    assert errors[-1] == pytest.approx([-0.5 / real_flights.POSITION_GAIN, 0.0, 0.0], abs=0.01)
 
 
 def test_no_logs_are_refused(tmp_path, capsys):
