@@ -91,7 +91,7 @@ def examine_csv(path: Path) -> dict[str, Any] | None:
         return None  # touched the floor or fell
     turn = Rotation.from_quat(np.stack([log[f"q{c}"] for c in "xyzw"], axis=1)[flying])
     moving = turn.inv().apply(np.stack([log[f"v{c}"] for c in "xyz"], axis=1)[flying])
-    found = {"name": path.stem, "mass_g": mass, "residual_g": mass * residual}
+    found: dict[str, Any] = {"name": path.stem, "mass_g": mass, "residual_g": mass * residual}
     if RATES[0] < rate < RATES[-1]:  # else the flight says nothing of the lag
         found["motor_rate"] = rate
     for k, axis in enumerate("xy"):
