@@ -50,9 +50,10 @@ def recommended(
 ) -> str:
     """Return the name of the best included agent for a task, for `load` and `swarm-envs fly`.
 
-    It has the highest success rate in the benchmark, and of equal ones the highest score. If the
-    benchmark has no task with as many drones, the result is that of the next larger number, or of
-    the largest, for which scripts are preferred to policies.
+    It has the highest success rate in the benchmark, and of equal ones the highest score to two
+    decimals, without a safety filter if possible. If the benchmark has no task with as many drones,
+    the result is that of the next larger number, or of the largest, for which scripts are preferred
+    to policies.
 
     Args:
         task: the task, such as `swap`, or with a version.

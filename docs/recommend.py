@@ -74,8 +74,13 @@ def _agents(results: Results, task: str) -> dict[str, dict[str, Any]]:
 
 
 def _best_first(found: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    best = sorted(found, key=lambda name: (-found[name]["success"], -found[name]["score"]))
-    return {name: found[name] for name in best}
+    """Sort by success, then by score to two decimals; of equal agents, one without filter first."""
+
+    def rank(name: str) -> tuple[float, float, bool, float]:
+        success, score = found[name]["success"], found[name]["score"]
+        return -success, -round(score, 2), name.endswith(FILTER), -score
+
+    return {name: found[name] for name in sorted(found, key=rank)}
 
 
 def replaced(old: list[dict[str, Any]], results: Results) -> list[dict[str, Any]]:
