@@ -64,7 +64,7 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import training_blueprint
-from swarm_envs.training.rl.choosing import with_defaults
+from swarm_envs.training.rl.validation import with_defaults
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}
