@@ -211,24 +211,42 @@ class Avoidance:
         return SafetyFilter(RoundaboutAgent(self.cruise, self.roundabout), self.safety)
 
 
-def _safety(*numbers: float) -> Safety:
-    """Return the parameters of a filter from its first fields in order."""
-    names = ("margin_m", "horizon_s", "response_s", "rate", "share", "downwash", "aside_m")
-    return Safety(**dict(zip(names, numbers, strict=True)))  # type: ignore[arg-type]
-
-
 TUNED: Mapping[str, Avoidance] = MappingProxyType(
     {
         "fast-line": Avoidance(
-            safety=_safety(0.11, 0.45, 0.103, 9.48, 0.759, 1.67, 0.0419),
+            safety=Safety(
+                margin_m=0.11,
+                horizon_s=0.45,
+                response_s=0.103,
+                rate=9.48,
+                share=0.759,
+                downwash=1.67,
+                aside_m=0.0419,
+            ),
         ),
         "orca": Avoidance(
             cruise=Cruise(position_gain=7.13),
-            safety=_safety(0.12, 1.72, 0.0, 3.52, 0.781, 1.09, 0.03),
+            safety=Safety(
+                margin_m=0.12,
+                horizon_s=1.72,
+                response_s=0.0,
+                rate=3.52,
+                share=0.781,
+                downwash=1.09,
+                aside_m=0.03,
+            ),
         ),
         "roundabout": Avoidance(
             cruise=Cruise(position_gain=8.4),
-            safety=_safety(0.134, 0.394, 0.126, 8.73, 0.5, 1.15, 0.0269),
+            safety=Safety(
+                margin_m=0.134,
+                horizon_s=0.394,
+                response_s=0.126,
+                rate=8.73,
+                share=0.5,
+                downwash=1.15,
+                aside_m=0.0269,
+            ),
             roundabout=Roundabout(),
         ),
     }

@@ -281,7 +281,7 @@ def step_aside(
 @kernel
 def filter_accelerations(
     observed: Float32Array,
-    asked: Float32Array,
+    desired: Float32Array,
     barrier: Barrier,
     places: ObservationColumns,
     ratios: FloatArray,
@@ -295,7 +295,7 @@ def filter_accelerations(
 
     Args:
         observed: (R, row width) observation rows.
-        asked: (R, 3) desired actions, in units of 5 m/s^2.
+        desired: (R, 3) desired actions, in units of 5 m/s^2.
         barrier: the parameters of the filter.
         places: the columns of the rows.
         ratios: (types,) largest thrust over weight.
@@ -314,7 +314,7 @@ def filter_accelerations(
         count = _write_obstacles(row, own, radius, barrier, places, count, scratch)
         count = _write_neighbors(row, own, radius, barrier, places, radii, count, scratch)
         for k in range(3):
-            scratch.target[k] = ACCELERATION_LIMIT * asked[r, k]
+            scratch.target[k] = ACCELERATION_LIMIT * desired[r, k]
         broken[r] = least_broken(
             scratch.target, scratch.rows, scratch.bound, LIMITS, count, scratch.work, scratch.out
         )

@@ -46,8 +46,8 @@ __all__ = [
     "Policy",
     "PolicyAgent",
     "PolicyNote",
+    "observation_options",
     "read_policy",
-    "senses",
     "write_policy",
 ]
 
@@ -57,7 +57,6 @@ CHECKPOINT = "checkpoint.safetensors"
 """Name of the file from which a killed run resumes."""
 FORMAT = "swarm-envs-policy-9"  # Format of the file
 MOST_DRONES = 10_000  # Largest team that a policy can have been trained for
-LARGEST = 1e4  # Weights beyond this bound indicate a damaged file
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ class PolicyNote:
             "decision_rate": self.decision_rate,
             "observation": "flat",
             "num_neighbors": self.num_neighbors,
-            **senses(*self.form[1:], self.controller),
+            **observation_options(*self.form[1:], self.controller),
         }
 
     @property
@@ -183,16 +182,6 @@ class Policy:
         """The SHA-256 of the weights."""
         return _digest(to_tensors(self.network))
 
-    def actions(self, rows: Float32Array) -> Float32Array:
-        """Return actions (..., width) for observation rows (..., row width) of drones.
-
-        Raises:
-            ValueError: the rows have another width.
-        """
-        values = features_of(rows, *self.note.form)
-        actions: Float32Array = np.clip(self.network(values, self.note.sizes), -1.0, 1.0)
-        return actions
-
 
 def write_policy(path: Path, policy: Policy) -> None:
     """Write a policy atomically.
@@ -202,7 +191,9 @@ def write_policy(path: Path, policy: Policy) -> None:
         ValueError: a weight is not finite.
     """
     tensors = to_tensors(policy.network)
-    _check_numbers(tensors)
+    for name, tensor in tensors.items():
+        if not np.isfinite(tensor).all():
+            raise ValueError(f"tensor {name!r} has a number that is not finite")
     note = {
         "format": FORMAT,
         **asdict(policy.note),
@@ -261,7 +252,7 @@ def read_policy(path: Path) -> Policy:
     return Policy(about, network, provenance)
 
 
-def senses(
+def observation_options(
     obstacles: int, load: bool, force: bool, setpoint: bool, controller: str | None
 ) -> dict[str, Any]:
     """Return environment options for a policy's observations besides neighbors, and controller."""
@@ -292,16 +283,7 @@ def _read(path: Path) -> tuple[dict[str, Float32Array], dict[str, Any]]:
         names = file.keys()  # the file itself cannot be iterated
         tensors = {name: np.asarray(file.get_tensor(name), np.float32) for name in names}
     note = parse_note(metadata.get("swarm_envs", "{}"))
-    _check_numbers(tensors)
     return tensors, note
-
-
-def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
-    for name, tensor in tensors.items():
-        if not np.isfinite(tensor).all():
-            raise ValueError(f"tensor {name!r} has a number that is not finite")
-        if (np.abs(tensor) > LARGEST).any():
-            raise ValueError(f"tensor {name!r} has a number beyond {LARGEST:g}")
 
 
 def _about(note: Mapping[str, Any]) -> PolicyNote:
@@ -393,7 +375,10 @@ class PolicyAgent(RowAgent):
         Raises:
             ValueError: the rows have another width.
         """
-        return self.policy.actions(rows)
+        note = self.policy.note
+        means = self.policy.network(features_of(rows, *note.form), note.sizes)
+        actions: Float32Array = np.clip(means, -1.0, 1.0)
+        return actions
 
 
 def shipped_policy(name: str) -> PolicyAgent:

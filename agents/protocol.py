@@ -263,13 +263,13 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
         rows = core.reset([*chunk, *[None] * idle], np.arange(core.num_envs) < len(chunk))
         while core.running.any():
             actions = np.zeros((core.num_envs, core.num_drones, core.mode.width))
-            actions[core.running] = _asked(act, rows[core.running], core.mode.width)
+            actions[core.running] = _checked_actions(act, rows[core.running], core.mode.width)
             rows = core.step(actions).observations
         metrics += [core.metrics(e) for e in range(len(chunk))]
     return metrics
 
 
-def _asked(act: ActBatch, rows: Float32Array, width: int) -> Float32Array:
+def _checked_actions(act: ActBatch, rows: Float32Array, width: int) -> Float32Array:
     """Return an agent's actions after a check of their shape, as numpy would broadcast others."""
     given, required = act(rows), (*rows.shape[:-1], width)
     if np.shape(given) != required:

@@ -118,10 +118,6 @@ def _load_filtered(name: str) -> Agent:
     from swarm_envs.agents.safety import SafetyFilter
 
     inner = name.removesuffix(FILTER)
-    if not inner:
-        raise ValueError(f"name is {name!r}, but must begin with an agent's: 'orca{FILTER}'")
-    if inner.endswith(FILTER):
-        raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
     agent = load_agent(inner)
     if isinstance(agent, SafetyFilter):
         raise ValueError(

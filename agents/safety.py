@@ -194,8 +194,8 @@ class SafetyFilter:
         """Return the agent's actions with the smallest correction that satisfies the filter."""
         rows = np.stack(list(observations.values()))
         given = dict(zip(observations, self._seen(rows), strict=True))
-        asked = self.agent.act(given, view)
-        actions = self._filter(rows, np.stack([asked[name] for name in observations]))
+        desired = self.agent.act(given, view)
+        actions = self._filter(rows, np.stack([desired[name] for name in observations]))
         return dict(zip(observations, actions, strict=True))
 
     def _act_batch(self, rows: Float32Array) -> Float32Array:
@@ -207,15 +207,15 @@ class SafetyFilter:
         """Return the rows with the number of neighbors that the agent observes."""
         return np.delete(rows, self._dropped, axis=-1)
 
-    def _filter(self, rows: Float32Array, asked: Float32Array) -> Float32Array:
+    def _filter(self, rows: Float32Array, desired: Float32Array) -> Float32Array:
         """Return filtered actions (..., 3) for desired actions (..., 3)."""
         shape = (*rows.shape[:-1], 3)
-        if asked.shape != shape or not np.isfinite(asked).all():
+        if desired.shape != shape or not np.isfinite(desired).all():
             raise ValueError(
-                f"the agent's actions must be finite numbers {shape}, but are {asked!r:.200}"
+                f"the agent's actions must be finite numbers {shape}, but are {desired!r:.200}"
             )
         flat = np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]), dtype=np.float32)
-        wanted = np.ascontiguousarray(asked.reshape(-1, 3), dtype=np.float32)
+        wanted = np.ascontiguousarray(desired.reshape(-1, 3), dtype=np.float32)
         actions, broken = np.empty_like(wanted), np.empty(len(wanted))
         announce_compilation(filter_accelerations)
         filter_accelerations(
@@ -267,9 +267,9 @@ class _Statistics:
         self.decisions = self.acted = self.unsafe = 0
         self.change = self.largest = self.worst = 0.0
 
-    def take(self, asked: Float32Array, given: Float32Array, broken: FloatArray) -> None:
+    def take(self, desired: Float32Array, given: Float32Array, broken: FloatArray) -> None:
         """Add decisions (R, 3) and violations (R,)."""
-        change = ACCELERATION_LIMIT * np.sqrt(np.square(given - asked).sum(axis=-1))
+        change = ACCELERATION_LIMIT * np.sqrt(np.square(given - desired).sum(axis=-1))
         acted = change > ACTED
         self.decisions += len(change)
         self.acted += int(acted.sum())

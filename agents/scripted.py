@@ -216,6 +216,7 @@ class PlannedAgent(SetpointAgent, Generic[P]):
         self.plans.append(self.plan(self._task, view, self._seed))
 
 
+SHARE = 0.75  # Duration of a path as a fraction of the duration of a stage
 SAMPLES = 61  # Times at which paths are compared
 SWEEPS = 12  # Largest number of choices of each drone
 BESIDE_M, BELOW_M = 0.25, 0.6
@@ -335,17 +336,10 @@ class DetourAgent(SetpointAgent):
     Args:
         controller: configuration of the tracking controller; None for the default, which does not
             compensate forces.
-        share: duration of a path as a fraction of the duration of a stage, in (0, 1].
-
-    Raises:
-        ValueError: the share is out of range.
     """
 
-    def __init__(self, controller: ControllerConfig | None = None, share: float = 0.75) -> None:
-        if not 0.0 < share <= 1.0:
-            raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
+    def __init__(self, controller: ControllerConfig | None = None) -> None:
         super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
-        self._share = share
         self._arena: FloatArray = np.empty(0)
         self._rng = np.random.default_rng(0)
         self._plan: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -380,7 +374,7 @@ class DetourAgent(SetpointAgent):
             rows = obstacle_rows(view.obstacles)
             bump = choose_bumps(start, goal, radius, self._arena, rows, self._rng)
             self._plan, self._since = (start, goal, bump), view.time
-            self._duration = self._share * view.stage_s
+            self._duration = SHARE * view.stage_s
         start, goal, bump = self._plan
         since = view.time - self._since
         return along(start, goal, bump, self._duration, np.full(len(goal), since))

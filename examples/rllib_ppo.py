@@ -31,7 +31,7 @@ from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer, check_number
 from swarm_envs.files import claimed, write_json
-from swarm_envs.training.rl.choosing import choosing_seeds, evaluate_policy
+from swarm_envs.training.rl.validation import evaluate_policy, validation_seeds
 
 TASK, ENVIRONMENT, SHARED = "swap_v1", "swarm-envs-swap", "all"
 """The task, its name in RLlib, and the name of the shared policy."""
@@ -205,7 +205,7 @@ def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
         register_env(ENVIRONMENT, make_env)
         policy = _learn(config, algorithm_config(config).build_algo())
         options = {"num_drones": config.drones, "interactions": config.interactions}
-        seeds = choosing_seeds(config.judge_episodes)
+        seeds = validation_seeds(config.judge_episodes)
         chosen = evaluate_policy(policy, TASK, (config.layout,), seeds, options)
         report = {**policy.provenance, "chosen": chosen}
         report["wall_s"] = round(time.monotonic() - begun, 1)

@@ -288,8 +288,6 @@ def test_it_plans_anew_in_each_episode():
 
 
 def test_what_it_refuses():
-    with pytest.raises(ValueError, match=r"share is 0.0, but must lie in \(0, 1\]"):
-        DetourAgent(share=0.0)
     with pytest.raises(ValueError, match=r"privileged: pass env\.view"):
         DetourAgent().act({}, None)
     agent = DetourAgent()

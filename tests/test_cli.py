@@ -207,7 +207,7 @@ def test_a_word_that_a_command_does_not_take_is_named_in_one_line(line, said, ca
         ("train --algo sb4.Nope", "'sb4.Nope', but must be one of ppo, sac, td3, dagger, or an"),
         ("train --controller downwash-awre", "did you mean 'downwash-aware'?"),
         ("fly --agent=", "the value of an option is empty"),
-        ("fly --agent=+filter", "name is '+filter', but must begin with an agent's"),
+        ("fly --agent=+filter", "name is '', but must be an agent's"),
     ],
 )
 def test_names_of_nothing_are_refused(line, said, tmp_path, refused):

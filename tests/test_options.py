@@ -56,15 +56,15 @@ from swarm_envs.tasks.obstacles import Box, Column, buildings, parse_obstacles
 from swarm_envs.tasks.pursuit import PursuitTask
 from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
-from swarm_envs.training.belief.feedforward import FeedforwardConfig
+from swarm_envs.training.belief import FeedforwardConfig
 from swarm_envs.training.collection import CollectionConfig
 from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.rl.choosing import with_defaults
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import training_blueprint
+from swarm_envs.training.rl.validation import with_defaults
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}

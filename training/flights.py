@@ -56,8 +56,6 @@ class Flight:
     """True if many episodes can be simulated together."""
     refusals: bool = False
     """True if an episode that the agent refuses counts as one; see `fly_seed`."""
-    cost: float = 1.0
-    """The relative cost of an episode; expensive flights are simulated first."""
     version: str = __version__
 
     def without(self, flown: Mapping[int, Episode]) -> Flight:
@@ -103,7 +101,7 @@ def fly_flights(
     """
     found = [{} if file is None else dict(file.episodes) for _, file in kept]
     missing = [flight.without(flown) for (flight, _), flown in zip(kept, found, strict=True)]
-    work = sum(len(flight.seeds) * flight.cost for flight in missing)
+    work = sum(len(flight.seeds) for flight in missing)
     failed: dict[int, tuple[int, Flown]] = {}
     with tqdm(total=work, bar_format=_BAR, mininterval=0.5, disable=not work) as bar:
         for k, first, result in _fly_chunks(missing, failed, scale):
@@ -116,7 +114,7 @@ def fly_flights(
             good = sum(each["metrics"].get("success", False) for each in found[k].values())
             bar.set_description_str(f"{flight.task} {flight.agent[-30:]}", refresh=False)
             bar.set_postfix_str(f"{good} successes in {len(found[k])} episodes", refresh=False)
-            bar.update(len(result.episodes) * flight.cost)
+            bar.update(len(result.episodes))
     whole = [
         Flown([flown[seed] for seed in flight.seeds if seed in flown])
         for (flight, _), flown in zip(kept, found, strict=True)
@@ -133,11 +131,10 @@ def _fly_chunks(
 
     The remaining chunks of flights in `failed` are skipped.
     """
-    order = sorted(range(len(flights)), key=lambda k: -flights[k].cost)
     jobs = (
         ((k, first), chunk)
-        for k in order
-        for first, chunk in flights[k].chunks()
+        for k, flight in enumerate(flights)
+        for first, chunk in flight.chunks()
         if k not in failed  # chunks are in order, so the remaining seeds follow the failed one
     )
     with closing(run_jobs(fly_chunk, jobs, scale)) as results:

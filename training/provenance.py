@@ -1,4 +1,4 @@
-"""Records of runs: reports as JSON, digests of data files, events for TensorBoard."""
+"""Records of runs: options and reports as JSON, and digests of data files."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ __all__ = [
     "check_same",
     "file_sha256",
     "json_ready",
-    "scalar_writer",
 ]
 
 
@@ -124,33 +122,3 @@ def changed_options(config: Any, prefix: str = "--", aside: Sequence[str] = ()) 
 def file_sha256(path: Path) -> str:
     """Return the hexadecimal SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@contextmanager
-def scalar_writer(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
-    """Open a folder of event files, and yield a function that writes one entry of a history.
-
-    Args:
-        folder: the folder for TensorBoard (`tensorboard --logdir FOLDER`).
-
-    Raises:
-        ImportError: the package tensorboard is not installed.
-    """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise ImportError(
-            "event files need the package tensorboard, which is not installed; install it by "
-            "`pip install 'swarm-envs[tensorboard]'`"
-        ) from error
-    writer = SummaryWriter(str(folder))
-
-    def write(entry: Mapping[str, float]) -> None:
-        for name, value in entry.items():
-            if name != "step":
-                writer.add_scalar(name, value, int(entry["step"]))
-
-    try:
-        yield write
-    finally:
-        writer.close()

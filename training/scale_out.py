@@ -59,11 +59,6 @@ class ScaleOptions:
                 "number of workers; leave it out"
             )
 
-    @property
-    def alone(self) -> bool:
-        """True if this process does all jobs."""
-        return self.ray is None and self.workers == 1
-
 
 def run_jobs(function: Callable[[Any], Any], jobs: Iterable[Job], scale: ScaleOptions) -> Results:
     """Call a function for jobs, and yield keys and results in order of completion.
@@ -83,7 +78,7 @@ def run_jobs(function: Callable[[Any], Any], jobs: Iterable[Job], scale: ScaleOp
     """
     if scale.ray is not None:
         return _by_ray(function, iter(jobs), scale)
-    if scale.alone:
+    if scale.workers == 1:
         return ((key, function(argument)) for key, argument in jobs)
     return _by_processes(function, iter(jobs), scale.workers)
 

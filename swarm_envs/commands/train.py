@@ -20,11 +20,11 @@ TrainOptions = RlConfig
 def check_training(config: RlConfig) -> str:
     """Return the versioned name of the task; raise Misuse if the options are invalid."""
     check_outputs(config.out, config.json, (".json",))
-    from swarm_envs.training.rl.choosing import with_defaults
+    from swarm_envs.training.rl.runs import make_setting
 
     with as_misuse():
         task = find_task(config.task)
-        with_defaults(config, task)
+        make_setting(config, task)
     return task
 
 

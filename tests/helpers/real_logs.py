@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from swarm_envs.files import pyarrow
 from swarm_envs.motors import FULL_VOLTAGE, BatteryModel
+from swarm_envs.reference import rotate
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.flight import vehicle_names
-from swarm_envs.training.collection.log import FlightLog, lagged_thrust, rotate
+from swarm_envs.training.collection.log import FlightLog, lagged_thrust
 from swarm_envs.training.flight_logs import FlightTable
 from swarm_envs.training.flight_logs.checks import PWM_SPAN
 from swarm_envs.training.flight_logs.flight_table import GROUPS

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarm_envs.training.force_model.force_fit_config import TrainConfig
+from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import EVERYWHERE, DeepSetSpec, InputRange
 from swarm_envs.training.interaction_rows import InteractionRows
 
-PLAIN = TrainConfig(steps=40, batch_size=64)
+PLAIN = FitConfig(data=Path(), out=Path(), steps=40, batch_size=64, progress=False)
 SPEC = DeepSetSpec(("S", "L"), EVERYWHERE, None, None)
 RANGE = InputRange(
     ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),

@@ -11,8 +11,8 @@ pytest.importorskip("torch", reason="training needs torch")
 pytest.importorskip("stable_baselines3", reason="training needs Stable-Baselines3")
 
 from swarm_envs.training.rl.advice import advice
-from swarm_envs.training.rl.choosing import with_defaults
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
+from swarm_envs.training.rl.validation import with_defaults
 
 LOW = {"step": 1.0, "circle_success": 0.1, "circle_collision": 0.8}
 

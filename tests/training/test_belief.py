@@ -13,7 +13,7 @@ from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.belief.feedforward import (
+from swarm_envs.training.belief import (
     FeedforwardConfig,
     SwapTrial,
     compare_compensation,
@@ -115,7 +115,7 @@ def test_a_belief_is_made_twice_the_same_and_says_from_what(tmp_path):
     report = json.loads((tmp_path / "a" / "belief.json").read_text())
     assert report["interactions"] == "learned" and report["flights"] == 8
     assert report["rows"] == reports[0]["rows"] > 100
-    assert (report["flown_s"], report["judgements"][0]["team"]) == (reports[1]["flown_s"], "L2S")
+    assert (report["flown_s"], report["trials"][0]["team"]) == (reports[1]["flown_s"], "L2S")
     model = load(tmp_path / "a" / "belief.safetensors")
     alone = model.forces(np.array([[[0.0, 0.0, 1.0]]]), np.zeros((1, 1, 3)), "S")
     assert (alone == 0.0).all() and model.types == ("S", "L")

@@ -26,12 +26,12 @@ from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.training.rl import teachers
-from swarm_envs.training.rl.choosing import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.dagger import Dagger
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
 from swarm_envs.training.rl.runs import make_setting
+from swarm_envs.training.rl.validation import evaluate_policy, validation_seeds
 
 OPTIONS: dict[str, Any] = {
     **{"out": Path("never"), "algo": "dagger", "encoder": "deep-set"},
@@ -259,7 +259,7 @@ def test_a_short_training_imitates_where_the_straight_line_collides():
     assert losses[-1] < 0.5 * losses[0]
     policy = Policy(made.setting.note(), made.actor.network(), {})
     flown = {"num_drones": 4, "interactions": "none"}
-    rates = evaluate_policy(policy, "swap_v1", ("circle",), choosing_seeds(32), flown)
+    rates = evaluate_policy(policy, "swap_v1", ("circle",), validation_seeds(32), flown)
     assert rates["circle_success"] > 0.9
 
 

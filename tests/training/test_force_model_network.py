@@ -218,12 +218,6 @@ def test_a_lone_drone_aloft_feels_drag_alone(model: InteractionModel) -> None:
     np.testing.assert_allclose(force, -0.04 * velocity, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])
-def test_a_type_that_cannot_be_filed_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match="cannot be the name of a vehicle type"):
-        DeepSetSpec(("S", name))
-
-
 def planted_torque(offset: FloatArray) -> FloatArray:
     """Torque (R, 3), N m: a push down at the neighbour's place, r x F, strongest near the axis."""
     push = -6.0 * GRAM_FORCE * np.exp(-np.sum(offset[:, :2] ** 2, axis=1) / 0.02)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-import types
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,6 @@ from swarm_envs.training.force_model.examples import (
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.train import Training, to_batch, train
-from swarm_envs.training.provenance import scalar_writer
 from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
 from tests.helpers.torch_swarms import swarm_batch
 
@@ -76,9 +73,9 @@ def test_symmetries_of_the_square_are_eight_orthogonal_matrices():
 
 def test_exact_normalization_gives_every_matrix_the_norm():
     config = dataclasses.replace(PLAIN, spectral="exact", max_spectral_norm=1.7)
-    run = train(rows_of(), SPEC, config, progress=False)
+    run = train(rows_of(), SPEC, config)
     assert norms(run.network) == pytest.approx([1.7] * 20, rel=1e-5)
-    free = train(rows_of(), SPEC, dataclasses.replace(config, spectral="none"), progress=False)
+    free = train(rows_of(), SPEC, dataclasses.replace(config, spectral="none"))
     assert np.ptp(norms(free.network)) > 0.1
 
 
@@ -88,41 +85,15 @@ def test_zero_matrix_cannot_be_normalised_exactly():
     hold_spectral_norms([torch.zeros(2, 3)], 1.0, "clip")
 
 
-def test_event_files_hold_the_history_and_are_optional(tmp_path, monkeypatch):
-    """A writer notes what it is given; the package itself may be missing."""
-    written, closed = [], []
-
-    class Writer:
-        def __init__(self, folder):
-            assert folder == str(tmp_path)
-
-        def add_scalar(self, name, value, step):
-            written.append((name, value, step))
-
-        def close(self):
-            closed.append(True)
-
-    module = types.ModuleType("torch.utils.tensorboard")
-    vars(module)["SummaryWriter"] = Writer
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
-    with scalar_writer(tmp_path) as write:
-        write({"step": 3, "loss": 0.5, "validation": 0.7})
-    assert written == [("loss", 0.5, 3), ("validation", 0.7, 3)]
-    assert closed == [True]
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(ImportError, match=r"envs\[tensorboard\]"), scalar_writer(tmp_path):
-        pass
-
-
 def vector(run: Training) -> torch.Tensor:
     return torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
 
 
 def test_held_out_rows_teach_nothing() -> None:
     rows = rows_of(1000, flights=1)
-    first = train(rows, SPEC, PLAIN, progress=False)
+    first = train(rows, SPEC, PLAIN)
     other = rows.with_vertical_force(np.where(rows.validation, 30.0, rows.force_g[:, 2]))
-    again = train(other, SPEC, PLAIN, progress=False)
+    again = train(other, SPEC, PLAIN)
     assert torch.equal(vector(first), vector(again))
     assert first.history != again.history
 
@@ -133,7 +104,7 @@ def test_labels_that_are_too_large_end_a_training_that_diverges() -> None:
     with pytest.raises(
         ValueError, match=r"diverged: after step \d+ weights .* learning_rate 0\.003; give"
     ):
-        train(far, SPEC, dataclasses.replace(PLAIN, steps=400), progress=False)
+        train(far, SPEC, dataclasses.replace(PLAIN, steps=400))
 
 
 def test_a_composed_model_is_not_fitted_to_labels_as_measured(tmp_path: Path) -> None:

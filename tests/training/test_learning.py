@@ -20,8 +20,8 @@ from swarm_envs.tasks.formation import LAYOUTS, FormationCurriculum, FormationTa
 from swarm_envs.tasks.learning import ALL
 from swarm_envs.tasks.ring import LOST_M
 from swarm_envs.tasks.swap import SwapCurriculum
-from swarm_envs.training.rl.choosing import learning_of, with_defaults
 from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.validation import learning_of, with_defaults
 from swarm_envs.vehicles import parse_team
 
 TINY = [

@@ -22,9 +22,9 @@ from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.training.rl import dagger, sb3
-from swarm_envs.training.rl.choosing import choosing_seeds
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
 from swarm_envs.training.rl.runs import make_setting
+from swarm_envs.training.rl.validation import validation_seeds
 from tests.helpers.interrupts import calls_of
 
 COMMON = (
@@ -165,8 +165,8 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--task swop", "did you mean 'swap'"),
         ("--layout stacked", "valid: 'circle', 'random'"),
         ("--json a.txt", "must end in .json"),
-        ("--decision-rate 7", "--decision-rate is 7"),
-        ("--horizon-s nan", "--horizon-s is nan"),
+        ("--decision-rate 7", "decision_rate is 7"),
+        ("--horizon-s nan", "horizon_s is nan"),
         ("--fewest 5", "--fewest is 5, but must be from 1 to 4"),
         ("--most 3", "--most is 3, but must be at least 4"),
         ("--dagger.train-freq 2", "--dagger.* was given, but --algo ppo has no such option"),
@@ -177,7 +177,7 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--drones 4 4", "--drones is (4, 4) and --team is (), but they must name one or more"),
         ("--drones 2 4 --environments 3", "must be a multiple of 2, the number of teams"),
         ("--algo dagger --dagger.buffer-size 9", "--dagger.batch-size is 1024, but must be at"),
-        ("--drones 4 0", "--drones is 0"),
+        ("--drones 4 0", "num_drones is 0"),
         ("--set-hidden 0", "--set-hidden is 0, but must be an integer of at least 1"),
     ],
 )
@@ -199,7 +199,7 @@ def test_an_algorithm_that_cannot_learn_this_is_refused(options, why, tmp_path, 
 
 
 def test_policies_are_not_chosen_on_the_seeds_of_reports():
-    chosen = set(choosing_seeds(4096))
+    chosen = set(validation_seeds(4096))
     assert all(not chosen & set(frozen_seeds(seed, 4096)) for seed in range(20))
 
 
@@ -232,10 +232,11 @@ def test_the_learning_rate_falls_in_both_stages():
     assert rates[0] > rates[1] > rates[2] < rates[3] > rates[4] > rates[5]
 
 
-def test_a_drone_that_waits_for_its_team_is_not_imitated():
+def test_a_drone_that_waits_for_its_team_is_not_imitated(monkeypatch):
+    monkeypatch.setattr(dagger, "NOISE", 0.5)
     config = RlConfig(
         out=Path("never"), algo="dagger", environments=8, drones=6, on_contact="end_pair",
-        dagger=DaggerConfig(train_freq=100, gradient_steps=1, guided=0.0, noise=0.5),
+        dagger=DaggerConfig(train_freq=100, gradient_steps=1, guided=0.0),
     )  # fmt: skip
     made = dagger.Dagger(make_setting(config, "swap_v1"))
     waits: list[int] = []

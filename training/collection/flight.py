@@ -19,9 +19,10 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import TIME_STEP
+from swarm_envs.reference import inverse, rotate
 from swarm_envs.state import Setpoint, SwarmState, hover_state, state_of
 from swarm_envs.tables import SENSED_TYPE
-from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_to_body
+from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog
 from swarm_envs.training.collection.motion import TeamMotion
 from swarm_envs.vehicles import GRAVITY, VEHICLES, Team
 
@@ -118,7 +119,7 @@ def fly_motion(
             touched = (physics.contact | physics.contacts.tumbling).any(axis=1)
             length[touched] = np.minimum(length[touched], k)
     log.specific_force[..., 2] += GRAVITY
-    log = log._replace(specific_force=rotate_to_body(log.quaternion, log.specific_force))
+    log = log._replace(specific_force=rotate(inverse(log.quaternion), log.specific_force))
     flights = (FlightLog(*(array[:, e] for array in log)) for e in range(envs))
     return [flight.cut(int(count)) for flight, count in zip(flights, length, strict=True)]
 

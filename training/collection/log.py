@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 from swarm_envs.errors import check_number
 from swarm_envs.files import read_npz, written_whole
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.reference import multiply, rotate
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
 
@@ -69,18 +70,6 @@ def read_log(path: Path) -> FlightLog:
     return FlightLog(*(arrays[name].astype(np.float64) for name in FlightLog._fields))
 
 
-def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    """Rotate body vectors (..., 3) to the world frame by attitudes (..., 4)."""
-    axis, scalar = quaternion[..., :3], quaternion[..., 3:]
-    twice = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + scalar * twice + np.cross(axis, twice))
-
-
-def rotate_to_body(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    """Rotate world vectors (..., 3) to the body frame of attitudes (..., 4)."""
-    return rotate(quaternion * [-1.0, -1.0, -1.0, 1.0], vector)
-
-
 @dataclass(frozen=True)
 class SensorNoise:
     """Sensor noise: standard deviations per component of white noise and of biases.
@@ -102,9 +91,6 @@ class SensorNoise:
     accelerometer_bias: float = 0.05
     """Accelerometer bias, m/s^2: 5 mg, the part of the chip's 20 mg that remains after the firmware
     has zeroed it before take-off."""
-    attitude_bias_rad: float = 0.0
-    """Attitude bias, rad, such as that of misaligned markers. It tilts the thrust, by 0.03 g of
-    horizontal force on a small drone per milliradian."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is invalid."""
@@ -120,7 +106,6 @@ def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> 
     velocity = log.velocity + noise.velocity * rng.standard_normal(shape)
     reading = noise.accelerometer * rng.standard_normal(shape)
     reading += noise.accelerometer_bias * rng.standard_normal(shape[1:])
-    turn += noise.attitude_bias_rad * rng.standard_normal(shape[1:])
     small = np.concatenate([0.5 * turn, np.ones((*shape[:-1], 1))], axis=-1)
     quaternion = multiply(small, log.quaternion)
     return log._replace(
@@ -129,14 +114,6 @@ def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> 
         quaternion=quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True),
         specific_force=log.specific_force + reading,
     )
-
-
-def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the product p q of quaternions (..., 4) in the order (x, y, z, w)."""
-    a, b = p[..., :3], q[..., :3]
-    s, t = p[..., 3:], q[..., 3:]
-    vector = s * b + t * a + np.cross(a, b)
-    return np.concatenate([vector, s * t - (a * b).sum(axis=-1, keepdims=True)], axis=-1)
 
 
 SMOOTHING_S = 0.1

@@ -168,11 +168,11 @@ def kept_entries(
         The mask (T,) of entries that become rows, and the numbers of the others by reason.
     """
     label, height = force_g[:, i, 2], flight.position[:, i, 2]
-    company = near_any(flight.position)[:, i] if len(flight.team) > 1 else True
+    has_neighbor = near_any(flight.position)[:, i] if len(flight.team) > 1 else True
     rules: dict[str, Any] = {
         "between kept entries": np.arange(len(label)) % keep_every == 0,
         "force unknown": np.isfinite(force_g[:, i]).all(axis=-1),
-        "no neighbor in the volume": company,
+        "no neighbor in the volume": has_neighbor,
         "too low": height > LOWEST_M[flight.team[i].interaction_type],
         "force over 50 g": np.abs(label) <= LARGEST_G,
         "upward force over 35 g aloft": (label <= LARGEST_UPWARD_G) | (height <= ALOFT_M),

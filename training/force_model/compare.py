@@ -28,11 +28,9 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import (
     FitConfig,
-    FlightData,
     Model,
-    ResidualConfig,
 )
-from swarm_envs.training.force_model.labels import FALL_SPEED, treat
+from swarm_envs.training.force_model.labels import FALL_SPEED, prepare
 from swarm_envs.training.force_model.pipeline import train_model
 from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.training.interaction_rows.rows import InteractionRows
@@ -43,8 +41,11 @@ _ASIDE = ("data", "out", "json", "progress")  # Options that do not change the r
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompareConfig(FlightData):
+class CompareConfig:
     """Options of a comparison of models."""
+
+    data: Path
+    """Flight log, folder or table of rows, as for `swarm-envs fit`."""
 
     out: Path
     """Output folder for the models' predictions of held-out flights; an interrupted comparison
@@ -155,7 +156,7 @@ def compare(config: CompareConfig) -> ModelComparison:
     label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
     parts = [(model, k) for model in config.models for k in range(fold.max() + 1)]
     for model, k in tqdm(parts, disable=not config.progress, unit="fit"):
-        target, held_out = treat(rows, default_fit(model, config)).target, fold == k
+        target, held_out = prepare(rows, default_fit(model, config)).target, fold == k
         label = target.force_g[:, 2]
         path = config.out / f"{model}-{k}.npy"
         if not path.is_file():
@@ -167,10 +168,15 @@ def compare(config: CompareConfig) -> ModelComparison:
     return _compared(rows, squared, config, digest)
 
 
-def default_fit(model: Model, config: CompareConfig | ResidualConfig) -> FitConfig:
+def default_fit(model: Model, config: CompareConfig | FitConfig) -> FitConfig:
     """Return the options of a fit of a model to the same data, with defaults otherwise."""
     return FitConfig(
-        data=config.data, out=config.out, model=model, steps=config.steps, seed=config.seed
+        data=config.data,
+        out=config.out,
+        model=model,
+        steps=config.steps,
+        seed=config.seed,
+        progress=False,
     )
 
 
@@ -180,7 +186,7 @@ def fitted_force_g(target: InteractionRows, options: FitConfig) -> FloatArray:
     Only a composed model has a horizontal force.
     """
     found = np.zeros((len(target), 3))
-    network = train_model(target, options, progress=False).network
+    network = train_model(target, options).network
     heads = predict(network, to_batch(target), every=True).double().numpy()
     found[:, 2] = heads[:, 0]
     if options.model == "composed":

@@ -22,7 +22,7 @@ from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.state import FloatArray
 from swarm_envs.training.flight_logs.read import FileReport
-from swarm_envs.training.force_model.labels import Treated
+from swarm_envs.training.force_model.labels import PreparedRows
 from swarm_envs.training.force_model.lipschitz import steepest
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
 from swarm_envs.training.force_model.train import to_batch
@@ -165,7 +165,6 @@ class Findings:
     rows: int  # Number of rows
     validation_rows: int  # Number of held-out rows
     errors: Errors  # Errors with labels as in training
-    errors_raw: Errors  # Errors with labels as measured
     lipschitz_measured: dict[str, dict[str, float]]
     """Largest gradients of a network by number of neighbors; empty for the closed form."""
     axis_bins: list[dict[str, Any]]
@@ -181,7 +180,6 @@ class FitReport:
     command: str  # The command
     config: object  # Its options
     data_sha256: str  # SHA-256 of the data
-    offset_rule: str  # The rule of the calibration offsets
     vehicle_offsets_g: dict[str, float]  # Offset of each vehicle, gram-force
     drag: dict[str, list[float]]  # c per type and axis, N s/m
     findings: Findings  # The evaluation
@@ -208,27 +206,15 @@ class FitReport:
         ]
 
 
-def worth(errors: Errors) -> list[str]:
-    """Return a note if a model is no better than a trivial one."""
-    trivial = {"of zero force": errors.zero, "of the scenario's mean": errors.scenario_mean}
-    better = [f"that {name} ({e:.2f})" for name, e in trivial.items() if errors.overall >= e]
-    if not better:
-        return []
-    return [
-        f"the model explains nothing: its validation MSE {errors.overall:.2f} g^2 is not below "
-        f"{' nor '.join(better)}; fly longer, closer to each other, or train for more steps"
-    ]
-
-
-def examine(
-    model: InteractionModel, treated: Treated, seed: int, network: ForceNetwork | None = None
+def evaluate_model(
+    model: InteractionModel, prepared: PreparedRows, seed: int, network: ForceNetwork | None = None
 ) -> Findings:
     """Evaluate a fitted model that was loaded from its file.
 
     `network` is the model in torch, whose gradients are computed; None to omit them.
     """
-    rng, predicted_g = np.random.default_rng(seed), modelled_force_g(treated.rows, model)[:, 2]
-    rows, free = treated.rows, subtract_offsets(treated.rows, treated.offsets)
+    rng, predicted_g = np.random.default_rng(seed), modelled_force_g(prepared.rows, model)[:, 2]
+    rows, free = prepared.rows, subtract_offsets(prepared.rows, prepared.offsets)
     measured = {}
     if network is not None:
         measured = {str(count): steepest(network, count, rng) for count in (1, 2)}
@@ -236,7 +222,6 @@ def examine(
         rows=len(rows),
         validation_rows=int(rows.validation.sum()),
         errors=mean_squared_errors(predicted_g, free),
-        errors_raw=mean_squared_errors(predicted_g, rows),
         lipschitz_measured=measured,
         axis_bins=axis_bins(model, predicted_g, free),
         extremes=[scan_swarms(model, size, _SWARMS, rng) for size in _SWARM_SIZES],

@@ -39,7 +39,7 @@ FALL_SPEED = 1.5
 mean label of -40 g shows that the rotors no longer produce the commanded thrust."""
 
 
-class Treated(NamedTuple):
+class PreparedRows(NamedTuple):
     """Rows with measured and with prepared labels."""
 
     rows: InteractionRows  # With the labels as measured
@@ -48,12 +48,7 @@ class Treated(NamedTuple):
     drag: FloatArray  # (T, 3) by type, N s/m; added to the model's predictions
 
 
-def is_calibrated(config: FitConfig) -> bool:
-    """Return True if a fit estimates offsets."""
-    return config.mode == "anchored" and config.offsets == "estimated"
-
-
-def treat(rows: InteractionRows, config: FitConfig) -> Treated:
+def prepare(rows: InteractionRows, config: FitConfig) -> PreparedRows:
     """Subtract offsets and drag from the labels of a fit.
 
     These are the vertical labels, for a composed model all three (horizontal offsets are due to
@@ -67,14 +62,14 @@ def treat(rows: InteractionRows, config: FitConfig) -> Treated:
         drag[:, 2] = 0.0
     offsets, force = NO_OFFSETS, rows.force_g.copy()
     for axis in (0, 1, 2) if config.model == "composed" else (2,):
-        if is_calibrated(config):
+        if config.mode == "anchored" and config.offsets == "estimated":
             offsets = estimate_offsets(rows, axis)
         force[:, axis] -= offsets.of(rows)
         force[:, axis] += drag[rows.ego_type, axis] * rows.velocity[:, axis] / GRAM_FORCE
-    return Treated(rows, replace(rows, force_g=force), offsets, drag)
+    return PreparedRows(rows, replace(rows, force_g=force), offsets, drag)
 
 
-def flown(rows: InteractionRows) -> InteractionRows:
+def without_falls(rows: InteractionRows) -> InteractionRows:
     """Return the rows without training rows of falling drones (`FALL_SPEED`)."""
     speed = np.linalg.norm(rows.velocity, axis=1)
     return rows.select(rows.validation | (speed < FALL_SPEED))
@@ -160,7 +155,7 @@ def _centered(values: FloatArray, group: np.ndarray, count: np.ndarray) -> Float
 def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
     """Set the outputs of networks without training rows to zero; return a note for each."""
     training = rows.select(~rows.validation)
-    pairs, felt = shown_pairs(training), np.isin(np.arange(len(rows.types)), training.ego_type)
+    pairs, felt = occurring_pairs(training), np.isin(np.arange(len(rows.types)), training.ego_type)
     notes = []
     for index in np.flatnonzero(~felt).tolist():
         network.silence_drone(index)
@@ -196,7 +191,7 @@ def _never_together(types: Sequence[str], upper: int, lower: int) -> str:
     return f"type {types[upper]!r} is a neighbor of type {types[lower]!r} in no training row: "
 
 
-def shown_pairs(rows: InteractionRows) -> BoolArray:
+def occurring_pairs(rows: InteractionRows) -> BoolArray:
     """Return True (T, T) for type pairs [neighbor, drone] that occur in a row."""
     pairs = np.zeros((len(rows.types), len(rows.types)), dtype=np.bool_)
     egos = np.repeat(rows.ego_type[:, None], rows.neighbor_type.shape[1], axis=1)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from swarm_envs.training.force_model.network import Batch, ForceNetwork
 from swarm_envs.training.interaction_rows import NO_NEIGHBOR
@@ -45,18 +44,6 @@ def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generat
     )
 
 
-def input_gradient(network: ForceNetwork, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the gradient of the force with respect to the inputs of environment and neighbors.
-
-    Their shapes are (R, 4) and (R, K, 6), in g per m and g per m/s.
-    """
-    environment = batch.environment.detach().requires_grad_(True)
-    pair = batch.pair.detach().requires_grad_(True)
-    force = network(batch._replace(environment=environment, pair=pair))
-    at_environment, at_pair = torch.autograd.grad(force.sum(), (environment, pair))
-    return at_environment, at_pair
-
-
 def steepest(network: ForceNetwork, neighbors: int, rng: np.random.Generator) -> dict[str, float]:
     """Return the largest gradients of a float64 network at random inputs.
 
@@ -64,7 +51,8 @@ def steepest(network: ForceNetwork, neighbors: int, rng: np.random.Generator) ->
     inputs, positions in m and velocities in m/s, in g per unit.
     """
     batch = random_inputs(len(network.types), SAMPLES, neighbors, rng)
-    at_environment, at_pair = input_gradient(network, batch)
+    inputs = batch.environment.requires_grad_(), batch.pair.requires_grad_()
+    at_environment, at_pair = torch.autograd.grad(network(batch).sum(), inputs)
     position = torch.linalg.vector_norm(at_pair[..., :3], dim=-1)
     whole = torch.linalg.vector_norm(torch.cat([at_environment, at_pair.flatten(1)], 1), dim=1)
     return {

@@ -20,8 +20,6 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.errors import check_integer, check_number
-
 __all__ = ["InputRange"]
 
 NetworkKind = Literal["deep-set", "composed", "wake"]
@@ -83,16 +81,6 @@ class DeepSetSpec:
     torque: bool = False
     """True if rho outputs the torque too; for a deep set only."""
 
-    def __post_init__(self) -> None:
-        """Raise ValueError if a value is invalid."""
-        _check_types(self.types)
-        if self.anchor_height_m is not None:
-            check_number("anchor_height_m", self.anchor_height_m, above=0.0, unit="m")
-        check_integer("hidden", self.hidden, at_least=1)
-        check_integer("layers", self.layers, at_least=2)
-        if self.torque and self.kind != "deep-set":
-            raise ValueError(f"a {self.kind} network has no torque; use kind='deep-set'")
-
     @property
     def phi_widths(self) -> tuple[int, ...]:
         """The widths of phi after its input (6 for a vehicle, 4 for the environment)."""
@@ -102,17 +90,6 @@ class DeepSetSpec:
     def rho_widths(self) -> tuple[int, ...]:
         """The widths of rho from its input to its output."""
         return (self.hidden, *(_WIDTH,) * (self.layers - 1), 1)
-
-
-def _check_types(types: tuple[str, ...]) -> None:
-    for name in types:
-        if not name or "." in name or name == "environment" or hasattr(nn.ModuleDict(), name):
-            raise ValueError(
-                f"{name!r} cannot be the name of a vehicle type, because it is used in names of "
-                "weights; choose another without a period, such as 'XL'"
-            )
-    if len(set(types)) < len(types) or not types:
-        raise ValueError(f"types are {types}, but must be one or more different names")
 
 
 def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:

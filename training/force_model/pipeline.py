@@ -6,35 +6,21 @@ import dataclasses
 import json
 import time
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
-from swarm_envs.training.force_model.evaluate import (
-    Findings,
-    FitReport,
-    examine,
-    torque_errors,
-    worth,
-)
+from swarm_envs.training.force_model.evaluate import FitReport, evaluate_model, torque_errors
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.force_fit_config import (
-    REPORTS,
-    WEIGHTS,
-    FitConfig,
-    TrainConfig,
-)
+from swarm_envs.training.force_model.force_fit_config import REPORTS, WEIGHTS, FitConfig
 from swarm_envs.training.force_model.labels import (
-    Treated,
     check_rows,
-    flown,
-    is_calibrated,
     measured_range,
+    prepare,
     silence_unseen,
-    treat,
+    without_falls,
 )
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
@@ -45,15 +31,13 @@ from swarm_envs.training.force_model.network import (
 )
 from swarm_envs.training.force_model.train import Training, train
 from swarm_envs.training.interaction_rows import InteractionRows
-from swarm_envs.training.interaction_rows.calibration import RULE, implausible_offsets
 from swarm_envs.training.interaction_rows.row_tables import vehicle_name
 from swarm_envs.training.provenance import changed_options, check_same, json_ready
 
 __all__ = ["REPORTS", "fit"]
 
+ANCHOR_HEIGHT_M = 0.6  # Height from which the force on a lone drone is zero, m
 _ASIDE = ("progress", "json")  # Options that do not change the result
-_Fitted = tuple[Findings, dict[str, Any]]
-"""The evaluation of a model, and the other fields of its report."""
 
 
 def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
@@ -81,66 +65,58 @@ def fit(config: FitConfig) -> FitReport:
         ValueError: the rows are invalid, or `config.out` has a fit of other data or options.
     """
     began = time.perf_counter()
-    calibrated = is_calibrated(config)
     rows, logs = read_data(config.data, config.logs, config.progress)
     check_rows(rows)
-    treated = treat(rows, config)
+    prepared = prepare(rows, config)
     words, digest = fit_command(config), data_sha256(config.data)
     check_finished(config.out / REPORTS[config.model], config, digest)
+    run = train_model(prepared.target, config)
+    with torch.no_grad():
+        run.network.drag.copy_(torch.from_numpy(prepared.drag))
+    notes = silence_unseen(run.network, prepared.rows)
     provenance: dict[str, object] = {
         "command": words,
         "data_sha256": digest,
         "mode": config.mode,
         "seed": config.seed,
+        **({"notes": notes} if notes else {}),
     }
-    findings, found = _fitted(treated, config, provenance)
-    odd = implausible_offsets(rows, treated.offsets)
-    notes = [*odd, *found["notes"], *worth(findings.errors)]
+    path = config.out / WEIGHTS[config.model]
+    save_network(path, run.network, provenance)
+    network = None if config.model == "wake" else load_network(path)
+    torque = None
+    if isinstance(network, DeepSet) and config.torque:
+        torque = torque_errors(network, rows)
     report = FitReport(
         model=config.model,
         command=words,
         config=json_ready(config),
         data_sha256=digest,
-        offset_rule=RULE if calibrated else "none",
-        vehicle_offsets_g={vehicle_name(rows, v): g for v, g in treated.offsets.vehicle.items()},
-        drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
-        findings=findings,
+        vehicle_offsets_g={vehicle_name(rows, v): g for v, g in prepared.offsets.vehicle.items()},
+        drag={name: prepared.drag[index].tolist() for index, name in enumerate(rows.types)},
+        findings=evaluate_model(load(path), prepared, config.seed, network),
+        history=run.history,
         wall_time_s=round(time.perf_counter() - began, 1),
         logs=logs,
-        **found | {"notes": notes},
+        notes=notes,
+        torque_errors=torque,
     )
-    for path in (config.out / REPORTS[config.model], config.json):
-        if path is not None:
-            write_json(path, json_ready(report))
+    for file in (config.out / REPORTS[config.model], config.json):
+        if file is not None:
+            write_json(file, json_ready(report))
     return report
 
 
-def train_model(target: InteractionRows, config: FitConfig, progress: bool) -> Training:
-    """Train the network of a configuration on labels from `treat`.
+def train_model(target: InteractionRows, config: FitConfig) -> Training:
+    """Train the network of a configuration on labels from `prepare`.
 
     A network that replaces phi and rho may have the Lipschitz bound of both.
     """
-    rows = flown(target) if config.model == "composed" else target
-    recipe: TrainConfig = config
+    rows = without_falls(target) if config.model == "composed" else target
+    spec = network_spec(target, config)
     if config.model != "deep-set":
-        recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
-    return train(rows, network_spec(target, config), recipe, progress)
-
-
-def _fitted(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
-    """Train a model, write it, and evaluate the written file."""
-    run = train_model(treated.target, config, config.progress)
-    with torch.no_grad():
-        run.network.drag.copy_(torch.from_numpy(treated.drag))
-    notes = silence_unseen(run.network, treated.rows)
-    path = config.out / WEIGHTS[config.model]
-    save_network(path, run.network, provenance | ({"notes": notes} if notes else {}))
-    network = None if config.model == "wake" else load_network(path)
-    findings = examine(load(path), treated, config.seed, network)
-    torque = None
-    if isinstance(network, DeepSet) and config.torque:
-        torque = torque_errors(network, treated.rows)
-    return findings, {"history": run.history, "notes": notes, "torque_errors": torque}
+        config = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+    return train(rows, spec, config)
 
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
@@ -150,7 +126,7 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
         rows.types,
         window=OUTER_FADE if anchored else EVERYWHERE,
         input_range=measured_range(rows) if anchored else None,
-        anchor_height_m=config.anchor_height_m if anchored else None,
+        anchor_height_m=ANCHOR_HEIGHT_M if anchored else None,
         hidden=config.hidden,
         layers=config.layers,
         kind=config.model,

@@ -32,14 +32,16 @@ from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.flight_logs.read import data_sha256, read_data
 from swarm_envs.training.force_model.compare import default_fit, fitted_force_g, flight_folds
-from swarm_envs.training.force_model.force_fit_config import FITTED, ResidualConfig
-from swarm_envs.training.force_model.labels import flown, treat
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.labels import prepare, without_falls
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
 REPORT = "residual.json"  # Name of the output file
+FITTED = ("composed", "wake")
+"""Force models that are refitted to flights other than those on which they are evaluated."""
 LAGS = 7  # Number of lags of the autocovariance, in rows, with zero: 0 to 180 ms at 33 Hz
 EDGES = (0.0, 0.01, 0.03, 0.06, 0.1, 0.16, 0.25, np.inf)
 """Edges of the bins of |f| / W with neighbors; rows without neighbors are in a bin before them."""
@@ -89,7 +91,7 @@ class ResidualReport:
         return [*lines, f"white noise of the labels: {noise}"]
 
 
-def fit_residual(config: ResidualConfig) -> ResidualReport:
+def fit_residual(config: FitConfig) -> ResidualReport:
     """Identify the residual force of a model, and write `residual.json` to `config.out`.
 
     Raises:
@@ -99,7 +101,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
     rows, _ = read_data(config.data, config.logs, config.progress)
     for name in rows.types:
         check_name("vehicle type", name, tuple(VEHICLES))
-    rows = flown(dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_)))
+    rows = without_falls(dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_)))
     modelled = predicted_g(rows, config)
     moments = measured_moments(rows, modelled, config.logs.rate_hz)
     everyone: FloatArray = np.ones(len(moments.number))
@@ -127,7 +129,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
     return report
 
 
-def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
+def predicted_g(rows: InteractionRows, config: FitConfig) -> FloatArray:
     """Return the modeled force (R, 3), including drag, gram-force."""
     if config.force not in FITTED:
         return modelled_force_g(rows, config.force)
@@ -136,9 +138,9 @@ def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
     fold, found = flight_folds(rows, config.folds, config.seed), np.zeros((len(rows), 3))
     for k in tqdm(range(config.folds), disable=not config.progress, unit="fit"):
         held = fold == k
-        treated = treat(dataclasses.replace(rows, validation=held), options)
-        drag = treated.drag[rows.ego_type] * rows.velocity / GRAM_FORCE
-        found[held] = (fitted_force_g(treated.target, options) - drag)[held]
+        prepared = prepare(dataclasses.replace(rows, validation=held), options)
+        drag = prepared.drag[rows.ego_type] * rows.velocity / GRAM_FORCE
+        found[held] = (fitted_force_g(prepared.target, options) - drag)[held]
     return found
 
 

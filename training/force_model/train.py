@@ -16,12 +16,13 @@ from swarm_envs.training.force_model.examples import (
     shuffled,
     targets,
 )
-from swarm_envs.training.force_model.force_fit_config import TrainConfig as TrainConfig
+from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows
 
 HISTORY_STEPS = 500  # Number of steps between entries of the history
+CHUNK = 65_536  # Number of rows that are predicted at once
 
 Entry = dict[str, float]
 """Entry of the history: step, mean training loss since the last entry, validation MSE, g^2."""
@@ -37,22 +38,16 @@ class Training:
     history: list[Entry] = field(default_factory=list)
 
 
-def train(
-    rows: InteractionRows,
-    spec: DeepSetSpec,
-    config: TrainConfig,
-    progress: bool = True,
-) -> Training:
+def train(rows: InteractionRows, spec: DeepSetSpec, config: FitConfig) -> Training:
     """Fit a network to the rows' vertical labels `force_g[:, 2]` by least squares, with Adam.
 
     The error of held-out rows is recorded in the history. The result has the weights of the last
     step.
 
     Args:
-        rows: rows with prepared labels, as from `labels.treat`.
+        rows: rows with prepared labels, as from `labels.prepare`.
         spec: the function to fit.
         config: the options.
-        progress: show a progress bar.
 
     Raises:
         ValueError: training diverged.
@@ -62,7 +57,7 @@ def train(
     training, held_out = rows.select(~rows.validation), rows.select(rows.validation)
     examples, check = make_examples(training, spec, config.balance), to_batch(held_out)
     batches, losses = math.ceil(len(training) / config.batch_size), list[float]()
-    bar = tqdm(range(config.steps), disable=not progress, unit="step")
+    bar = tqdm(range(config.steps), disable=not config.progress, unit="step")
     for step in bar:
         epoch, place = divmod(step, batches)
         if place == 0:
@@ -83,7 +78,7 @@ def train(
     return run
 
 
-def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
+def start(spec: DeepSetSpec, config: FitConfig) -> Training:
     """Return a new training with seeded weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -95,7 +90,7 @@ def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
     return Training(network, optimizer)
 
 
-def take_step(run: Training, chosen: Examples, config: TrainConfig) -> float:
+def take_step(run: Training, chosen: Examples, config: FitConfig) -> float:
     """Take one step of the optimizer on a batch; return the batch's MSE, g^2."""
     share = 0.5 * (1.0 + math.cos(math.pi * run.step / config.steps))
     run.optimizer.param_groups[0]["lr"] = config.learning_rate * share
@@ -123,7 +118,7 @@ def make_examples(rows: InteractionRows, spec: DeepSetSpec, balance: float) -> E
 
 
 def type_weights(rows: InteractionRows, balance: float) -> Tensor:
-    """Return the weight of each row's squared error, (R,), mean 1; see `TrainConfig.balance`."""
+    """Return the weight of each row's squared error, (R,), mean 1; see `FitConfig.balance`."""
     weight = np.ones(len(rows))
     for index in range(len(rows.types)):
         own = rows.ego_type == index
@@ -143,13 +138,13 @@ def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch
     )
 
 
-def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536, every: bool = False) -> Tensor:
+def predict(network: ForceNetwork, batch: Batch, every: bool = False) -> Tensor:
     """Return the network's vertical force (R,), gram-force, or `every` head, without gradient."""
     answer = network.heads if every else network
     with torch.no_grad():
         count = len(batch.ego_type)
         parts = [
-            answer(Batch(*(values[start : start + chunk] for values in batch)))
-            for start in range(0, count, chunk)
+            answer(Batch(*(values[start : start + CHUNK] for values in batch)))
+            for start in range(0, count, CHUNK)
         ]
     return torch.cat(parts) if parts else torch.zeros(0)

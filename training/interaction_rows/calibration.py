@@ -19,9 +19,8 @@ import numpy as np
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.interaction_rows.row_tables import vehicle_name
 from swarm_envs.training.interaction_rows.rows import InteractionRows
-from swarm_envs.vehicles import VEHICLES
 
-__all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
+__all__ = ["NO_OFFSETS", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
 
 QUIET_HEIGHT_M = 0.3  # Least height of a quiet row, m
 QUIET_SPEED = 0.5  # Largest speed of a quiet row, m/s
@@ -29,18 +28,7 @@ QUIET_LATERAL_M = 0.25  # Least horizontal distance of neighbors in a quiet row,
 QUIET_BELOW_M = 0.2  # unless they are more than this far below, m
 LEAST_ROWS = 30
 """Least number of quiet rows for a vehicle's offset."""
-PLAUSIBLE_SHARE = 0.15
-"""Ratio of offset to weight above which the mass or the thrust curve is probably wrong."""
 PRIOR_ROWS = 100.0  # Weight of the vehicle's offset in a flight's offset, in rows
-
-RULE = (
-    f"a row is quiet where height > {QUIET_HEIGHT_M} m, speed < {QUIET_SPEED} m/s and every "
-    f"neighbor is > {QUIET_LATERAL_M} m away laterally or > {QUIET_BELOW_M} m below; a vehicle's "
-    "offset is the median vertical label of its quiet training rows; a flight's offset is the "
-    "median of its n quiet training rows, weighted n to the vehicle's offset weighted "
-    f"{PRIOR_ROWS:g}"
-)
-"""The rule in one sentence, for reports."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +70,10 @@ def quiet_rows(rows: InteractionRows, max_speed: float = QUIET_SPEED) -> BoolArr
 
 
 def estimate_offsets(rows: InteractionRows, axis: int = 2) -> Offsets:
-    """Estimate offsets from quiet training rows by the rule of `RULE`, along x, y or z.
+    """Estimate offsets from quiet training rows, along x, y or z.
+
+    A vehicle's offset is the median label of its quiet rows. A flight's offset is the median of
+    its n quiet rows, weighted n, and the vehicle's offset, weighted `PRIOR_ROWS`.
 
     Raises:
         ValueError: a vehicle has fewer quiet training rows than `LEAST_ROWS`.
@@ -111,19 +102,3 @@ def estimate_offsets(rows: InteractionRows, axis: int = 2) -> Offsets:
 def subtract_offsets(rows: InteractionRows, offsets: Offsets) -> InteractionRows:
     """Return rows with the offsets subtracted from the vertical labels."""
     return rows.with_vertical_force(rows.force_g[:, 2] - offsets.of(rows))
-
-
-def implausible_offsets(rows: InteractionRows, offsets: Offsets) -> list[str]:
-    """Return a note for each vehicle whose mass or thrust curve is probably wrong."""
-    notes = []
-    for vehicle, offset_g in offsets.vehicle.items():
-        kind = rows.types[int(rows.ego_type[rows.vehicle == vehicle][0])]
-        masses = [v.mass for v in VEHICLES.values() if v.interaction_type == kind]
-        share = abs(offset_g) / (1000.0 * masses[0]) if masses else 0.0
-        if share > PLAUSIBLE_SHARE:
-            notes.append(
-                f"the calibration offset of vehicle {vehicle_name(rows, vehicle)!r} is "
-                f"{100 * share:.0f} % of its weight, but {100 * PLAUSIBLE_SHARE:.0f} % is usual at "
-                "most; check mass, voltage and rotors"
-            )
-    return notes

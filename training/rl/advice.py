@@ -12,8 +12,8 @@ import swarm_envs
 from swarm_envs.agents import Agent, load, recommended
 from swarm_envs.agents.evaluation import AgentFailed, evaluate_agent
 from swarm_envs.agents.protocol import flies_batches
-from swarm_envs.training.rl.choosing import choosing_seeds, learning_of
 from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.validation import learning_of, validation_seeds
 
 __all__ = ["advice"]
 
@@ -101,9 +101,9 @@ def _best_agent(config: RlConfig, task: str) -> str:
     team: dict[str, Any] = {"num_drones": max(config.team_sizes)}
     if config.team:
         team = {"team": config.team[-1]}
-    asked = {"learned": False, "privileged": False, "layout": layouts.get("layout"), **team}
+    properties = {"learned": False, "privileged": False, "layout": layouts.get("layout"), **team}
     try:
-        name = recommended(task, **asked, world=config.world)
+        name = recommended(task, **properties, world=config.world)
     except ValueError:
         return ""
     return name if load(name).requires.get("action") == config.action else ""
@@ -118,7 +118,7 @@ def _success(config: RlConfig, task: str, agent: Agent) -> float | None:
         with closing(swarm_envs.make(task, **{**given, **agent.requires})) as env:
             if not flies_batches(env, agent):
                 return None
-            flown = list(evaluate_agent(env, agent, choosing_seeds(EPISODES), timed=1))
+            flown = list(evaluate_agent(env, agent, validation_seeds(EPISODES), timed=1))
     except (AgentFailed, ValueError):
         return None
     return float(np.mean([episode["metrics"]["success"] for episode in flown]))

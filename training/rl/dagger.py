@@ -14,14 +14,17 @@ was not interrupted.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 import time
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
+from stable_baselines3.common.logger import configure
 from torch import Tensor, nn
 from tqdm import tqdm
 
@@ -34,16 +37,19 @@ from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import Blueprint
 from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.export import write_safetensors
-from swarm_envs.training.provenance import check_same, scalar_writer
+from swarm_envs.training.provenance import check_same
 from swarm_envs.training.rl.advice import advice
-from swarm_envs.training.rl.choosing import learning_of
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
+from swarm_envs.training.rl.validation import learning_of
 
 LARGEST_GRADIENT = 1.0
 NOISY = 3  # One in this many environments has noise on its actions
+NOISE = 0.1  # Standard deviation of that noise
+HUBER = 0.1  # Error of an action above which it counts linearly in the loss
+LAST_RATE = 0.02  # Final learning rate divided by the initial one
 CURVE = "progress.csv"
 STARTED_ALIKE = (
     *("action", "decision_rate", "num_neighbors", "num_obstacles"),
@@ -171,7 +177,8 @@ class Dagger:
         config, total = self.config, self.config.rollouts
         due = [math.ceil((k + 1) * total / config.evaluations) for k in range(config.evaluations)]
         bar = tqdm(total=total, initial=self.rollout, unit="rollout", disable=not config.progress)
-        with scalar_writer(config.out / "tensorboard") as log, bar:
+        events = ["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))
+        with closing(configure(str(config.out), events)) as log, bar:
             while self.rollout < total:
                 begun, first = (time.process_time(), time.monotonic()), self.rollout
                 end = min(first + config.checkpoint_rollouts, total)
@@ -182,8 +189,9 @@ class Dagger:
                 self.cpu_s += time.process_time() - begun[0]
                 self.wall_s += time.monotonic() - begun[1]
                 self.save()
-                if log is not None:
-                    log(entry)
+                for name, value in entry.items():
+                    log.record(name, value)
+                log.dump(self.steps)
 
     def fly(self, end: int, bar: Any = None) -> dict[str, Any]:
         """Train with new episodes until rollout `end`; return means over these rollouts."""
@@ -226,7 +234,7 @@ class Dagger:
     def _mixed(self, own: Float32Array, label: Float32Array, guided: float) -> Any:
         """Return the policy's or the teacher's actions (E, N, width), with noise in some."""
         draws = self.rng.random((len(own), 1, 1))
-        noise = self.rng.normal(0.0, self.config.dagger.noise, own.shape)
+        noise = self.rng.normal(0.0, NOISE, own.shape)
         noise[np.arange(len(own)) % NOISY != 0] = 0.0
         return np.clip(np.where(draws < guided, label, own) + noise, -1.0, 1.0)
 
@@ -234,11 +242,11 @@ class Dagger:
         """Take the gradient steps of a rollout; return the mean loss."""
         options, losses = self.config.dagger, []
         cosine = 0.5 + 0.5 * math.cos(math.pi * self.rollout / self.config.rollouts)
-        self.adam.param_groups[0]["lr"] = options.learning_rate * max(cosine, options.last_rate)
+        self.adam.param_groups[0]["lr"] = options.learning_rate * max(cosine, LAST_RATE)
         for _ in range(options.gradient_steps):
             seen, label, weight = self.memory.draw(self.rng, options.batch_size)
             errors = nn.functional.huber_loss(
-                self.actor(seen), label, reduction="none", delta=options.huber
+                self.actor(seen), label, reduction="none", delta=HUBER
             )
             loss = (weight * errors).mean()
             self.adam.zero_grad()

@@ -205,9 +205,9 @@ def steered(drones: Records, desired: FloatArray, action: str) -> FloatArray:
     coasting = velocity + ACCELERATION_LAG * acceleration + _APPROACH * away
     if action == "velocity":
         return np.asarray(coasting / SPEED_LIMIT)
-    asked = acceleration + ACCELERATION_LAG * jerk + _DAMPING * (coasting - present)
-    most = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
-    return np.asarray(asked / ACCELERATION_LIMIT / np.maximum(most, 1.0))
+    commanded = acceleration + ACCELERATION_LAG * jerk + _DAMPING * (coasting - present)
+    most = np.abs(commanded).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+    return np.asarray(commanded / ACCELERATION_LIMIT / np.maximum(most, 1.0))
 
 
 def neighbor_columns(*form: int) -> slice:

@@ -11,14 +11,10 @@ import tyro
 
 from swarm_envs.envs.setting import WorldOptions
 from swarm_envs.errors import (
-    check_bool,
-    check_divisor,
     check_integer,
     check_name,
     check_number,
-    check_numbers,
 )
-from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
 __all__ = ["RlConfig"]
@@ -27,17 +23,15 @@ Encoder = Literal["mlp", "deep-set"]
 Action = Literal["acceleration", "velocity", "ctbr", "rotors"]
 DAGGER = "dagger"  # The algorithm of `--dagger.*`; others are Stable-Baselines3's
 _COUNTS = (
-    *("steps", "environments", "threads", "num_neighbors"),
+    *("steps", "environments", "threads"),
     *("checkpoint_rollouts", "evaluations", "evaluation_episodes"),
 )
 """Options that are positive integers."""
 ALGORITHMS = ("ppo", "sac", "td3", DAGGER)  # Those that need no import path
 
-_TYPED = {"num_neighbors": "neighbors"}  # Fields with another name on the command line
-
 
 def _option(name: str) -> str:
-    return f"--{_TYPED.get(name, name).replace('_', '-')}"
+    return f"--{name.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
@@ -56,30 +50,21 @@ class DaggerConfig:
     """Decisions of single drones per gradient step."""
     learning_rate: float = 2e-3
     """Initial learning rate of Adam; it is annealed along a cosine."""
-    last_rate: tyro.conf.Suppress[float] = 0.02
-    """Final learning rate divided by the initial one."""
     buffer_size: int = 400_000
     """Size of the replay buffer in decisions of single drones; checkpoints contain it."""
     guided: float = 0.125
     """Fraction of the run over which the probability that the teacher's action is executed falls
     from 1 to 0."""
-    noise: tyro.conf.Suppress[float] = 0.1
-    """Standard deviation of the noise on the actions in a third of the environments."""
     avoiding: float = 3.0
     """Loss weight of decisions in which other drones change the teacher's action; others have 1."""
-    huber: tyro.conf.Suppress[float] = 0.1
-    """Threshold of the Huber loss: errors of an action above it count linearly."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a number is out of range."""
         for name in ("train_freq", "gradient_steps", "batch_size", "buffer_size"):
             check_integer(_option(f"dagger.{name}"), getattr(self, name), at_least=1)
-        for name in ("learning_rate", "last_rate"):
-            check_number(_option(f"dagger.{name}"), getattr(self, name), at_least=1e-7, at_most=1.0)
-        for name in ("guided", "noise"):
-            check_number(_option(f"dagger.{name}"), getattr(self, name), at_least=0.0, at_most=1.0)
+        check_number("--dagger.learning-rate", self.learning_rate, at_least=1e-7, at_most=1.0)
+        check_number("--dagger.guided", self.guided, at_least=0.0, at_most=1.0)
         check_number("--dagger.avoiding", self.avoiding, at_least=0.0, at_most=100.0)
-        check_number("--dagger.huber", self.huber, at_least=1e-3, at_most=10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,9 +135,7 @@ class RlConfig(WorldOptions, RunOptions):
     action space only."""
     decision_rate: int = 10
     """Decisions per second, Hz, in training and afterwards."""
-    force_rate: tyro.conf.Suppress[int] = 48
-    """Rate at which interaction forces are computed in training, Hz."""
-    num_neighbors: Annotated[int, tyro.conf.arg(name=_TYPED["num_neighbors"])] = 3
+    num_neighbors: Annotated[int, tyro.conf.arg(name="neighbors")] = 3
     """Number of nearest neighbors that each drone observes."""
     num_obstacles: int | None = None
     """Number of nearest obstacles that each drone observes. If None, 3 if there are obstacles,
@@ -170,9 +153,6 @@ class RlConfig(WorldOptions, RunOptions):
     interactions: str = "learned"
     """Model of the aerodynamic forces between drones: `none`, `wake`, `learned`, a weights file or
     path/to/file.py:function."""
-    proximity: tyro.conf.Suppress[tuple[float, float]] = (4.0, 2.0)
-    """Cost of proximity to other drones before and after 37 % of the steps. If it is too high for
-    too long, drones learn to hover next to their goals."""
     checkpoint_rollouts: int = 100
     """Number of rollouts between two checkpoints of DAgger."""
     evaluations: int = 5
@@ -186,7 +166,10 @@ class RlConfig(WorldOptions, RunOptions):
     """Options that apply to `--algo dagger` only."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError for numbers out of range and for contradictory options."""
+        """Raise ValueError for numbers out of range and for contradictory options.
+
+        Options of the environment are checked when it is made.
+        """
         self._check_numbers()
         self._check_teams()
         self._check_belongs()
@@ -196,15 +179,6 @@ class RlConfig(WorldOptions, RunOptions):
         for name in _COUNTS:
             check_integer(_option(name), getattr(self, name), at_least=1)
         check_integer("--seed", self.seed, at_least=0)
-        if self.num_obstacles is not None:
-            check_integer("--num-obstacles", self.num_obstacles, at_least=0)
-        for name in ("decision_rate", "force_rate"):
-            check_divisor(_option(name), getattr(self, name), PHYSICS_RATE)
-        if self.horizon_s is not None:
-            check_number("--horizon-s", self.horizon_s, at_least=0.2, at_most=1000.0, unit="s")
-        check_numbers("--proximity", self.proximity, 2, at_least=0.0)
-        for count in self._counts:
-            check_integer("--drones", count, at_least=1)
         for name in ("hidden", "set_hidden"):
             widths = getattr(self, name)
             if not isinstance(widths, tuple) or not widths:
@@ -212,9 +186,6 @@ class RlConfig(WorldOptions, RunOptions):
             for width in widths:
                 check_integer(_option(name), width, at_least=1)
         check_name("--encoder", self.encoder, get_args(Encoder))
-        check_name("--action", self.action, get_args(Action))
-        for name in ("observe_force", "observe_setpoint", "progress"):
-            check_bool(_option(name), getattr(self, name))
 
     def _check_teams(self) -> None:
         given = {*self._counts}
@@ -244,7 +215,7 @@ class RlConfig(WorldOptions, RunOptions):
         """Raise ValueError if the algorithm does not exist or does not have a given option."""
         if "." not in self.algo:
             check_name("--algo", self.algo, ALGORITHMS)
-        foreign = ("set", "proximity") if self.imitates else ("start", "dagger")
+        foreign = ("set",) if self.imitates else ("start", "dagger")
         for option in fields(self):
             if option.name in foreign and getattr(self, option.name) != option.default:
                 name = "--dagger.*" if option.name == "dagger" else _option(option.name)

@@ -9,21 +9,22 @@ from typing import Any, NamedTuple
 
 from swarm_envs.agents.features import TYPES, FeatureSizes, feature_sizes
 from swarm_envs.agents.networks import Network
-from swarm_envs.agents.policy import FILE, Policy, PolicyNote, senses, write_policy
+from swarm_envs.agents.policy import FILE, Policy, PolicyNote, observation_options, write_policy
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.training.provenance import check_same, json_ready
-from swarm_envs.training.rl.choosing import (
-    choosing_seeds,
+from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.validation import (
     evaluate_policy,
     learning_of,
+    validation_seeds,
     with_defaults,
 )
-from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.user_files import file_digest
 
 __all__ = ["finished_report", "train_policy"]
 
 REPORT = "report.json"  # The file of a complete run
+FORCE_RATE = 48  # Rate at which interaction forces are computed in training, Hz
 _NO_RESULT = ("out", "json", "progress", "threads")  # Options that do not change the policy
 
 
@@ -66,7 +67,7 @@ def make_setting(config: RlConfig, task: str) -> Setting:
     blueprints = [training_blueprint(config, task, team) for team in config.teams]
     present = {vehicle.token for found in blueprints for vehicle in found.task.team}
     flown = tuple(token for token in TYPES if token in present)
-    sizes = feature_sizes(config.num_neighbors, *senses_of(config))
+    sizes = feature_sizes(config.num_neighbors, *observed_in_rows(config))
     return Setting(config, task, blueprints, sizes, flown)
 
 
@@ -85,11 +86,11 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         interactions=config.interactions,
         action=config.action,
         decision_rate=config.decision_rate,
-        force_rate=config.force_rate,
+        force_rate=FORCE_RATE,
         num_neighbors=config.num_neighbors,
         horizon_s=config.horizon_s,
         threads=config.threads,
-        **senses(*senses_of(config), config.controller),
+        **observation_options(*observed_in_rows(config), config.controller),
         **config.world_options(),
     )
     flown = learning.curriculum(found.task, str(config.layout))
@@ -100,7 +101,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     return found._replace(task=replace(flown, reward_weights=weights))
 
 
-def senses_of(config: RlConfig) -> tuple[int, bool, bool, bool]:
+def observed_in_rows(config: RlConfig) -> tuple[int, bool, bool, bool]:
     """Return M of a policy's rows, and True for each of loads, forces and set-points they have."""
     extra = (bool(config.observe_load), config.observe_force, config.observe_setpoint)
     return config.num_obstacles or 0, *extra
@@ -126,10 +127,10 @@ class Evaluation:
             policy,
             task,
             learning.evaluation_layouts(str(config.layout)),
-            choosing_seeds(config.evaluation_episodes),
+            validation_seeds(config.evaluation_episodes),
             {
                 "interactions": config.interactions,
-                "force_rate": config.force_rate,
+                "force_rate": FORCE_RATE,
                 **config.world_options(),
             },
             config.teams,
@@ -151,7 +152,7 @@ class Evaluation:
 def result_options(config: RlConfig, task: str) -> dict[str, Any]:
     """Return the options on which the policy depends, ready for JSON."""
     config = with_defaults(config, task)
-    foreign = ("set", "proximity") if config.imitates else ("start", "dagger")
+    foreign = ("set",) if config.imitates else ("start", "dagger")
     names = [f.name for f in fields(config) if f.name not in (*_NO_RESULT, *foreign)]
     options = {name: getattr(config, name) for name in names}
     own = {name: file_digest(str(getattr(config, name))) for name in ("task", "interactions")}

@@ -38,6 +38,9 @@ SECOND_STAGE = 0.75
 """Fraction of the steps at which the second stage of PPO, with more exploration, begins."""
 LEAST_DEVIATION = 0.3  # Least standard deviation of actions at the start of the second stage
 CLOSER = 0.37  # Fraction of the steps at which the cost of proximity is reduced
+PROXIMITY = (4.0, 2.0)
+"""Cost of proximity to other drones before and after. If it is too high for too long, drones learn
+to hover next to their goals."""
 RUN, CHECKPOINTS = "run.json", "checkpoints"  # Options and models of an incomplete run
 
 OFF_POLICY: dict[str, Any] = {
@@ -218,7 +221,7 @@ class Schedules(BaseCallback):  # type: ignore[misc]
 
     def __init__(self, setting: Setting) -> None:
         super().__init__()
-        self._steps, self._proximity = setting.config.steps, setting.config.proximity
+        self._steps = setting.config.steps
         self._done = 0.0  # Fraction of the steps at the last rollout
 
     def _on_step(self) -> bool:
@@ -230,7 +233,7 @@ class Schedules(BaseCallback):  # type: ignore[misc]
     def _on_rollout_start(self) -> None:
         done, policy = self.num_timesteps / self._steps, self.model.policy
         for core in self.training_env.cores:
-            core.set_reward_weights({"proximity": -self._proximity[done > CLOSER]})
+            core.set_reward_weights({"proximity": -PROXIMITY[done > CLOSER]})
         if self._done < SECOND_STAGE <= done and hasattr(policy, "log_std"):
             policy.log_std.data.clamp_(min=float(np.log(LEAST_DEVIATION)))
         self._done = done

@@ -62,19 +62,10 @@ AGENTS: Mapping[str, int] = MappingProxyType(
 _OTHERS = 4  # Slowness of custom agents
 
 
-def slowness_of(name: str) -> int:
-    """Return an agent's slowness from the table, or that of custom agents."""
-    return AGENTS.get(name) or AGENTS.get(name.removesuffix(FILTER)) or _OTHERS
-
-
 def episodes_of(name: str, task: ScoredTask) -> int:
     """Return the number of a task's episodes on which an agent is evaluated."""
-    return min(task.episodes, max(LEAST, task.episodes // slowness_of(name)))
-
-
-def cost_of(name: str, task: ScoredTask) -> float:
-    """Return the approximate relative cost of an episode."""
-    return slowness_of(name) * task.drones * task.clock_s
+    slowness = AGENTS.get(name) or AGENTS.get(name.removesuffix(FILTER)) or _OTHERS
+    return min(task.episodes, max(LEAST, task.episodes // slowness))
 
 
 def choose_agents(patterns: Sequence[str]) -> list[str]:

@@ -22,7 +22,7 @@ from swarm_envs.agents.protocol import check_options_agree, flies_batches
 from swarm_envs.baselines.neural_swarm.flights import versions
 from swarm_envs.training.flights import Flight, fly_flights
 from swarm_envs.training.scale_out import ScaleOptions
-from swarm_envs.training.scoreboard.agents import cost_of, episodes_of
+from swarm_envs.training.scoreboard.agents import episodes_of
 from swarm_envs.training.scoreboard.metrics import fastest_times, row_of
 from swarm_envs.training.scoreboard.results import FILE, Cell, Results, need_parquet
 from swarm_envs.training.scoreboard.tasks import SEED, ScoredTask, digest, make_scored
@@ -129,7 +129,6 @@ def _flight(task: ScoredTask, name: str, agent: Agent, seeds: Sequence[int]) -> 
         timed=TIMED,
         batched=batched,
         refusals=True,
-        cost=cost_of(name, task),
     )
 
 

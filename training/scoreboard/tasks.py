@@ -58,8 +58,6 @@ class ScoredTask:
     """The number of episodes of each agent; slow agents are evaluated on fewer."""
     score: Score
     """The kind of score of an episode."""
-    clock_s: float
-    """The longest duration of an episode, s."""
     full_score: tuple[str, float] | None = None
     """For the score `own`: the metric, and its value that counts as 1."""
     certificate: str
@@ -122,32 +120,31 @@ _DETOUR, _ROUND, _TRACKING = "detour+compensated", "roundabout", "tracking+compe
 _ADAPTIVE = "tracking+compensated+adaptive"
 _AWARE, _TOP, _LINE = "downwash-aware", "heavy-on-top", "fast-line"
 
-_KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
+_KINDS: Mapping[str, tuple[Score, int]] = MappingProxyType(
     {
-        "swap": ("time", 8.0, 256),
-        "ring": ("tracking", 12.0, 128),
-        "formation tour": ("shapes", 24.0, 64),
-        "formation shuffle": ("time", 8.0, 128),
+        "swap": ("time", 256),
+        "ring": ("tracking", 128),
+        "formation tour": ("shapes", 64),
+        "formation shuffle": ("time", 128),
     }
 )
-"""Score, time limit in seconds, and episodes."""
+"""Score and episodes."""
 _LONG_S = 12.0  # Time limit of swaps of 16 drones and more, long enough for planners, s
 
 
 def _classic(name: str, layout: str | None, size: int | str) -> ScoredTask:
     """Return a swap, ring or formation of `size` small drones, or of a team."""
-    score, clock_s, episodes = _KINDS.get(name) or _KINDS[f"{name} {layout}"]
+    score, episodes = _KINDS.get(name) or _KINDS[f"{name} {layout}"]
     options: dict[str, Any] = {"layout": layout} if layout else {}
     options["num_drones" if isinstance(size, int) else "team"] = size
     if name == "swap" and isinstance(size, int) and size >= 16:
-        options["horizon_s"] = clock_s = _LONG_S
+        options["horizon_s"] = _LONG_S
     return ScoredTask(
         id="-".join(filter(None, (name, layout, f"{size}-v2"))),
         family="classic",
         environment=f"{name}_v1",
         options=options,
         score=score,
-        clock_s=clock_s,
         certificate=_DETOUR,
         episodes=episodes,
     )
@@ -200,7 +197,6 @@ def _new(name: str, base: str, certificate: str, episodes: int, **options: Any) 
         id=f"{name}-v2",
         family=name.partition("-")[0],
         options={**kept, **options},
-        clock_s=options.get("horizon_s", other.clock_s),
         certificate=certificate,
         episodes=episodes,
     )
@@ -215,30 +211,29 @@ def _of_own(
     **options: Any,
 ) -> ScoredTask:
     """Return a task of another environment than the classic ones; see `_new`."""
-    score, clock_s, full_score = _SCORES[environment]
+    score, full_score = _SCORES[environment]
     return ScoredTask(
         id=f"{name}-v{version}",
         family=name.partition("-")[0],
         environment=environment,
         options={**options, **({"world": "hall"} if name.startswith("air") else {})},
         score=score,
-        clock_s=options.get("horizon_s", clock_s),
         full_score=full_score,
         certificate=certificate,
         episodes=episodes,
     )
 
 
-_SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingProxyType(
+_SCORES: Mapping[str, tuple[Score, tuple[str, float] | None]] = MappingProxyType(
     {
-        "columns_v0": ("time", 6.0, None),
-        "delivery_v0": ("time", 3 * 2.2, None),
-        "gates_v0": ("own", 30.0, ("gates_per_min", 80.0)),
-        "crowd_v0": ("own", 30.0, ("throughput_per_min", 40.0)),
-        "pursuit_v0": ("own", 20.0, ("share_on_goal", 1.0)),
+        "columns_v0": ("time", None),
+        "delivery_v0": ("time", None),
+        "gates_v0": ("own", ("gates_per_min", 80.0)),
+        "crowd_v0": ("own", ("throughput_per_min", 40.0)),
+        "pursuit_v0": ("own", ("share_on_goal", 1.0)),
     }
 )
-"""Score, time limit in seconds, and full score."""
+"""Score and full score."""
 
 _CLASSIC = {task.id: task for task in _CLASSIC_ROWS}
 _NOISE = {

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from examples.papers.common import Row, within, write_compared
-from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
+from swarm_envs.commands.collect import CollectOptions, run_collect
 from swarm_envs.training.collection.collect import CollectionConfig
 
 

@@ -26,7 +26,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.belief.feedforward import SwapTrial, fly_swaps, simulated_fit_config
+from swarm_envs.training.belief import SwapTrial, fly_swaps, simulated_fit_config
 from swarm_envs.training.collection.collect import CollectionConfig, collect, was_cut_short
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.collection.table import CollectedFlight, interaction_rows

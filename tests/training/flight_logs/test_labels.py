@@ -10,14 +10,10 @@ import pytest
 from swarm_envs.training.flight_logs import LogOptions, read_data
 from swarm_envs.training.flight_logs.clock import ClockedFlight, kept_entries
 from swarm_envs.training.flight_logs.flight_table import from_columns
-from swarm_envs.training.interaction_rows.calibration import (
-    Offsets,
-    estimate_offsets,
-    implausible_offsets,
-)
+from swarm_envs.training.interaction_rows.calibration import estimate_offsets
 from swarm_envs.training.interaction_rows.hold_out import draw_blocks
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
-from swarm_envs.vehicles import SMALL, parse_team
+from swarm_envs.vehicles import parse_team
 from tests.helpers.real_logs import columns_of, write_table
 
 EXACT = LogOptions(smoothing_s=0.0, keep_every=1)
@@ -40,17 +36,6 @@ def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_ta
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.05
     assert np.abs(error).max() < 0.5
     assert np.abs(error.mean(axis=0)).max() < 0.01
-
-
-def test_an_offset_that_no_vehicle_has_is_noted(flown, as_table, tmp_path):
-    write_table(tmp_path / "a.csv", as_table(flown("S", "walk", 25.0), "S", names=["cf7"]))
-    rows, _ = read_data(tmp_path)
-    weight = 1000.0 * SMALL.mass
-    for sound in (0.14 * weight, -0.14 * weight):
-        assert implausible_offsets(rows, Offsets({0: sound}, {})) == []
-    for odd in (0.16 * weight, -0.16 * weight):
-        (note,) = implausible_offsets(rows, Offsets({0: odd}, {}))
-        assert note.startswith("the calibration offset of vehicle 'cf7' is 16 % of its weight")
 
 
 def test_drones_on_clocks_and_signs_of_their_own_give_the_same(flown, as_table, tmp_path):

@@ -115,16 +115,6 @@ def test_the_file_has_every_episode_and_how_it_was_made(tmp_path):
     )
 
 
-def test_processes_give_the_results_of_one(tmp_path, mine):
-    few = ["--task", PAIR, FOUR, "--episodes", "20", "--agent", "straight-line", "swap-dagger"]
-    few += [f"{mine}:Nan", f"{mine}:Choosy"]
-    outs = [tmp_path / "one", tmp_path / "two"]
-    assert benchmark(outs[0], *few) == benchmark(outs[1], *few, "--workers", "2") == 1
-    assert untimed(outs[0]) == untimed(outs[1])
-    reasons = [[cell.reason for cell in read_results(out).cells] for out in outs]
-    assert reasons[0] == reasons[1]
-
-
 def test_a_killed_run_goes_on_with_the_episodes_that_it_flew(tmp_path):
     few = ["--task", PAIR, FOUR, "--episodes", "3", "--agent", "hover", "straight-line"]
     outs = [tmp_path / "whole", tmp_path / "killed"]

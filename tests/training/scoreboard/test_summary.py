@@ -55,18 +55,6 @@ def test_tasks_weigh_the_same_however_many_episodes_were_flown():
     assert value == pytest.approx(trim_mean(np.concatenate([np.repeat(few, 4), many]), 0.25))
 
 
-def test_an_interval_holds_the_truth_about_as_often_as_it_says():
-    """Of two tasks whose scores are alike but for a shift; the truth is that of 80,000 draws."""
-    first, second = draws(3, 40_000, 40_000)
-    truth = trim_mean(np.concatenate([first, second + 0.2]), 0.25)
-    held = 0
-    for seed in range(80):
-        first, second = draws(100 + seed, 40, 20)
-        low, high = aggregate([first, second + 0.2])["interval"]
-        held += low <= truth <= high
-    assert 0.87 <= held / 80 <= 0.99  # 95 % give or take three standard errors
-
-
 def test_the_bootstrap_draws_within_tasks():
     """Each task is constant: however it is drawn, nothing varies, and the interval is a point."""
     found = aggregate([np.full(10, 0.2), np.full(30, 0.8)])

@@ -18,7 +18,7 @@ from swarm_envs.errors import check_name
 from swarm_envs.tasks.learning import ALL, Learning
 from swarm_envs.training.rl.rl_config import RlConfig
 
-__all__ = ["choosing_seeds", "evaluate_policy", "learning_of", "with_defaults"]
+__all__ = ["evaluate_policy", "learning_of", "validation_seeds", "with_defaults"]
 
 
 def learning_of(task: str) -> Learning:
@@ -62,13 +62,13 @@ def with_defaults(config: RlConfig, task: str) -> RlConfig:
     return whole
 
 
-CHOOSING = (0x63686F6F, 0x73696E67)
+ENTROPY = (0x63686F6F, 0x73696E67)
 """Entropy of the validation seeds, which no `--seed` of `evaluate` gives."""
 
 
-def choosing_seeds(count: int) -> list[int]:
+def validation_seeds(count: int) -> list[int]:
     """Return the seeds of validation episodes; a smaller count gives the first of these seeds."""
-    return [int(word) for word in np.random.SeedSequence(CHOOSING).generate_state(count)]
+    return [int(word) for word in np.random.SeedSequence(ENTROPY).generate_state(count)]
 
 
 def evaluate_policy(

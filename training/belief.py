@@ -1,8 +1,12 @@
 """Fit of the force model that a controller feeds forward, to flights in the environment.
 
-Flights are collected, a heterogeneous deep set is fitted to them, and evaluated in stacked swaps
-with and without compensation. The included models are `belief*.safetensors`; the controller never
-reads the environment's own model.
+The model is called a belief, to distinguish it from the true force model of the environment, which
+the controller never reads. Flights are collected, a heterogeneous deep set is fitted to them, and
+evaluated in stacked swaps with and without compensation. The included models are
+`belief*.safetensors` of `swarm_envs.baselines.neural_swarm`.
+
+Command: `python -m swarm_envs.training.belief --out DIR --seed 0`, with
+`--collection.interactions wake` for an environment with another force model.
 """
 
 from __future__ import annotations
@@ -21,14 +25,13 @@ from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, run_flights, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.errors import check_bool, check_integer, check_type
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection.collect import MANIFEST, CollectionConfig, collect
-from swarm_envs.training.collection.table import ROW_RATE, interaction_rows
+from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model
-from swarm_envs.training.force_model.network import InputRange
 from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.training.provenance import changed_options, file_sha256, json_ready
 
@@ -76,7 +79,7 @@ class FeedforwardConfig:
     """Options of the fit of a model for feed-forward."""
 
     out: Path
-    """Output folder for belief.safetensors, belief.json, MODEL_CARD.md, and the logs in flights/.
+    """Output folder for belief.safetensors, belief.json, and the logs in flights/.
     With another force model than `learned`, the files are named after it, such as
     belief_wake.safetensors."""
     seed: int = 0
@@ -141,14 +144,10 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
         "rows": len(rows),
         "rows_sha256": file_sha256(table),
         "fit": fitted,
-        "judgements": [compare_compensation(t, fed_forward, environment) for t in config.trials],
+        "trials": [compare_compensation(t, fed_forward, environment) for t in config.trials],
         "wall_time_s": round(time.perf_counter() - began, 1),
     }
     write_json(config.out / f"{name}.json", json_ready(report))
-    limits = network.spec.input_range
-    assert limits is not None  # an anchored fit has one
-    with written_whole(config.out / "MODEL_CARD.md") as partial:
-        partial.write_text(_model_card(report, collection, limits))
     return report
 
 
@@ -217,51 +216,23 @@ def fly_swaps(
     return run_flights(test, controller, range(first_seed, first_seed + trial.episodes))
 
 
-def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits: InputRange) -> str:
-    noise = collection.noise
-    given = {
-        **vars(collection),
-        **report,
-        "interactions_sha256": report["interactions_sha256"][:16],
-        "row_rate": ROW_RATE,
-        "teams": ", ".join(collection.teams),
-        "position_mm": 1e3 * noise.position_m,
-        "velocity_cm": 1e2 * noise.velocity,
-        "attitude_mrad": 1e3 * noise.attitude_rad,
-        "steps": report["fit"].history[-1]["step"],
-        "errors": _error_rows(report),
-        "judgements": "\n".join(map(_flight_row, report["judgements"])),
-        "pair_speed": limits.pair[1][3],
-        "own_speed": limits.environment[1][1],
-        "lowest": -limits.environment[1][0],
-    }
-    return Path(__file__).with_name("model_card.md").read_text("utf-8").format(**given)
-
-
-def _error_rows(report: FeedforwardReport) -> str:
-    e = report["fit"].findings.errors
-    rows = [("all", e.overall, e.zero, e.scenario_mean)]
-    rows += [
-        (name, value, e.scenario_zero[name], e.scenario_scenario_mean[name])
-        for name, value in e.scenario.items()
+def _lines(report: FeedforwardReport) -> list[str]:
+    """Return the lines that the command prints."""
+    errors = report["fit"].findings.errors
+    return [
+        f"validation MSE {errors.overall:.2f} g^2 (of zero force: {errors.zero:.2f} g^2)",
+        *(
+            f"{trial.team:5} radius {trial.layout.radius_m} m, {trial.layout.duration_s} s: "
+            f"{trial.uncompensated_median_cm:5.1f} -> {trial.compensated_median_cm:4.1f} cm, "
+            f"{trial.worse} of {trial.episodes} worse"
+            for trial in report["trials"]
+        ),
     ]
-    return "\n".join(f"| {n} | {a:.2f} | {b:.2f} | {c:.2f} |" for n, a, b, c in rows)
 
 
-def _flight_row(j: CompensationResult) -> str:
-    low, high = j.layout.radius_m
-    fast, slow = j.layout.duration_s
-    cells = (
-        j.world,
-        j.team,
-        f"{low:g}-{high:g}",
-        f"{fast:g}-{slow:g}",
-        j.episodes,
-        f"{j.uncompensated_median_cm:.1f}",
-        f"{j.compensated_median_cm:.1f}",
-        f"{j.largest_ratio:.2f}",
-        j.worse,
-        f"{j.upper_largest_growth_cm:.1f}",
-        j.crashed,
+if __name__ == "__main__":
+    chosen = tyro.cli(
+        FeedforwardConfig,
+        description="Fit the force model that the compensated controller feeds forward.",
     )
-    return "| " + " | ".join(map(str, cells)) + " |"
+    print(*_lines(fit_feedforward(chosen)), f"report in {chosen.out}", sep="\n")  # noqa: T201
