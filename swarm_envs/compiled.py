@@ -8,10 +8,8 @@ or indirectly; an edit of any of them leads to another folder and a compilation.
 
 from __future__ import annotations
 
-import atexit
 import gc
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -48,10 +46,8 @@ _COMMENT = re.compile(rb"#.*")
 _UNSAFE = re.compile(r"[^\w.]")  # Characters that are not used in file names
 _NO_BRACKETS = re.compile("[<>]")
 _KERNELS = "*/*.nb[ci]"  # Numba's files of machine code, and their indexes
-_DIGESTS = "digests.json"
-_DAY = 86400.0  # s
+_END_OF_PICKLE = b"."  # The opcode STOP, with which Numba's files end
 _PATIENCE_S = 120.0
-_folders: set[Path] = set()  # Folders of the kernels of this process's modules
 
 
 def kernel(function: F) -> F:
@@ -202,7 +198,7 @@ def _can_write(folder: Path) -> bool:
 
 @cache
 def _prepared(base: Path, module: str, file: Path) -> Path | None:
-    """Create the folder and empty those of older sources, or check the kernels in the folder."""
+    """Create the folder and remove those of older sources, or check the kernels in the folder."""
     content = hashlib.sha256()
     try:
         for source in sorted(_sources(file)):
@@ -217,24 +213,10 @@ def _prepared(base: Path, module: str, file: Path) -> Path | None:
         return None
     if new:
         for other in set(base.glob(f"{name}-*")) - {folder}:
-            _empty(other)
+            shutil.rmtree(other, ignore_errors=True)
     else:
         _check(folder)
-    _folders.add(folder)
     return folder
-
-
-def _empty(folder: Path) -> None:
-    """Remove the kernels of older sources.
-
-    The folder itself remains for a day: a process that began before an edit may still write to it.
-    """
-    with suppress(OSError):
-        if time.time() - folder.stat().st_mtime > _DAY:
-            shutil.rmtree(folder)
-    for file in folder.glob(_KERNELS):
-        with suppress(OSError):
-            file.unlink()
 
 
 def _sources(file: Path) -> set[Path]:
@@ -271,64 +253,17 @@ def _module(name: str) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-# ---- Damaged files: Numba does not check the machine code that it loads
+# ---- Files that were cut short: Numba does not check the machine code that it loads
 
 
 def _check(folder: Path) -> None:
-    """Remove kernels whose digests differ from the recorded ones, so that they are compiled again.
-
-    Files without a record are kept unless they are cut short, as by a loss of power: a running
-    process has just written them, or was killed. Files that another process has just rewritten are
-    removed too, at the cost of a compilation.
-    """
-    recorded: dict[str, str] = {}
-    with suppress(OSError, ValueError):
-        recorded = dict(json.loads((folder / _DIGESTS).read_text(encoding="utf-8")))
+    """Remove kernels that were cut short, as by a loss of power; they are compiled again."""
     for file in folder.glob(_KERNELS):
         with suppress(OSError):
-            known = recorded.get(file.name)
-            if not _whole(file) if known is None else known != _digest(file):
+            if file.read_bytes()[-1:] != _END_OF_PICKLE:
                 index = file.with_suffix("").with_suffix(".nbi") if file.suffix == ".nbc" else file
                 index.unlink(missing_ok=True)  # so that the compilation is announced
                 file.unlink(missing_ok=True)
-    _record(folder)
-
-
-def _whole(file: Path) -> bool:
-    """Return True if a file ends as a pickle does, which numba's files are."""
-    return file.read_bytes()[-1:] == b"."  # the opcode STOP
-
-
-def _record(folder: Path) -> None:
-    """Write the digests of all kernels in a folder."""
-    digests = {}
-    for file in folder.glob(_KERNELS):
-        with suppress(OSError):
-            digests[file.name] = _digest(file)
-    text = json.dumps(digests, indent=1, sort_keys=True)
-    target = folder / _DIGESTS
-    with suppress(OSError):
-        if digests and not (target.exists() and target.read_text(encoding="utf-8") == text):
-            written = folder / f"{_DIGESTS}.{os.getpid()}"
-            written.write_text(text, encoding="utf-8")
-            written.replace(target)
-
-
-@atexit.register
-def _record_all() -> None:
-    """Write the digests of all folders in which this process may have compiled kernels."""
-    for folder in _folders:
-        _record(folder)
-
-
-def _digest(file: Path) -> str:
-    status = file.stat()
-    return _digest_of(file, status.st_size, status.st_mtime_ns)
-
-
-@cache
-def _digest_of(file: Path, size: int, written_ns: int) -> str:  # read again once it has changed
-    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def entry_point(compiled: F, *arguments: object) -> F:
@@ -377,7 +312,7 @@ _array_types: dict[object, Any] = {}
 
 @contextmanager
 def _alone_in(folder: Path | None) -> Iterator[None]:
-    """Lock a module's folder during a compilation, and record the result.
+    """Lock a module's folder during a compilation.
 
     If two processes compile at once, Numba may write the machine code of one under the signature of
     the other. With the lock, the second process finds the kernel of the first. A process that waits
@@ -391,7 +326,6 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
                 while time.monotonic() < until and not _locked(file):
                     time.sleep(0.02)
         yield
-        _record_all()  # now, since a process that starts before the lock ends checks the digests
 
 
 def _locked(file: IO[str]) -> bool:
