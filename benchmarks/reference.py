@@ -28,7 +28,7 @@ from benchmarks.peers import ONE_THREAD, RATES, batch_peer_row
 from benchmarks.rows import Row, run, spread
 from swarm_envs import reference
 from swarm_envs.reference import State, step
-from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.reference_numbers import aerodynamics_of, bodies_of, gains_of
 from swarm_envs.state import Setpoint
 
 TEAM, DECISION = "LSSS", 5  # steps of a decision
@@ -73,7 +73,7 @@ def repeated_by_jax(once: Callable[[State], State], state: State) -> State:
 
 def held(force: Any) -> Callable[..., Any]:
     """Return a force that stays, wherever drones are."""
-    return lambda position, velocity, felt=None: force
+    return lambda position, velocity, points=None: force
 
 
 def prepared(library: str, device: str, precision: str, envs: int, name: str) -> tuple[Any, ...]:
@@ -82,7 +82,7 @@ def prepared(library: str, device: str, precision: str, envs: int, name: str) ->
     made = (
         bodies_of(TEAM),
         gains_of(),
-        air_of(name, TEAM),
+        aerodynamics_of(name, TEAM),
         Setpoint.hold(start),
         reference.hovering(start, bodies_of(TEAM)),
     )

@@ -23,7 +23,7 @@ from crazyflow.sim import Sim
 from crazyflow.sim.pipeline import insert_fn_before
 
 from swarm_envs import reference
-from swarm_envs.reference_numbers import air_of, bodies_of
+from swarm_envs.reference_numbers import aerodynamics_of, bodies_of
 
 TEAM = "LS"
 START = np.array([[0.0, 0.0, 1.5], [0.05, 0.0, 1.2]])  # m
@@ -32,7 +32,7 @@ SECONDS, RATE = 0.3, 500
 
 def with_downwash(sim: Any, team: str) -> None:
     """Add the interaction forces of a team to every world of a simulator."""
-    body, air = bodies_of(team, jnp), air_of("learned", team, jnp)
+    body, air = bodies_of(team, jnp), aerodynamics_of("learned", team, jnp)
     air["drag"] = 0.0  # crazyflow has its own
 
     def downwash(data: Any) -> Any:
@@ -69,7 +69,7 @@ def heights_in_reference(downwash: bool) -> np.ndarray[Any, Any]:
     """Return the heights (2,), m, at the end of the same flight by `swarm_envs.reference`."""
     body, forces = bodies_of(TEAM), reference.still_air
     if downwash:
-        forces = partial(reference.learned, air=air_of("learned", TEAM))
+        forces = partial(reference.learned, air=aerodynamics_of("learned", TEAM))
     state = reference.hovering(START, body)
     for _ in range(round(SECONDS * RATE)):
         force = forces(state.position, state.velocity)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from swarm_envs.reference import hovering, step, wake
-from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.reference_numbers import aerodynamics_of, bodies_of, gains_of
 from swarm_envs.state import Setpoint
 
 TEAM = "LS"
@@ -30,7 +30,7 @@ def simulated(factors: Tensor, seconds: float, dt: float) -> Tensor:
     body, gains, air = (
         bodies_of(TEAM, torch),
         gains_of(dt=dt, xp=torch),
-        air_of("wake", TEAM, torch),
+        aerodynamics_of("wake", TEAM, torch),
     )
     changed = {"strength": factors[0] * air["strength"], "width": factors[1] * air["width"]}
     forces = partial(wake, air=air | changed)

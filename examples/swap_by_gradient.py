@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from swarm_envs.reference import hovering, learned, step
-from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.reference_numbers import aerodynamics_of, bodies_of, gains_of
 from swarm_envs.state import Setpoint
 
 TEAM = "LS"
@@ -45,7 +45,7 @@ def height_errors(sizes: Tensor, dt: float) -> Tensor:
     """Return height errors of the small drone (steps,), m, for sizes (BUMPS,) of bumps, m."""
     line, speed = lines(dt)
     body, gains = bodies_of(TEAM, torch), gains_of(dt=dt, xp=torch)
-    air = partial(learned, air=air_of("learned", TEAM, torch))
+    air = partial(learned, air=aerodynamics_of("learned", TEAM, torch))
     up = torch.zeros(2, 3, dtype=torch.float64)
     up[1, 2] = 1.0  # only the small drone
     p, v, a = ((bumps(dt) @ sizes)[:, :, None, None] * up).unbind()

@@ -17,7 +17,7 @@ Arrays are (..., N, 3) for N drones; leading axes count independent flights. Par
 forces and controller are arguments, see `swarm_envs.reference_numbers`. Functions change no
 argument, and no value decides which line runs, so that flights can be differentiated and compiled:
 
-    body, air, gains = bodies_of("LS"), air_of("learned", "LS"), gains_of()
+    body, air, gains = bodies_of("LS"), aerodynamics_of("learned", "LS"), gains_of()
     p = np.array([[[0.0, 0.0, 1.3], [0.0, 0.0, 1.0]]])  # one flight of two drones
     state, setpoint = hovering(p, body), Setpoint.hold(p)
     for _ in range(240):
@@ -174,7 +174,8 @@ def moved(
 ) -> State:
     """Advance rotors and bodies: eqs. (1c), (1b), and (1a), m v' = m g + R (0, 0, T) + f_a.
 
-    `force` is f_a, `torque` that of `air_torque`. The step is semi-implicit: p follows the new v.
+    `force` is f_a, `torque` that of `aerodynamic_torque`. The step is semi-implicit: p follows the
+    new v.
     """
     rotors = lagged(state.rotor_thrust, command, body, dt)
     thrust, tau = wrench(rotors, body)
@@ -204,7 +205,7 @@ def fade_in_box(offset: Array, air: Numbers) -> Array:
     return fade(x, *air["sides"]) * fade(y, *air["sides"]) * fade(z, *air["depth"])
 
 
-def way_to_axis(offset: Array, velocity: Array, air: Numbers) -> tuple[Array, Array]:
+def axis_offset(offset: Array, velocity: Array, air: Numbers) -> tuple[Array, Array]:
     """Return the horizontal offset, m, from drone i to the axis of j's jet, which trails behind j.
 
     The air at depth dz below j left it at j's position of `delay` (s/m) times dz earlier.
@@ -226,7 +227,7 @@ def jet(square: Array, dz: Array, air: Numbers) -> Array:
     return air["strength"] * xp.exp(-thinner - 0.5 * square / wide**2) * below
 
 
-def added_up(push: Array, height: Array, air: Numbers) -> Array:
+def combined_downwash(push: Array, height: Array, air: Numbers) -> Array:
     """Return the downwash of all neighbors, N: (1 - share exp(-h / fading)) (sum_j p_ij^q)^(1/q).
 
     The exponent q is 1.13 in `wake` and 1.07 in `learned`; q = 1 would be a sum. Since wakes
@@ -239,17 +240,17 @@ def added_up(push: Array, height: Array, air: Numbers) -> Array:
     return (1.0 - share * xp.exp(-xp.maximum(height, LOWEST_HEIGHT) / fading)) * together
 
 
-def wake(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
+def wake(position: Array, velocity: Array, air: Numbers, points: Array | None = None) -> Array:
     """Return f_a of the `wake` model, N: jets in closed form, ground effect and drag -c v.
 
-    `felt` are the points of the drones at which the force is evaluated; by default their centers.
+    `points` are the points of the drones at which the force is evaluated; by default their centers.
     """
-    xp, felt = array_namespace(position), position if felt is None else felt
-    p_j, height = of_others(position, air), felt[..., 2]
-    offset = p_j - felt[..., None, :]
-    x, y = way_to_axis(offset, of_others(velocity, air), air)
+    xp, points = array_namespace(position), position if points is None else points
+    p_j, height = of_others(position, air), points[..., 2]
+    offset = p_j - points[..., None, :]
+    x, y = axis_offset(offset, of_others(velocity, air), air)
     weight = fade_in_box(p_j - position[..., None, :], air)
-    down = added_up(weight * jet(x * x + y * y, offset[..., 2], air), height, air)
+    down = combined_downwash(weight * jet(x * x + y * y, offset[..., 2], air), height, air)
     lift = air["lift"] * xp.exp(-xp.maximum(height - LOWEST_HEIGHT, 0.0) / air["cushion"])
     return along_z(lift - down) - air["drag"] * velocity
 
@@ -264,16 +265,16 @@ def network(layers: list[tuple[Array, Array]], x: Array) -> Array:
     return xp.reshape(xp.moveaxis(rows, -2, 0), (*x.shape[:-1], rows.shape[-1]))
 
 
-def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
+def learned(position: Array, velocity: Array, air: Numbers, points: Array | None = None) -> Array:
     """Return f_a of `learned`: p_ij = weight max(0, jet + n) with a network n, and a lateral force.
 
     The inputs of n are invariant under rotation about the vertical and reflection: distance r from
     the jet's axis, depth dz, and relative velocity toward the axis, across, and upward.
     """
-    xp, at = array_namespace(position), position if felt is None else felt
+    xp, at = array_namespace(position), position if points is None else points
     p_j, v_j, (low, high) = of_others(position, air), of_others(velocity, air), air["pair_range"]
     offset, v = p_j - at[..., None, :], v_j - velocity[..., None, :]
-    x, y = way_to_axis(offset, v_j, air)
+    x, y = axis_offset(offset, v_j, air)
     square = x * x + y * y
     per_r = 1.0 / xp.sqrt(
         square + AXIS_RADIUS**2
@@ -288,10 +289,10 @@ def learned(position: Array, velocity: Array, air: Numbers, felt: Array | None =
 
     beside = root(offset[..., 0] ** 2 + offset[..., 1] ** 2)
     weight = fade(beside, *air["sides"]) * fade(xp.abs(offset[..., 2]), *air["depth"])
-    if felt is not None:  # the centers decide which pairs interact
+    if points is not None:  # the centers decide which pairs interact
         weight = xp.where(fade_in_box(p_j - position[..., None, :], air) > 0.0, weight, 0.0)
     push = weight * xp.maximum(jet(r * r, dz, air) + GRAM_FORCE * n[..., 0], 0.0)
-    down, total = added_up(push, at[..., 2], air), xp.sum(push, axis=-1)
+    down, total = combined_downwash(push, at[..., 2], air), xp.sum(push, axis=-1)
     share = down / xp.where(total > 0.0, total, 1.0)
     lean = push * xp.clip(n[..., 1], -1.0, 1.0) * per_r
     lateral = [share * xp.sum(lean * x, axis=-1), share * xp.sum(lean * y, axis=-1)]
@@ -313,16 +314,16 @@ def ground_effect(height: Array, velocity: Array, air: Numbers) -> Array:
     return g(xp.minimum(height, air["anchor"])) - g(air["anchor"] + 0.0 * height)
 
 
-def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None = None) -> Array:
+def deep_set(position: Array, velocity: Array, air: Numbers, points: Array | None = None) -> Array:
     """Return f_a of `deep-set`, eq. (10): rho(phi_env + sum_j weight phi(x_ij)), anchored.
 
     Codes phi of neighbors are summed, not forces; rho maps their sum to a force. It is invariant
     under permutations of drones of one type (Theorem 4). The force on a lone drone at the anchor
     height is subtracted.
     """
-    xp, felt = array_namespace(position), position if felt is None else felt
+    xp, points = array_namespace(position), position if points is None else points
     p_j, v = of_others(position, air), of_others(velocity, air) - velocity[..., None, :]
-    x_ij = xp.clip(xp.concat([p_j - felt[..., None, :], v], axis=-1), *air["pair_range"])
+    x_ij = xp.clip(xp.concat([p_j - points[..., None, :], v], axis=-1), *air["pair_range"])
     weight = fade_in_box(p_j - position[..., None, :], air)
     codes = xp.sum(weight[..., None] * network(air["phi"], x_ij), axis=-2)
 
@@ -330,18 +331,18 @@ def deep_set(position: Array, velocity: Array, air: Numbers, felt: Array | None 
         own = xp.concat([-z[..., None], -velocity], axis=-1)
         return network(air["phi_env"], xp.clip(own, *air["own_range"]))
 
-    here = alone(xp.minimum(felt[..., 2], air["anchor"]))
-    aloft = alone(air["anchor"] + 0.0 * felt[..., 2])
+    here = alone(xp.minimum(points[..., 2], air["anchor"]))
+    aloft = alone(air["anchor"] + 0.0 * points[..., 2])
     grams = network(air["rho"], here + codes) - network(air["rho"], aloft)
     return along_z(GRAM_FORCE * grams[..., 0]) - air["drag"] * velocity
 
 
-def still_air(position: Array, velocity: Array, felt: Array | None = None) -> Array:
+def still_air(position: Array, velocity: Array, points: Array | None = None) -> Array:
     """Return f_a = 0, the force of the model `none`."""
     return 0.0 * velocity
 
 
-def air_torque(forces: Forces, state: State, body: Parameters) -> Array:
+def aerodynamic_torque(forces: Forces, state: State, body: Parameters) -> Array:
     """Return the aerodynamic torque in the body frame, N m: an assumption, not a measurement.
 
     Each rotor receives a quarter of the vertical force at its position:
@@ -351,7 +352,7 @@ def air_torque(forces: Forces, state: State, body: Parameters) -> Array:
     arm = body.rotor_offset[..., None] + 0.0 * p[..., :1]
     for x, y in ROTORS:
         r_k = array_namespace(p).concat([x * arm, y * arm, 0.0 * arm], axis=-1)
-        quarter = forces(p, state.velocity, felt=p + rotate(q, r_k))[..., 2] / 4.0
+        quarter = forces(p, state.velocity, points=p + rotate(q, r_k))[..., 2] / 4.0
         total = total + cross(r_k, rotate(inverse(q), along_z(quarter)))
     return total
 
@@ -479,7 +480,7 @@ def step(
     """Return the state after dt: controller, aerodynamic forces, rotors and bodies.
 
     `forces` are the aerodynamic forces f_a; `predicted` those that the controller compensates,
-    f^_a. The aerodynamic torque is 0; otherwise call `moved` with that of `air_torque`.
+    f^_a. The aerodynamic torque is 0; otherwise call `moved` with that of `aerodynamic_torque`.
     """
     predicted_force = predicted(state.position, state.velocity)
     memory, commanded = followed(state, setpoint, predicted_force, body, gains, dt)

@@ -18,7 +18,7 @@ from swarm_envs.interactions.packed import layers_of
 from swarm_envs.state import FloatArray, IntArray, Parameters, parameters
 from swarm_envs.vehicles import Vehicle, parse_team
 
-__all__ = ["Numbers", "air_of", "bodies_of", "gains_of"]
+__all__ = ["Numbers", "aerodynamics_of", "bodies_of", "gains_of"]
 
 Numbers = dict[str, Any]
 """Parameters by name: arrays, numbers, and layers of networks."""
@@ -73,7 +73,7 @@ _LOW_PASSES_AND_LIMITS = (
 )
 
 
-def air_of(
+def aerodynamics_of(
     model: str | InteractionModel, team: str | Sequence[Vehicle], xp: ModuleType = np
 ) -> Numbers:
     """Return the parameters of a force model for N drones, as arrays of the library `xp`.
@@ -96,33 +96,33 @@ def air_of(
     | `phi`, `phi_env`, `rho` | pairs, drones, drones | networks of `deep-set` |
 
     Raises:
-        ValueError: the model is a function or a sum of pairs, or lacks a vehicle's type.
+        ValueError: the model is a function, or lacks a vehicle's type.
     """
     found, drones = load(model), parse_team(team)
     field, own = found.field, found.type_indices(drones)
-    if found.function is not None or field.kind not in (0, 1, DEEP_SET, COMPOSED):
+    if found.function is not None:
         raise ValueError(
             f"interaction model {found.name!r} has no equations in swarm_envs.reference; use "
             "'wake', 'learned', 'deep-set', or a file that was fitted as one of these"
         )
     count = len(drones)
     others = np.array([[j for j in range(count) if j != i] for i in range(count)], np.int64)
-    blows = own[others.reshape(count, count - 1)]
-    strength, width, spread, decay = np.moveaxis(field.wake_pair[blows, own[:, None]], -1, 0)
+    other_types = own[others.reshape(count, count - 1)]
+    strength, width, spread, decay = np.moveaxis(field.wake_pair[other_types, own[:, None]], -1, 0)
     arrays = {
         "others": others.ravel(),
         "strength": strength,
         "width": width,
         "spread": spread,
         "decay": decay,
-        "delay": field.wake_delay[blows],
+        "delay": field.wake_delay[other_types],
         "lift": field.wake_ground[own, 0],
         "cushion": field.wake_ground[own, 1],
         "drag": field.drag[own],
         "own_range": field.environment_range,
         "pair_range": field.pair_range,
     }
-    networks = _networks(field, own, blows)
+    networks = _networks(field, own, other_types)
     return {
         **{name: xp.asarray(value) for name, value in arrays.items()},
         **{
@@ -140,7 +140,7 @@ def air_of(
 Layers = list[tuple[FloatArray, FloatArray]]
 
 
-def _networks(field: ForceField, own: IntArray, blows: IntArray) -> dict[str, Layers]:
+def _networks(field: ForceField, own: IntArray, other_types: IntArray) -> dict[str, Layers]:
     """Return networks by name, with one for each drone or pair."""
     kinds, none = len(field.drag), np.zeros_like(own)
 
@@ -151,11 +151,11 @@ def _networks(field: ForceField, own: IntArray, blows: IntArray) -> dict[str, La
 
     if field.kind == COMPOSED:
         pairs = kinds * kinds
-        felt_by = chosen(0, pairs, blows * kinds + own[:, None])
-        return {"pair": felt_by, "own": chosen(pairs, kinds, own)}
+        pair = chosen(0, pairs, other_types * kinds + own[:, None])
+        return {"pair": pair, "own": chosen(pairs, kinds, own)}
     if field.kind == DEEP_SET:
         return {
-            "phi": chosen(0, kinds, blows),
+            "phi": chosen(0, kinds, other_types),
             "phi_env": chosen(kinds, 1, none),
             "rho": chosen(kinds + 1, kinds, own),
         }

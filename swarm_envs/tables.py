@@ -119,7 +119,7 @@ _VEHICLE = (
     Field("external", (3,), "N", 0.0, "External force of `step`; in a block also that of gusts."),
     Field("setpoint_jerk", (3,), "m/s^3", 0.0, "Third derivative of the set-point."),
     Field("setpoint_yaw_rate", (), "rad/s", 0.0, "Derivative of the set-point's yaw."),
-    Field("asked", (4,), "N, rad/s", None, "Commanded thrust and body rates of the action `ctbr`."),
+    Field("ctbr", (4,), "N, rad/s", None, "Commanded thrust and body rates."),
 )
 """Parameters of a drone, and quantities that are constant in a decision."""
 
@@ -138,7 +138,7 @@ _ADAPTATION = (
 
 _HALL_VARIES = (
     Field("residual_process", (3,), "", None, "Random process of unit variance."),
-    Field("company", (), "", 0.0, "1 if another drone was in the interaction volume."),
+    Field("has_neighbor", (), "", 0.0, "1 if another drone was in the interaction volume."),
     Field("frame_phase", (), "", None, "Time since the last frame over the time between frames."),
     Field("position_error", (3,), "m", 0.0, "Error of the estimated position."),
     Field("velocity_error", (3,), "m/s", 0.0, "Error of the estimated velocity."),
@@ -189,7 +189,7 @@ _EPISODE = (
     Field("crashed", (), "", 0.0, "1 if it collided, left the arena or tumbled in this decision."),
     Field("active", (), "", 1.0, "1 until the drone's episode ends, then 0."),
     Field("touching", (), "", 0.0, "Sum of the codes of contacts in this decision."),
-    Field("hurt", (), "", 0.0, "Codes of all contacts so far; see `swarm_envs.envs.evaluation`."),
+    Field("incidents", (), "", 0.0, "Codes of all contacts, as in `swarm_envs.envs.evaluation`."),
     Field("least_separation", (), "m", np.inf, "Smallest distance to another drone so far."),
     Field("least_clearance", (), "", np.inf, "Smallest clearance to another drone so far."),
     Field("least_obstacle_clearance", (), "", np.inf, "Smallest clearance to an obstacle so far."),
@@ -235,7 +235,7 @@ _BEGINS = (
     Field("decisions", (), "", 0.0, "Decisions of this episode.", np.int64),
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
     Field("reached", (), "", 0.0, "Stages that all active drones have done.", np.int64),
-    Field("unhurt", (), "", 0.0, "Stages that were done before any crash.", np.int64),
+    Field("crash_free_stages", (), "", 0.0, "Stages that were done before any crash.", np.int64),
     Field("goals_reached", (), "", 0.0, "Successive goals that drones have reached.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose errors count.", np.int64),
     Field("running", (), "", 1.0, "True until the episode ends.", np.bool_),
@@ -314,7 +314,7 @@ _SCRATCH = (
     Field("yaw_sin", (), "", None, "Sine of half the yaw angle."),
     Field("yaw_cos", (), "", None, "Cosine of half the yaw angle."),
     Field("desired_force", (3,), "N", None, "Desired force of the position loop."),
-    Field("asked_change", (3,), "rad/s^2", None, "Derivative of the commanded body rates."),
+    Field("rate_derivative", (3,), "rad/s^2", None, "Derivative of the commanded body rates."),
     Field("body_rate", (3,), "rad/s", None, "Angular velocity in the body frame."),
     Field("torque", (3,), "N m", None, "Torque of the rate loop without its gyroscopic part."),
     Field("residual", (3,), "N", None, "Force besides nominal thrust and feed-forward."),

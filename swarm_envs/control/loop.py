@@ -178,7 +178,7 @@ def track(
             raw = (thrust - b.desired_thrust[lane]) * per_step
             thrust_rate += started * thrust_blend * (raw - thrust_rate)
             b.desired_thrust[lane], b.thrust_rate[lane] = thrust, thrust_rate
-            b.asked[0, lane] = thrust + lead / b.nominal_motor_rate[lane] * thrust_rate
+            b.ctbr[0, lane] = thrust + lead / b.nominal_motor_rate[lane] * thrust_rate
 
             # The desired attitude, by the shortest rotation of the world's z axis to the force, and
             # the low-passed derivative of this tilt
@@ -210,12 +210,12 @@ def track(
             e = relative_rotation(desired, q)
             feed = rotate_back(e, (rate[0], rate[1], rate[2] + b.setpoint_yaw_rate[lane]))
             ax, ay, az = omega[0] - feed[0], omega[1] - feed[1], omega[2] - feed[2]
-            b.asked[1, lane] = feed[0] - tilt_gain * e[0]
-            b.asked[2, lane] = feed[1] - tilt_gain * e[1]
-            b.asked[3, lane] = feed[2] - yaw_gain * e[2]
-            b.asked_change[0, lane] = -0.5 * tilt_gain * (e[3] * ax + e[1] * az - e[2] * ay)
-            b.asked_change[1, lane] = -0.5 * tilt_gain * (e[3] * ay + e[2] * ax - e[0] * az)
-            b.asked_change[2, lane] = -0.5 * yaw_gain * (e[3] * az + e[0] * ay - e[1] * ax)
+            b.ctbr[1, lane] = feed[0] - tilt_gain * e[0]
+            b.ctbr[2, lane] = feed[1] - tilt_gain * e[1]
+            b.ctbr[3, lane] = feed[2] - yaw_gain * e[2]
+            b.rate_derivative[0, lane] = -0.5 * tilt_gain * (e[3] * ax + e[1] * az - e[2] * ay)
+            b.rate_derivative[1, lane] = -0.5 * tilt_gain * (e[3] * ay + e[2] * ax - e[0] * az)
+            b.rate_derivative[2, lane] = -0.5 * yaw_gain * (e[3] * az + e[0] * ay - e[1] * ax)
             for k in range(3):
                 v, a = b.setpoint_velocity[k, lane], b.setpoint_acceleration[k, lane]
                 j = b.setpoint_jerk[k, lane]
@@ -230,9 +230,9 @@ def track(
 def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
     """Make one step of the rate loop, eq. (21), and of the mixer for the first `count` blocks.
 
-    The commanded body rates are in `asked`, and their derivative in `asked_change`, which is 0
-    unless `track` writes it. For the motor lag, eq. (22), the low-passed derivative of the rate
-    error is added. Rotor commands and the state of the loop are written.
+    Thrust and body rates are commanded by `ctbr`. The derivative of these rates, `rate_derivative`,
+    is 0 unless `track` writes it. For the motor lag, eq. (22), the low-passed derivative of the
+    rate error is added. Rotor commands and the state of the loop are written.
     """
     s = settings[0]
     step, per_step, lead, limit = s.step, 1.0 / s.step, s.lead, s.rate_integral_limit
@@ -246,7 +246,7 @@ def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None
             b.body_rate[0, lane], b.body_rate[1, lane], b.body_rate[2, lane] = rotate_back(q, w)
             for k in range(3):
                 gain, integral_gain = (tilt, tilt_integral) if k < 2 else (yaw, yaw_integral)
-                error, last = b.body_rate[k, lane] - b.asked[1 + k, lane], b.rate_error[k, lane]
+                error, last = b.body_rate[k, lane] - b.ctbr[1 + k, lane], b.rate_error[k, lane]
                 rate, integral = b.rate_error_rate[k, lane], b.rate_integral[k, lane]
                 # The first step has no last error
                 rate += blend * b.started[lane] * ((error - last) * per_step - rate)
@@ -254,11 +254,11 @@ def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None
                 b.rate_error[k, lane], b.rate_error_rate[k, lane] = error, rate
                 b.rate_integral[k, lane] = integral
                 proportional = gain * (error + lead / b.nominal_motor_rate[lane] * rate)
-                change = b.asked_change[k, lane] + (-proportional - integral_gain * integral)
+                change = b.rate_derivative[k, lane] + (-proportional - integral_gain * integral)
                 b.torque[k, lane] = b.nominal_inertia[k, lane] * change
             j, w = three(b.nominal_inertia, lane), three(b.body_rate, lane)
             lx, ly, lz = j[0] * w[0], j[1] * w[1], j[2] * w[2]
-            (thrust, x, y, z), torque = four(b.asked, lane), three(b.torque, lane)
+            (thrust, x, y, z), torque = four(b.ctbr, lane), three(b.torque, lane)
             b.started[lane] = 1.0
             (b.commands[0, lane], b.commands[1, lane], b.commands[2, lane], b.commands[3, lane]) = (
                 mix_rotors(

@@ -119,9 +119,12 @@ def write_command(drone: Record, code: int, u: FloatArray) -> None:
     """Write an action (width,) of mode `ctbr`, `rotors` or `setpoint` into a drone's record."""
     most = drone.nominal_max_rotor_thrust
     if code == _CTBR:
-        drone.asked[0] = 0.5 * (u[0] + 1.0) * (4.0 * most)
-        drone.asked[1], drone.asked[2] = TILT_RATE_LIMIT * u[1], TILT_RATE_LIMIT * u[2]
-        drone.asked[3] = YAW_RATE_LIMIT * u[3]
+        drone.ctbr[0] = 0.5 * (u[0] + 1.0) * (4.0 * most)
+        drone.ctbr[1], drone.ctbr[2] = (
+            TILT_RATE_LIMIT * u[1],
+            TILT_RATE_LIMIT * u[2],
+        )
+        drone.ctbr[3] = YAW_RATE_LIMIT * u[3]
     elif code == _ROTORS:
         for k in range(4):
             drone.commands[k] = 0.5 * (u[k] + 1.0) * most

@@ -22,7 +22,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 _ROUNDING = 1e-9
 HIT_DRONE, HIT_FLOOR, HIT_WALL, HIT_OBSTACLE, TUMBLED = 1, 2, 4, 8, 16
-"""Codes of contacts and tumbling; the fields `touching` and `hurt` are sums of them."""
+"""Codes of contacts and tumbling; the fields `touching` and `incidents` are sums of them."""
 
 
 def success_rules(
@@ -83,7 +83,7 @@ def survives(d: Record, ends_team: bool, bounces: bool) -> bool:
     touching += HIT_DRONE * (d.touched_drone != NO_DRONE) + TUMBLED * (d.tumbling > 0.0)
     touching += HIT_OBSTACLE * (d.touched_obstacle != NO_OBSTACLE)
     d.crashed = 1.0 if touching & ~int(d.touching) else 0.0
-    d.touching, d.hurt = touching, int(d.hurt) | touching
+    d.touching, d.incidents = touching, int(d.incidents) | touching
     falls = touching != 0 and (not bounces or d.tumbling > 0.0)
     if falls and not ends_team:
         d.active, d.arrival = 0.0, np.inf
@@ -118,7 +118,7 @@ def evaluate(  # noqa: C901  # one decision, on one screen
         environment.achieved = 0.0
         if not environment.running:
             continue
-        time, worst, since, left, unhurt = environment.time, 0.0, 0.0, 0, True
+        time, worst, since, left, crash_free = environment.time, 0.0, 0.0, 0, True
         if rules.exchanges:
             exchange_goals(drones[e], goals[e, environment.stage], rules.success_radius)
         scores = time >= rules.settle_s
@@ -126,7 +126,7 @@ def evaluate(  # noqa: C901  # one decision, on one screen
         for i in range(size):
             d = drones[e, i]
             if d.active == 0.0:
-                d.crashed, unhurt = 0.0, False
+                d.crashed, crash_free = 0.0, False
                 continue
             d.last_distance = d.distance
             if rules.bounded:
@@ -153,7 +153,7 @@ def evaluate(  # noqa: C901  # one decision, on one screen
             away = d.distance >= rules.success_radius
             d.arrival = np.inf if away else min(d.arrival, time)
             continues = survives(d, rules.ends_team, rules.bounces)
-            unhurt &= d.hurt == 0.0
+            crash_free &= d.incidents == 0.0
             if continues:
                 left += 1
                 worst, since = max(worst, d.worst_error), max(since, d.arrival)
@@ -166,9 +166,9 @@ def evaluate(  # noqa: C901  # one decision, on one screen
         if done and not lost and not environment.held:
             environment.held = True
             environment.reached += 1
-            environment.unhurt += unhurt
+            environment.crash_free_stages += crash_free
             environment.achieved = 1.0 / stages
-            environment.succeeded = unhurt and environment.reached == stages
+            environment.succeeded = crash_free and environment.reached == stages
         won = rules.end_on_success and environment.reached == stages and not rules.tracks
         environment.terminated = lost or won
         environment.truncated = ended and not environment.terminated
@@ -218,7 +218,7 @@ def metrics(
     drones, ended = world.drones[where], world.environments[where]
     steps = np.maximum(drones["steps"].sum(axis=1), 1.0)
     over, outside = drones["over_bound"].sum(axis=1), drones["outside_steps"].sum(axis=1)
-    hurt = drones["hurt"].astype(np.int64)
+    incidents = drones["incidents"].astype(np.int64)
     clearance, obstacles = drones["least_clearance"], drones["least_obstacle_clearance"]
     arrival = drones["arrival"].max(axis=1)
     if callable(task.success):  # a method: the time of the team's success
@@ -237,9 +237,9 @@ def metrics(
         "success": ended["succeeded"],
         **arrived,
         "stages": stages,
-        "stages_reached": ended["unhurt"],
+        "stages_reached": ended["crash_free_stages"],
         "length_s": ended["time"],
-        **{name: (hurt & code > 0).sum(axis=1) for name, code in _ACCIDENTS.items()},
+        **{name: (incidents & code > 0).sum(axis=1) for name, code in _ACCIDENTS.items()},
         "near_misses": ((clearance >= 1.0) & (clearance < NEAR_MISS)).sum(axis=1),
         "minimum_separation_m": drones["least_separation"].min(axis=1),
         "minimum_obstacle_distance_m": (obstacles * drones["radius"]).min(axis=1),

@@ -74,13 +74,13 @@ def _end(world: World, done: BoolArray, end_on_success: bool) -> None:
     """Mark environments (E,) as done, unless their episodes were terminated or done before."""
     e, stages = world.environments, world.goals.shape[1]
     new = done & ~e["terminated"] & ~e["held"]
-    unhurt = (world.drones["hurt"] == 0.0).all(axis=1)
+    crash_free = (world.drones["incidents"] == 0.0).all(axis=1)
     e["held"] |= new
     e["reached"] += new
-    e["unhurt"] += new & unhurt
+    e["crash_free_stages"] += new & crash_free
     e["achieved"][new] = 1.0 / stages
     whole = new & (e["reached"] == stages)
-    e["succeeded"] |= whole & unhurt
+    e["succeeded"] |= whole & crash_free
     if end_on_success:
         e["terminated"] |= whole
         e["truncated"] &= ~whole

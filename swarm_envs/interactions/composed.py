@@ -111,8 +111,8 @@ def join_pushes(field: PackedField, scratch: Scratch) -> None:
     """Add the joint downwash and horizontal force of the pairs to the forces on their drones."""
     model = field.constants[0]
     q, mitigation = model["wake_combine"], model["wake_mitigation"]
-    for at in range(scratch.counters[0]["feeling"]):
-        drone = scratch.drones[scratch.felt[at]]
+    for at in range(scratch.counters[0]["affected"]):
+        drone = scratch.drones[scratch.affected[at]]
         pairs, force, total = drone["pairs"], drone["force"], drone["pairs"][2]
         height = max(drone["position"][2], LOWEST_HEIGHT)
         lost = mitigation[0] * math.exp(-height / mitigation[1])

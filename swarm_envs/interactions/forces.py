@@ -114,7 +114,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
     A drone whose own motion, or that of one of its pairs, is outside the range is marked `outside`:
     its force is extrapolated. Also write the drag, and the list of drones with further forces.
     """
-    model, counters, feeling = field.constants[0], scratch.counters[0], 0
+    model, counters, affected = field.constants[0], scratch.counters[0], 0
     anchor, own, measured = model["anchor_height"], model["environment_range"], model["pair_range"]
     for slot in range(total):
         drone = scratch.drones[slot]
@@ -127,7 +127,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
             outside |= known != -velocity
             drone["motion"][k + 1], drone["force"][k] = known, -drag[k] * velocity
         drone["outside"] = outside
-        drone["low"] = drone["felt"] = anchor == 0.0 or height < anchor
+        drone["low"] = drone["affected"] = anchor == 0.0 or height < anchor
     for at in range(counters["pairs"]):
         pair = scratch.pairs[at]
         here, there, motion = scratch.drones[pair["i"]], scratch.drones[pair["j"]], pair["motion"]
@@ -139,13 +139,13 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
             known = min(max(motion[k], measured[0, k]), measured[1, k])
             outside |= known != motion[k]
             motion[k] = known
-        here["outside"], here["felt"] = outside, 1
+        here["outside"], here["affected"] = outside, 1
     for slot in range(total):
-        scratch.felt[feeling] = slot
-        feeling += scratch.drones[slot]["felt"]
-    counters["feeling"] = feeling
-    for at in range(feeling):
-        code = scratch.rows[SAMPLES + scratch.felt[at]]["v"]
+        scratch.affected[affected] = slot
+        affected += scratch.drones[slot]["affected"]
+    counters["affected"] = affected
+    for at in range(affected):
+        code = scratch.rows[SAMPLES + scratch.affected[at]]["v"]
         for k in range(model["hidden"]):
             code[0, k] = code[1, k] = 0.0
 
@@ -165,11 +165,11 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
         drone = scratch.drones[slot]
         for k in range(3):
             drone["seen"][k] = drone["position"][k]
-    felt_forces(field, count * drones, scratch)
+    evaluate_forces(field, count * drones, scratch)
 
 
 @equation
-def felt_forces(field: PackedField, total: int, scratch: Scratch) -> None:
+def evaluate_forces(field: PackedField, total: int, scratch: Scratch) -> None:
     """Write the forces at the drones' `position`; their neighbors are at their `seen` positions."""
     kind, counters = field.constants[0]["kind"], scratch.counters[0]
     describe_motion(field, total, scratch)
@@ -179,12 +179,12 @@ def felt_forces(field: PackedField, total: int, scratch: Scratch) -> None:
         describe_turned(field, total, scratch)
     for n in range(field.layout.shape[0]):
         of_pairs = field.layout[n, SOURCE] == PAIRS
-        end = counters["pairs"] if of_pairs else 2 * counters["feeling"]
+        end = counters["pairs"] if of_pairs else 2 * counters["affected"]
         for at in range(end):
             if of_pairs:
                 put_pair(field, n, at, scratch)
             else:
-                put_drone(field, n, 2 * scratch.felt[at // 2] + at % 2, scratch)
+                put_drone(field, n, 2 * scratch.affected[at // 2] + at % 2, scratch)
             if counters["used"] == SAMPLES or at == end - 1:
                 result = network(field.layout, n, field.weights, counters["used"], scratch.rows)
                 add_outputs(field, n, scratch.rows[result:], scratch)

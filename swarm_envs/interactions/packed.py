@@ -236,7 +236,7 @@ DRONE = np.dtype(
         ("type", np.int64),  # interaction type
         ("outside", np.int64),  # 1 if the force is extrapolated beyond the measured range
         ("low", np.int64),  # 1 if there is a ground effect
-        ("felt", np.int64),  # 1 if networks contribute to the force
+        ("affected", np.int64),  # 1 if networks contribute to the force
         ("pushed", np.float64),  # sum of all p_ij^q
         ("pairs", np.float64, (3,)),  # sums of horizontal forces of pairs, x and y, and of p_ij
         ("seen", np.float64, (3,)),  # position of the center, m
@@ -259,7 +259,7 @@ PAIR = np.dtype(
 COUNTERS = np.dtype(
     [
         ("pairs", np.int64),  # number of pairs
-        ("feeling", np.int64),  # number of drones in `Scratch.felt`
+        ("affected", np.int64),  # number of drones in `Scratch.affected`
         ("used", np.int64),  # number of samples in the rows
         ("x", np.float64, (CHUNK,)),  # m: first drones of all environments, then second ones etc.
         ("y", np.float64, (CHUNK,)),
@@ -284,7 +284,7 @@ class Scratch(NamedTuple):
     order: IntArray | None
     """(2, M) the drones of each environment as last sorted along x, and scratch; None in small
     teams."""
-    felt: IntArray
+    affected: IntArray
     """(M,) the drones with forces besides drag."""
     pairs: Records
     """(P,) records of `PAIR`."""

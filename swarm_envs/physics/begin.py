@@ -49,10 +49,10 @@ def begin_flight(
             for k in range(4):  # normalize quaternions, as Bullet does
                 d.quaternion[k] /= np.sqrt(square)
                 d.commands[k] = d.rotor_thrust[k]
-                d.asked[k] = 0.0
+                d.ctbr[k] = 0.0
             for k in range(3):
                 d.setpoint_position[k] = d.position[k]
-            d.asked[0], d.rotor_limit = total, d.max_rotor_thrust
+            d.ctbr[0], d.rotor_limit = total, d.max_rotor_thrust
             d.motor_decay = np.exp(-d.motor_rate * TIME_STEP)
             if settings[0].drains and d.battery < 1.0:
                 d.rotor_limit = limit_rotors(d.battery, total, d, settings[0], open_circuit)

@@ -88,8 +88,8 @@ def store_hall(
 
 
 @part
-def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratch: Scratch) -> None:
-    """Write `company`: 1 for drones with another one in the interaction volume of the force model.
+def mark_near(count: int, drones: int, due: IntArray, blocks: Records, scratch: Scratch) -> None:
+    """Write `has_neighbor`: 1 for drones with another in the interaction volume of the force model.
 
     The forces of `count` environments have just been evaluated; `due` (C,) are their indices in the
     tile. The scratch of the force model lists the pairs.
@@ -97,11 +97,11 @@ def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratc
     for place in range(count):
         for i in range(drones):
             slot = due[place] * drones + i
-            blocks[slot // LANES].company[slot % LANES] = 0.0
+            blocks[slot // LANES].has_neighbor[slot % LANES] = 0.0
     for at in range(scratch.counters[0]["pairs"]):
         i = scratch.pairs[at]["i"]
         slot = due[i // drones] * drones + i % drones
-        blocks[slot // LANES].company[slot % LANES] = 1.0
+        blocks[slot // LANES].has_neighbor[slot % LANES] = 1.0
 
 
 @part
@@ -125,7 +125,7 @@ def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
             grown = force / (force + b.residual_half[lane])
             size = b.residual_quiet[lane] + b.residual_more[lane] * grown
             alone = b.residual_alone[lane]
-            size = alone + b.company[lane] * (size - alone)
+            size = alone + b.has_neighbor[lane] * (size - alone)
             x, y = (
                 kept * b.residual_process[0, lane] + fresh * x,
                 kept * b.residual_process[1, lane] + fresh * y,

@@ -19,7 +19,7 @@ from swarm_envs.compiled import equation, kernel, part
 from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
-from swarm_envs.interactions.forces import felt_forces, swarm_forces
+from swarm_envs.interactions.forces import evaluate_forces, swarm_forces
 from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
 from swarm_envs.motors import drain
 from swarm_envs.neighbors import FEW
@@ -35,8 +35,8 @@ from swarm_envs.physics.contact import (
 from swarm_envs.physics.hall_lanes import (
     disturb,
     estimate,
-    find_company,
     load_hall,
+    mark_near,
     see,
     store_hall,
 )
@@ -211,12 +211,12 @@ def gather(count: int, drones: int, work: Work, scratch: Scratch) -> None:
     """Copy types and states of the drones of `work.due[:count]` into a force model's scratch."""
     for place in range(count):
         for i in range(drones):
-            slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
+            slot, drone = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
-            felt["type"] = int(b.type[lane])
+            drone["type"] = int(b.type[lane])
             for k in range(3):
-                felt["position"][k] = b.position[k, lane]
-                felt["velocity"][k] = b.velocity[k, lane]
+                drone["position"][k] = b.position[k, lane]
+                drone["velocity"][k] = b.velocity[k, lane]
 
 
 @part
@@ -225,11 +225,11 @@ def spread(count: int, drones: int, environments: Records, work: Work, scratch: 
     for place in range(count):
         scale = environments[work.members[work.due[place]]].force_scale
         for i in range(drones):
-            slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
+            slot, drone = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
-            b.outside[lane] = felt["outside"]
+            b.outside[lane] = drone["outside"]
             for k in range(3):
-                b.force[k, lane] = felt["force"][k] * scale
+                b.force[k, lane] = drone["force"][k] * scale
 
 
 @equation
@@ -240,12 +240,12 @@ def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, wor
     """
     scratch = feedforward.scratch
     for at in range(count * drones):
-        felt, b, lane = scratch.drones[at], work.blocks[at // LANES], at % LANES
-        felt["type"] = int(b.feedforward_type[lane])
+        drone, b, lane = scratch.drones[at], work.blocks[at // LANES], at % LANES
+        drone["type"] = int(b.feedforward_type[lane])
         position = b.position if hall is None else b.seen_position
         velocity = b.velocity if hall is None else b.seen_velocity
         for k in range(3):
-            felt["position"][k], felt["velocity"][k] = position[k, lane], velocity[k, lane]
+            drone["position"][k], drone["velocity"][k] = position[k, lane], velocity[k, lane]
     swarm_forces(feedforward.model, count, drones, scratch)
     for at in range(count * drones):
         b, lane = work.blocks[at // LANES], at % LANES
@@ -317,7 +317,7 @@ def push(
         swarm_forces(acting.model, due, size, acting.scratch)
         spread(due, size, environments, work, acting.scratch)
         if hall is not None:
-            find_company(due, size, work.due, work.blocks, acting.scratch)
+            mark_near(due, size, work.due, work.blocks, acting.scratch)
         if twisting is not None:
             twist(acting, due, size, environments, work)
     if varied is not None and settings[0].gusty and phases & CONTROL:
@@ -437,13 +437,13 @@ def twist(acting: Forces, count: int, drones: int, environments: Records, work: 
         across = 1.0 if rotor == 0 or rotor == 3 else -1.0
         along = 1.0 if rotor >= 2 else -1.0
         for at in range(count * drones):
-            slot, felt = work.due[at // drones] * drones + at % drones, scratch.drones[at]
+            slot, drone = work.due[at // drones] * drones + at % drones, scratch.drones[at]
             b, lane = work.blocks[slot // LANES], slot % LANES
             r = rotation_entries(*four(b.quaternion, lane))
             x, y = across * b.rotor_offset[lane], along * b.rotor_offset[lane]
             for k in range(3):
-                felt["position"][k] = felt["seen"][k] + r[3 * k] * x + r[3 * k + 1] * y
-        felt_forces(acting.model, count * drones, scratch)
+                drone["position"][k] = drone["seen"][k] + r[3 * k] * x + r[3 * k + 1] * y
+        evaluate_forces(acting.model, count * drones, scratch)
         for at in range(count * drones):
             place = work.due[at // drones]
             slot = place * drones + at % drones

@@ -52,7 +52,7 @@ COLUMN_LAYOUTS: Mapping[str, ColumnLayout] = MappingProxyType(
 """The layouts by name."""
 LOWEST_M, APART_M = 0.4, 1.5
 """Height of the lowest slots, and distance between the columns, m."""
-AIR_DEFAULTS: Mapping[str, Any] = MappingProxyType(
+DOWNWASH_DEFAULTS: Mapping[str, Any] = MappingProxyType(
     {"num_neighbors": 7, "observe_load": True, "on_contact": "end_pair", "world": "hall"}
 )
 """Defaults of options in tasks about downwash."""
@@ -120,7 +120,7 @@ class ColumnsTask(Task):
     """The criterion of success; None: the layout's."""
 
     name = "columns_v0"
-    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": None, **AIR_DEFAULTS}
+    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": None, **DOWNWASH_DEFAULTS}
     layouts = tuple(COLUMN_LAYOUTS)
     default_weights = REWARD_WEIGHTS
     goals_are = "the slots of the columns"

@@ -17,7 +17,7 @@ from numpy.random import Generator
 
 from swarm_envs.errors import check_integer, check_interval, check_number, check_type
 from swarm_envs.tasks.base import Given, Placement, Success, Task
-from swarm_envs.tasks.columns import AIR_DEFAULTS, RAMP
+from swarm_envs.tasks.columns import DOWNWASH_DEFAULTS, RAMP
 from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
@@ -87,7 +87,7 @@ class DeliveryTask(Task):
     """The criterion of success of a stage, for couriers and hovering drones."""
 
     name = "delivery_v0"
-    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 7, **AIR_DEFAULTS}
+    defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 7, **DOWNWASH_DEFAULTS}
     default_weights = REWARD_WEIGHTS
     goals_are = "the docks"
     learning = in_time({"docks": {}})

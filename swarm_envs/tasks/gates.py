@@ -50,11 +50,11 @@ def pass_gates(
         environment = environments[e]
         if not flown[e] or environment.terminated or environment.reached == stages:
             continue
-        left, inside, unhurt = 0, True, True
+        left, inside, crash_free = 0, True, True
         for i in range(size):
             d = drones[e, i]
             left += d.active > 0.0
-            unhurt &= d.hurt == 0.0
+            crash_free &= d.incidents == 0.0
             inside &= d.active == 0.0 or d.distance < rules.success_radius
         if not inside:
             continue
@@ -64,7 +64,7 @@ def pass_gates(
         minutes = rules.horizon_s / 60.0
         if environment.reached == stages:
             minutes = environment.time / 60.0
-            environment.succeeded = unhurt
+            environment.succeeded = crash_free
             environment.terminated = rules.end_on_success
             environment.truncated &= not environment.terminated
             environment.running &= not environment.terminated

@@ -45,6 +45,6 @@ def end_by_score(environment: Record, drones: Records, rules: Record) -> None:
     """Mark an episode as a success at its time limit, by its score and if no drone (N,) crashed."""
     won = environment.truncated and environment.score >= rules.least_score
     for i in range(drones.shape[0]):
-        won = won and drones[i].hurt == 0.0
+        won = won and drones[i].incidents == 0.0
     if won:
         environment.succeeded, environment.achieved = True, 1.0

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from swarm_envs import reference
-from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.reference_numbers import aerodynamics_of, bodies_of, gains_of
 from swarm_envs.state import FloatArray, Setpoint
 from tests.helpers.sources import ROOT
 
@@ -35,7 +35,7 @@ def jax():
 def flown(xp: Any, model: str, start: FloatArray, steps: int) -> Any:
     """The state (flights, 3, ...) after a hover over the starts, computed by a library."""
     body, gains = bodies_of(TEAM, xp), gains_of(xp=xp)
-    air = partial(MODELS[model], air=air_of(model, TEAM, xp))
+    air = partial(MODELS[model], air=aerodynamics_of(model, TEAM, xp))
     setpoint = Setpoint(*(xp.asarray(value) for value in Setpoint.hold(start)))
     state = reference.hovering(xp.asarray(start), body)
     if xp is np:
@@ -67,7 +67,7 @@ def test_compiled_flights_are_those_of_numpy(model: str, jax: Any) -> None:
 def test_vmap_and_gradients(jax: Any) -> None:
     """Flights one by one under vmap are those of the batch; the gradient is that of differences."""
     xp, start = jax.numpy, START + np.random.default_rng(1).normal(0.0, 0.02, (4, 3, 3))
-    air = air_of("learned", TEAM, xp)
+    air = aerodynamics_of("learned", TEAM, xp)
     forces = partial(reference.learned, velocity=xp.zeros((3, 3)), air=air)
     batch = reference.learned(xp.asarray(start), xp.zeros_like(start), air)
     np.testing.assert_allclose(jax.vmap(forces)(xp.asarray(start)), batch, rtol=0, atol=1e-12)

@@ -132,7 +132,7 @@ def test_company_is_whoever_is_in_the_interaction_volume(drones, engine):
     made.reset(made.state._replace(position=places))
     for _ in range(2):
         made.step(np.zeros((6, drones, 4)))
-        np.testing.assert_array_equal(d["company"], expected)
+        np.testing.assert_array_equal(d["has_neighbor"], expected)
         d["position"] += np.arange(drones)[:, None] * [5.0, 0.0, 0.0]  # held all the same
     made.close()
 

@@ -15,7 +15,7 @@ from safetensors.numpy import save_file
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import fade_weight
 from swarm_envs.reference import fade, learned
-from swarm_envs.reference_numbers import air_of
+from swarm_envs.reference_numbers import aerodynamics_of
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
 
@@ -72,7 +72,7 @@ def test_forces_are_those_of_the_formula(drones: int, tmp_path: Path) -> None:
     position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (1, drones, 3))
     velocity = rng.normal(0.0, 0.5, (1, drones, 3))
     team = team_of([TYPES[k % 3 % 2] for k in range(drones)])
-    expected = learned(position, velocity, air_of(model, team))
+    expected = learned(position, velocity, aerodynamics_of(model, team))
     found = model.forces(position, velocity, team)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 

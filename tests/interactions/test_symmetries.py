@@ -11,7 +11,7 @@ import pytest
 
 from swarm_envs import reference
 from swarm_envs.interactions import load
-from swarm_envs.reference_numbers import air_of
+from swarm_envs.reference_numbers import aerodynamics_of
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -30,7 +30,7 @@ def ways(model: str, team: str) -> list[Any]:
     """The compiled model and its equations, as functions of positions and velocities."""
     return [
         lambda p, v: load(model).forces(p, v, team),
-        partial(MODELS[model], air=air_of(model, team)),
+        partial(MODELS[model], air=aerodynamics_of(model, team)),
     ]
 
 

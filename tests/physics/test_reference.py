@@ -26,7 +26,7 @@ from swarm_envs.reference import (
     turned_exactly,
     wall_gaps,
 )
-from swarm_envs.reference_numbers import air_of, bodies_of, gains_of
+from swarm_envs.reference_numbers import aerodynamics_of, bodies_of, gains_of
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import parse_team
 
@@ -130,7 +130,7 @@ class ByReference:
             for _ in range(self.steps):
                 memory, command = held(self.state, (thrust, w_r, 0.0 * w_r), self.body, self.gains)
                 self.move(memory, command)
-            return {"asked": np.concatenate([thrust[..., None], w_r], axis=-1)}
+            return {"ctbr": np.concatenate([thrust[..., None], w_r], axis=-1)}
         asked = (thrust, w_r, w_r_rate)
         self.outer, command = held(self.outer, asked, self.body, self.outer_gains, dt)
         self.move(self.state, command)
@@ -140,7 +140,7 @@ class ByReference:
         """One step of rotors and bodies in the air."""
         force, torque = self.forces(self.state.position, self.state.velocity), np.zeros(3)
         if self.flight.twisted:
-            torque = reference.air_torque(self.forces, self.state, self.body)
+            torque = reference.aerodynamic_torque(self.forces, self.state, self.body)
         self.force = force
         self.state = moved(memory, command, force, torque, self.body)
 
@@ -148,7 +148,7 @@ class ByReference:
 def forces_of(model: str, team: str) -> Any:
     if MODELS[model] is None:
         return reference.still_air
-    return partial(MODELS[model], air=air_of(model, team))
+    return partial(MODELS[model], air=aerodynamics_of(model, team))
 
 
 def same_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
