@@ -14,7 +14,6 @@ from examples.papers.neural_swarm2.curriculum import curriculum
 from examples.papers.neural_swarm2.flight_figures import figure_1, figure_8, figure_9
 from examples.papers.neural_swarm2.force_figure import figure_5
 from examples.papers.neural_swarm2.import_logs import import_logs
-from examples.papers.neural_swarm2.plan_pictures import plan_picture
 from examples.papers.neural_swarm2.planning_figures import figure_6, figure_7
 from examples.papers.neural_swarm2.real_flights import real_flights
 from examples.papers.neural_swarm2.vehicles import table_1
@@ -31,7 +30,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "table-2": table_2,
     "table-3": table_3,
     "curriculum": curriculum,
-    "plan": plan_picture,
     "as-flown": as_flown,
     "real-flights": real_flights,
     "ball": ball,

@@ -204,9 +204,6 @@ def case_row(case: FlightCase, flown: PairedFlights) -> dict[str, Any]:
         "crashed": dict(zip(SIDES, flown["crashed"].sum(axis=1).tolist())),
         "least_separation_m": dict(zip(SIDES, flown["separation_m"].min(axis=1).round(4).tolist())),
         "explained": round(float(flown["explained"]), 4),
-        "mean_neighbors": round(float(flown["neighbors"][0]), 2),
-        "most_neighbors": int(flown["neighbors"][1]),
-        "others_cm": None if case.drone is None else _others(flown),
         "worst_height_error_cm": {
             side: np.round(flown["worst_cm"][k], 3).tolist() for k, side in enumerate(SIDES)
         },
@@ -226,17 +223,6 @@ def _place(case: FlightCase, i: int) -> str:
     if not isinstance(task, RingTask):
         return "lowest" if i == len(task.team) - 1 else "upper"
     return "upright ring" if task.orbit.first[i, 2] != 0.0 else "level ring"
-
-
-def _others(flown: PairedFlights) -> dict[str, float]:
-    """Return errors of the drones above the lowest: what compensating it costs them."""
-    upper = flown["worst_cm"][..., :-1]
-    worst = upper.max(axis=-1)
-    return {
-        "without": round(float(np.median(worst[0])), 3),
-        "compensated": round(float(np.median(worst[1])), 3),
-        "largest_growth": round(float((upper[1] - upper[0]).max()), 3),
-    }
 
 
 def print_flights(report: Mapping[str, Any]) -> None:

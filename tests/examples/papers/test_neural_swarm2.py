@@ -84,7 +84,6 @@ TINY = {
     "table-1": "",
     "table-2": "--flights 1",
     "table-3": "--steps 3 --seeds 1 --cells H=20,L=4 H=10 --data {rows}",
-    "plan": "",
     "as-flown": "--episodes 2",
     "ball": "--episodes 1",
     "adaptation": "--episodes 1",
@@ -97,7 +96,6 @@ SLOW = {
     "table-2",
     "ball",
     "adaptation",
-    "plan",
 }
 PICTURES = {
     "figure-5": 2,
@@ -160,9 +158,6 @@ def check_figure_8(found, said):
     assert ideal["L2S"]["worst_height_error_cm"] != hall["L2S"]["worst_height_error_cm"]
     errors = np.array(ideal["L2S"]["worst_height_error_cm"]["without"])
     assert ideal["L2S"]["without"]["median"] == pytest.approx(np.median(errors[:, -1]), abs=1e-3)
-    upper = np.array(ideal["SS2L"]["worst_height_error_cm"]["without"])[:, :2]
-    middle = np.median(upper.max(axis=1))
-    assert ideal["SS2L"]["others_cm"]["without"] == pytest.approx(middle, abs=2e-3)
     # What is flown in the ideal world is not compared with the paper, which flew in a hall.
     lines = [line for line in said.splitlines() if "L2S: error with" in line]
     assert [("nothing to compare" in line) for line in lines] == [True, True, False, False, False]
@@ -420,7 +415,6 @@ def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
     errors, shown = case.errors(found)[0], int(found["shown"])
     assert np.sort(errors)[1] == errors[shown]
     assert errors[shown] == pytest.approx(np.abs(found["height_error_cm"][0, :, -1]).max())
-    assert found["neighbors"][1] == 1
 
 
 # ---- Fig. 6 and 7
