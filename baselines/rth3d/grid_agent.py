@@ -161,7 +161,7 @@ def _free(task: Task, lattice: Lattice) -> BoolArray:
 def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
     """Return the flight, smoothed and as fast as limits allow, if drones keep their distance."""
     least = NEAR_MISS * 2.0 * float(task.radius.max())
-    close = smallest_distance(flight, (1.0, 1.0, 1.0))
+    close = smallest_distance(flight)
     if close < least:
         raise ValueError(
             f"between the grid and starts or goals, drones would come as close as {close:.3f} m, "

@@ -186,7 +186,7 @@ def measure_belief(seed: int, flights: int) -> dict[str, float]:
     controller = ControllerConfig(feedforward=load_belief())
     test = replace(swap_test("L2S", truth="learned"), decision_rate=PHYSICS_RATE)
     flown = run_flights(test, controller, frozen_seeds(seed, flights))
-    error = (flown.force - flown.believed)[:, 1:, -1]
+    error = (flown.force - flown.feedforward_force)[:, 1:, -1]
     size = float(_norms(error).max())
     rate = float(_norms(np.diff(error, axis=1)).max() / TIME_STEP)
     radius = theorem.error_ball(controller.gains, SMALL.mass, rate).radius

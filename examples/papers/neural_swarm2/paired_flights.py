@@ -53,7 +53,7 @@ PairedFlights = dict[str, FloatArray]
   variance, over all drones, which was predicted.
 - `shown` (): index of the flight that pictures show, the middle one without compensation. Of it, T
   samples: `time` (T,) s; `height_error_cm` (2, T, N) over the reference; `force_g` (2, T, N), the
-  true vertical force; `believed_g` (T, N), the compensated side's prediction.
+  true vertical force; `predicted_g` (T, N), the compensated side's prediction.
 """
 
 
@@ -123,7 +123,7 @@ def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -
         "time": without.time,
         "height_error_cm": 100.0 * np.stack(heights),
         "force_g": np.stack([side.force[shown, ..., 2] / GRAM_FORCE for side in sides]),
-        "believed_g": compensated.believed[shown, ..., 2] / GRAM_FORCE,
+        "predicted_g": compensated.feedforward_force[shown, ..., 2] / GRAM_FORCE,
     }
 
 
@@ -134,7 +134,7 @@ def _prediction(case: FlightCase, flights: Flights) -> dict[str, FloatArray]:
     flying = np.arange(len(flights.time)) < flights.samples[:, None]
     flying &= (flights.time > 0.0) & (flights.time >= begins)
     force = flights.force[flying][..., 2] / GRAM_FORCE
-    error = flights.believed[flying][..., 2] / GRAM_FORCE - force
+    error = flights.feedforward_force[flying][..., 2] / GRAM_FORCE - force
     variance = float(force.var())
     return {
         "force_rms_g": np.sqrt(np.mean(force**2, axis=0)),

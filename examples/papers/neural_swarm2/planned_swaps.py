@@ -185,7 +185,7 @@ def fly_plan(
     engine: str = "batch",
 ) -> tuple[Track, bool]:
     """Fly a plan by quadrotors: the track, sampled after each decision, and if it crashed: (b)."""
-    horizon_s = round(plan.duration * DECISION_RATE) / DECISION_RATE
+    horizon_s = round(plan.trajectories.duration * DECISION_RATE) / DECISION_RATE
     test = FlightTest(SwapTask(plan.team, "random"), truth, engine, horizon_s=horizon_s)
     core = test.core(1, action="setpoint", decision_rate=DECISION_RATE, controller=controller)
     try:
@@ -241,7 +241,7 @@ def fly_trial(
         "plan": {
             "status": plan.status,
             "reason": plan.reason,
-            "duration_s": round(plan.duration, 6),
+            "duration_s": round(plan.trajectories.duration, 6),
             "energy": round(plan.trajectories.energy, 6),
             "predicted_force_ratio": round(plan.check.force_ratio, 4),
             "seconds": round(sum(plan.seconds.values()), 1),

@@ -153,8 +153,8 @@ def check_figure_6(found, said):
 
 
 def check_figure_8(found, said):
-    assert [air["air"] for air in found["truths"]] == ["wake", "wake, hall"]
-    ideal, hall = ({row["case"]: row for row in air["cases"]} for air in found["truths"])
+    assert [group["forces"] for group in found["truths"]] == ["wake", "wake, hall"]
+    ideal, hall = ({row["case"]: row for row in group["cases"]} for group in found["truths"])
     assert ideal["L2S"]["worst_height_error_cm"] != hall["L2S"]["worst_height_error_cm"]
     errors = np.array(ideal["L2S"]["worst_height_error_cm"]["without"])
     assert ideal["L2S"]["without"]["median"] == pytest.approx(np.median(errors[:, -1]), abs=1e-3)
@@ -220,8 +220,8 @@ def refusal(words, capsys):
 @pytest.mark.parametrize("figure", [8, 9, 1])
 def test_compensation_helps_in_both_forces(figure, tmp_path):
     options = f"--world ideal {FEW} {20 if figure == 8 else 5}"
-    for air in run(f"figure-{figure}", tmp_path, options)["truths"]:
-        for row in air["cases"]:
+    for group in run(f"figure-{figure}", tmp_path, options)["truths"]:
+        for row in group["cases"]:
             assert not any(row["crashed"].values()), row["case"]
             assert row["explained"] > (0.8 if figure == 8 else 0.77), row["case"]
             assert row["ratio"] < (1.0 if figure == 8 else 0.5), row["case"]
