@@ -83,7 +83,7 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 
 # Tests small enough for kernels that are interpreted, which is how their lines are seen.
 INTERPRETED := $(addprefix tests/test_,motors.py neighbors.py noise.py tables.py) \
-	tests/test_safety.py::test_the_nearest_point_is_that_of_other_solvers \
+	tests/test_safety.py::test_the_nearest_point_is_that_of_a_quadratic_program \
 	tests/test_safety.py::test_what_cannot_be_satisfied_is_broken_the_least \
 	tests/test_safety.py::test_the_barrier_is_the_distance_to_velocities_that_collide \
 	tests/interactions/test_composed.py::test_forces_are_those_of_the_formula \

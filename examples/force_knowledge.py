@@ -10,7 +10,7 @@ which has no force model and estimates no force; the teachers shift set-points b
 that the true force would cause.
 
 The table has means over training seeds and episodes. Intervals are 95 % bootstrap intervals in
-which seeds, and episodes of each, are resampled. The same command resumes an interrupted run.
+which seeds, and episodes of each, are resampled. The same command trains missing policies only.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from swarm_envs import __version__, make
-from swarm_envs.agents.evaluation import EpisodeFile, evaluate_agent, frozen_seeds
-from swarm_envs.agents.policy import PolicyAgent
-from swarm_envs.agents.registry import load_agent
+from swarm_envs import make
+from swarm_envs.agents import load
+from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
@@ -86,7 +85,7 @@ class ForceStudy:
     """Train policies under three conditions, and evaluate each under all of them."""
 
     out: Path
-    """folder of the runs, the episodes and results.json"""
+    """folder of the runs and results.json"""
     task: list[str] = field(default_factory=lambda: list(CASES))
     """`stack`, `sprint`, `delivery`, `gates`"""
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
@@ -129,23 +128,17 @@ def training_of(study: ForceStudy, task: str, condition: str, force: bool, seed:
 
 def fly_in(study: ForceStudy, config: RlConfig, task: str, condition: str) -> list[float]:
     """Return the metric of a trained policy in each episode under a condition."""
-    agent, case = load_agent(config.out), CASES[task]
-    assert isinstance(agent, PolicyAgent)
+    agent, case = load(config.out), CASES[task]
     setting = {
         **case.options,
         **CONDITIONS[condition],
         "num_drones": case.drones,
         "physics": "batch",
     }
-    about = {**setting, "task": case.task, "policy": agent.digest, "version": __version__}
-    file = EpisodeFile(config.out, f"flown-in-{condition}", about)
     env = make(case.task, **{**setting, **agent.requires, "threads": 1})
     try:
-        seeds = frozen_seeds(EPISODE_SEED, study.episodes)
-        missing = [seed for seed in seeds if seed not in file.episodes]
-        for episode in evaluate_agent(env, agent, missing, timed=0):
-            file.add(episode)
-        return [float(file.episodes[seed]["metrics"][case.measure]) for seed in seeds]
+        episodes = evaluate_agent(env, agent, frozen_seeds(EPISODE_SEED, study.episodes), timed=0)
+        return [float(episode["metrics"][case.measure]) for episode in episodes]
     finally:
         env.close()
 

@@ -71,12 +71,12 @@ class RllibConfig:
     """number of passes over a batch"""
     learning_rate: float = 5e-4
     """learning rate of Adam"""
-    judge_episodes: int = 256
+    evaluation_episodes: int = 256
     """number of episodes in which the policy is evaluated at the end"""
 
     def __post_init__(self) -> None:
         """Raise an error for invalid values."""
-        for name in ("drones", "steps", "batch", "minibatch", "passes", "judge_episodes"):
+        for name in ("drones", "steps", "batch", "minibatch", "passes", "evaluation_episodes"):
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=1)
         for name in ("seed", "runners", "num_neighbors"):
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), at_least=0)
@@ -205,7 +205,7 @@ def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
         register_env(ENVIRONMENT, make_env)
         policy = _learn(config, algorithm_config(config).build_algo())
         options = {"num_drones": config.drones, "interactions": config.interactions}
-        seeds = validation_seeds(config.judge_episodes)
+        seeds = validation_seeds(config.evaluation_episodes)
         chosen = evaluate_policy(policy, TASK, (config.layout,), seeds, options)
         report = {**policy.provenance, "chosen": chosen}
         report["wall_s"] = round(time.monotonic() - begun, 1)

@@ -6,9 +6,8 @@
 Each trial changes some numbers of the best candidate and evaluates it, every candidate on the same
 seeds. The cases of `fast-line`, `orca` and `roundabout` are random and circular swaps of 4 to 32
 drones, those of the others the *air* tasks of the benchmark. A trial is a line of the file. The
-same command resumes an interrupted run, with the same result. The script prints the best numbers;
-those of the included agents are in `TUNED` of `swarm_envs.agents.avoiding` and
-`swarm_envs.baselines.neural_swarm.downwash`.
+script prints the best numbers; those of the included agents are in `TUNED` of
+`swarm_envs.agents.avoiding` and `swarm_envs.baselines.neural_swarm.downwash`.
 """
 
 from __future__ import annotations
@@ -39,8 +38,6 @@ TUNED: Mapping[str, Candidate] = {**avoiding.TUNED, **downwash.TUNED}
 class Case(NamedTuple):
     """An environment in which candidates are evaluated."""
 
-    name: str
-    """The name of the case."""
     environment: str
     """The first argument of `swarm_envs.make`."""
     setting: Mapping[str, Any]
@@ -86,12 +83,9 @@ def cases_of(agent: str, tasks: Sequence[str] = ()) -> list[Case]:
     if agent in downwash.TUNED or tasks:
         usual = ["air-stack-*"] if agent == "heavy-on-top" else ["air-sprint-*", "air-delivery-*"]
         chosen = choose_tasks(tasks or usual)
-        return [Case(task.id, task.environment, task.setting) for task in chosen]
+        return [Case(task.environment, task.setting) for task in chosen]
     common = {"physics": "batch", "horizon_s": _CLOCK_S}
-    return [
-        Case(f"{layout}-{n}", "swap_v1", {"layout": layout, "num_drones": n, **common})
-        for layout, n in _SWAPS
-    ]
+    return [Case("swap_v1", {"layout": layout, "num_drones": n, **common}) for layout, n in _SWAPS]
 
 
 def value_of(candidate: Candidate, seeds: Sequence[int], cases: Sequence[Case]) -> float:
@@ -156,46 +150,25 @@ def neighbor_of(candidate: Candidate, rng: np.random.Generator) -> Candidate:
 
 
 def tune_agent(options: TuneOptions) -> tuple[Candidate, float]:
-    """Evaluate candidates, except those in the file, and return the best one with its value.
+    """Evaluate and write candidates, and return the best one with its value.
 
     Raises:
         KeyError: the agent has no numbers to tune.
-        ValueError: the file is of another tuning.
+        FileExistsError: the file exists.
     """
     best, highest = TUNED[options.agent], -np.inf
-    seeds, cases = (
-        frozen_seeds(options.seed, options.episodes),
-        cases_of(options.agent, options.task),
-    )
-    about = {"agent": options.agent, "episodes": options.episodes, "seed": options.seed}
-    known = _known(options.out)
-    for k in tqdm(range(options.trials), desc=options.agent, unit="trial"):
-        rng = np.random.default_rng([options.seed, k])
-        candidate = neighbor_of(best, rng) if k else best
-        trial = {**about, "trial": k, "cases": [case.name for case in cases]}
-        trial["numbers"] = numbers_of(candidate)
-        if k < len(known):
-            if {name: known[k].get(name) for name in trial} != trial:
-                raise ValueError(f"{str(options.out)!r} is of another tuning; name another file")
-            value = known[k]["value"]
-        else:
+    seeds = frozen_seeds(options.seed, options.episodes)
+    cases = cases_of(options.agent, options.task)
+    with options.out.open("x", encoding="utf-8") as file:
+        for k in tqdm(range(options.trials), desc=options.agent, unit="trial"):
+            candidate = neighbor_of(best, np.random.default_rng([options.seed, k])) if k else best
             value = value_of(candidate, seeds, cases)
-            with options.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({**trial, "value": value}) + "\n")
-        if value > highest:
-            best, highest = candidate, value
+            trial = {"trial": k, "numbers": numbers_of(candidate), "value": value}
+            file.write(json.dumps(trial) + "\n")
+            file.flush()
+            if value > highest:
+                best, highest = candidate, value
     return best, highest
-
-
-def _known(path: Path) -> list[dict[str, Any]]:
-    """Return the complete lines of a file, and cut off an incomplete last one."""
-    if not path.is_file():
-        return []
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
-    return [json.loads(line) for line in whole.splitlines()]
 
 
 if __name__ == "__main__":

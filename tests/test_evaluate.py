@@ -30,7 +30,6 @@ from swarm_envs.agents.models import ModelAgent
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.envs.options import options_type
-from swarm_envs.files import LOCK
 from swarm_envs.training.scoreboard.results import Cell, Results
 from tests.helpers.users_agents import FAILING, FINE
 
@@ -251,12 +250,10 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
 def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
     file = tmp_path / "batch.py"
     file.write_text(BATCH, encoding="utf-8")
-    report = tmp_path / "out.json"
-    arguments = ["evaluate", *QUICK, "--episodes", str(TIMED + 4), "--json", str(report)]
+    arguments = ["evaluate", *QUICK, "--episodes", str(TIMED + 4), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--agent", f"{file}:{name}"]) == 1
-    assert re.search(why, json.loads(report.read_text())["error"])
-    kept = report.with_suffix(".episodes")
-    (kept,) = (file for file in kept.iterdir() if file.name != LOCK)
+    assert re.search(why, json.loads((tmp_path / "out" / "report.json").read_text())["error"])
+    (kept,) = (tmp_path / "out" / "episodes").iterdir()
     assert kept.read_text().count("\n") == 1 + TIMED  # what was flown before it failed
 
 

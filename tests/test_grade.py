@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.assignments import ASSIGNMENTS
-from swarm_envs.assignments.force import grade_model, score
+from swarm_envs.assignments.force import explained_share, grade_model
 from swarm_envs.assignments.planner import (
     HORIZON,
     LEAST_DISTANCE,
@@ -35,10 +35,11 @@ from swarm_envs.grading.grade import (
     episode_seeds,
     progress_file,
     student_ids,
-    write_feedback,
+    write_failure,
+    write_results,
 )
 from swarm_envs.grading.sandbox import Sandbox, has_bubblewrap
-from swarm_envs.grading.submission import Clock, Entry, Limits, WorkFailed, entered
+from swarm_envs.grading.submission import Clock, Entry, WorkFailed, entered
 from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from tests.helpers.users_agents import FINE
 from tests.helpers.wake_rows import wake_rows
@@ -134,18 +135,14 @@ def test_weights_that_ship_are_known_and_what_is_no_file_is_left_out(tmp_path, w
     os.mkfifo(tmp_path / "a.safetensors")
     (tmp_path / "b.safetensors").symlink_to("/dev/zero")
     (tmp_path / "c.safetensors").mkdir()
-    with entered(
-        f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock(Limits())
-    ) as entry:
+    with entered(f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock()) as entry:
         assert entry.work == "work.py:Fine"
         assert {path.name for path in entry.home.iterdir()} == {"work.py", "c.safetensors"}
         assert copied_files(entry.home, entry.work) == ""
         shipped = STARTERS.parent / "agents" / "weights" / "swap-dagger.safetensors"
         (entry.home / "e.safetensors").write_bytes(shipped.read_bytes())
         assert copied_files(entry.home, entry.work) == "swap-dagger"
-    with entered(
-        f"{work}:Fine", "swap.py:MyAgent", sandbox=UNPROTECTED, clock=Clock(Limits())
-    ) as entry:
+    with entered(f"{work}:Fine", "swap.py:MyAgent", sandbox=UNPROTECTED, clock=Clock()) as entry:
         assert [path.name for path in entry.home.iterdir()] == ["work.py"]  # also alone in a run
 
 
@@ -301,24 +298,21 @@ def test_one_s_own_assignment_does_not_import_submissions(tmp_path, work, capsys
 
 def test_a_number_that_a_work_has_not_is_said(tmp_path):
     """Such as the median time to the goal of who never arrives."""
-    write_feedback(tmp_path, ASSIGNMENTS["swap"], [Grade("a.py:A", 0.0)])
-    (place,) = tmp_path.iterdir()
-    assert "yours: -" in json.loads((place / "results.json").read_text())["output"]
+    write_results(tmp_path, ASSIGNMENTS["swap"], Grade("a.py:A", 0.0))
+    assert "yours: -" in json.loads((tmp_path / "results.json").read_text())["output"]
 
 
 def test_hidden_folders_of_a_work_count_nothing(tmp_path, work):
     (tmp_path / ".venv").mkdir()
     with (tmp_path / ".venv" / "large").open("wb") as file:
         file.truncate(1 << 30)
-    with entered(
-        f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock(Limits())
-    ) as entry:
+    with entered(f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock()) as entry:
         assert [path.name for path in entry.home.iterdir()] == ["work.py"]
     for number in range(5000):
         (tmp_path / f"{number}.txt").touch()
     with (
         pytest.raises(WorkFailed, match="too many files"),
-        entered(f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock(Limits())),
+        entered(f"{work}:Fine", "work.py:Fine", sandbox=UNPROTECTED, clock=Clock()),
     ):
         pass
 
@@ -372,11 +366,11 @@ def test_a_pattern_names_the_whole_class(tmp_path, capsys):
     assert "no file matches" in capsys.readouterr().err
 
 
-def force_scores(work: str) -> dict[str, float]:
+def force_scores(work: str) -> dict[str, object]:
     """Scores of a model that is fitted to 300 rows, on 100 others."""
     rows, file = wake_rows(400), Path(work.rpartition(":")[0])
     fitted, held_out = rows.select(~rows.validation), rows.select(rows.validation)
-    entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED, Clock(Limits()))
+    entry = Entry(work.removeprefix(f"{file.parent}/"), file.parent, UNPROTECTED, Clock())
     with entry.opened() as found:
         return grade_model(found[0], fitted, held_out, 3)
 
@@ -385,12 +379,10 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(work):
     held = wake_rows(400).select(wake_rows(400).validation)
     truth = modelled_force_g(held, "learned")[:, 2]
     mean = wake_rows(400).select(~wake_rows(400).validation).force_g[:, 2].mean()
-    expected = score(np.full(len(held), mean), truth)  # labels of held-out rows are hidden
-    assert force_scores(f"{work}:Sums") == {**expected, "copied": ""}
-    nothing = score(np.zeros(len(held)), truth)
-    assert nothing["explained"] == 0.0
-    assert nothing["error_g"] == nothing["baseline_g"]
-    assert score(truth, truth)["explained"] == 1.0
+    expected = explained_share(np.full(len(held), mean), truth)  # held-out labels are hidden
+    assert force_scores(f"{work}:Sums") == {"explained": expected, "copied": ""}
+    assert explained_share(np.zeros(len(held)), truth) == 0.0
+    assert explained_share(truth, truth) == 1.0
     with pytest.raises(WorkFailed, match="must return 200 finite numbers"):
         force_scores(f"{work}:Short")
     with pytest.raises(WorkFailed, match="AttributeError"):
@@ -545,12 +537,10 @@ def test_feedback_names_the_rubric_and_shows_the_first_failure(tmp_path, work):
     assert rows[0]["assignment"] == "swap" and rows[0]["student_id"] == tmp_path.name
 
 
-def test_the_feedback_says_where_the_class_stands(tmp_path):
-    grades = [Grade("a.py:A", 0.0, value) for value in (0.1, 0.2, 0.3)]
-    write_feedback(tmp_path, ASSIGNMENTS["swap"], grades)
-    for place in tmp_path.iterdir():
-        said = json.loads((place / "results.json").read_text())["output"]
-        assert "quartiles of the 3 submissions so far: 0.15, 0.2, 0.25" in said
+def test_a_page_of_an_earlier_failure_is_removed(tmp_path):
+    (tmp_path / "failure.html").write_text("old", encoding="utf-8")
+    write_failure(tmp_path, None)
+    assert not (tmp_path / "failure.html").exists()
 
 
 def test_assignments_are_listed_and_begun(tmp_path, capsys):

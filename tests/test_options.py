@@ -28,8 +28,6 @@ from swarm_envs.baselines.mlr_dmpc.radio import GilbertElliott, Jam, LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import UnitOutage
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds
-from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
-from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig
 from swarm_envs.cli import main
 from swarm_envs.commands.evaluate import EvaluateOptions
 from swarm_envs.commands.fly import FlyOptions
@@ -89,8 +87,7 @@ SETTINGS: dict[type, dict[str, Any]] = {
 }
 """Classes of settings whose every field is explained, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
-    **{kind: {} for kind in (MlrDmpcConfig, PlanningBounds, RefinementOptions, SearchConfig)},
-    SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
+    **{kind: {} for kind in (MlrDmpcConfig, PlanningBounds, SearchConfig)},
     Jam: {"first_round": 1, "last_round": 2},
     **{kind: {} for kind in (SensorNoise, LogOptions, CollectionConfig)},
     MotionRanges: {},

@@ -23,7 +23,6 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer, check_name
-from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.motion import REST
@@ -80,9 +79,9 @@ class MlrDmpcAgent(SetpointAgent):
         or another rests on the goal. A `RuntimeWarning` reports each when it is found."""
 
     @classmethod
-    def compensated(cls, belief: InteractionModel | None = None) -> MlrDmpcAgent:
-        """Return the agent over Neural-Swarm2's controller, by default with `load_belief()`."""
-        return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
+    def compensated(cls) -> MlrDmpcAgent:
+        """Return the agent over Neural-Swarm2's controller with `load_belief()`."""
+        return cls(controller=ControllerConfig(feedforward=load_belief()))
 
     def check(self, task: Task) -> None:
         """Raise ValueError for a task whose goals move."""

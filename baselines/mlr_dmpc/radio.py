@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.mlr_dmpc.messages import DroneStates
-from swarm_envs.errors import check_bool, check_integer, check_number, check_type
+from swarm_envs.errors import check_integer, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["Jam", "LossModel"]
@@ -44,14 +44,11 @@ class Jam:
     """The nodes whose messages are lost."""
     receivers: Who = "all"
     """The nodes that do not receive them."""
-    both_ways: bool = False
-    """True if the receivers' messages to the senders are lost as well."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         for name in ("first_round", "last_round"):
             check_integer(name, getattr(self, name), at_least=0)
-        check_bool("both_ways", self.both_ways)
         for name in ("senders", "receivers"):
             check_type(name, getattr(self, name), str | tuple)
         if self.first_round > self.last_round:
@@ -117,32 +114,17 @@ class LossModel:
             check_type("one of jams", jam, Jam)
 
     @classmethod
-    def of(cls, loss: float | str | LossModel) -> LossModel:
-        """Return a model for a share of messages lost, the name of a preset, or a model.
+    def of(cls, loss: float | LossModel) -> LossModel:
+        """Return a model for a share of messages lost, or the model itself.
 
         Raises:
-            ValueError: The share is outside [0, 1], or the name is unknown.
+            ValueError: The share is outside [0, 1].
         """
         if isinstance(loss, LossModel):
             return loss
-        if isinstance(loss, str):
-            if loss not in PRESETS:
-                raise ValueError(f"loss is {loss!r}, but the presets are {sorted(PRESETS)}")
-            return PRESETS[loss]
         if isinstance(loss, bool) or not isinstance(loss, int | float) or not 0.0 <= loss <= 1.0:
             raise ValueError(f"loss is {loss!r}, but must be a share in [0, 1]")
         return cls(unit_loss=float(loss), drone_loss=float(loss))
-
-
-PRESETS = {
-    "1e-4": LossModel.of(1e-4),
-    "1%": LossModel.of(0.01),
-    "10%": LossModel.of(0.1),
-    "50%": LossModel.of(0.5),
-    "bursts": LossModel(bursts=GilbertElliott(turns_bad=0.02, turns_good=0.2)),
-    "blackout": LossModel(jams=(Jam(first_round=0, last_round=9, receivers="units"),)),
-}
-"""The reference's losses: uniform, bursts of five rounds on average, deaf units for two seconds."""
 
 
 class LossProcess:
@@ -172,8 +154,6 @@ class LossProcess:
         for jam, senders, receivers in self._jams:
             if jam.first_round <= round_ <= jam.last_round:
                 arrived &= ~np.outer(senders, receivers)
-                if jam.both_ways:
-                    arrived &= ~np.outer(receivers, senders)
         np.fill_diagonal(arrived, True)
         return arrived
 

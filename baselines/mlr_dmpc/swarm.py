@@ -95,7 +95,7 @@ class MlrDmpcSwarm:
         targets: The targets (N, 3), m.
         config: The parameters, or None for the defaults.
         compute_units: The number M of compute units, at most as many as drones.
-        loss: The share of messages lost, the name of a preset, or a model.
+        loss: The share of messages lost, or a model.
         recovery: The recovery from message loss: True for this package's trackers, "paper" for
             Algorithms 1 and 2 line by line, False to ignore loss, so that drones collide.
         seed: The seed of losses and detours; the same seed gives the same flight.
@@ -117,7 +117,7 @@ class MlrDmpcSwarm:
         *,
         config: MlrDmpcConfig | None = None,
         compute_units: int = 3,
-        loss: float | str | LossModel = 0.0,
+        loss: float | LossModel = 0.0,
         recovery: bool | Literal["paper"] = True,
         seed: int = 0,
         informed: bool = True,

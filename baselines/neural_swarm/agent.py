@@ -91,11 +91,9 @@ class TrackingAgent(SetpointAgent):
         )
 
     @classmethod
-    def compensated(
-        cls, belief: InteractionModel | None = None, decision_rate: int = 48
-    ) -> TrackingAgent:
-        """Return the agent that feeds forward the force of a model, by default `load_belief()`."""
-        return cls(ControllerConfig(feedforward=belief or load_belief()), decision_rate)
+    def compensated(cls) -> TrackingAgent:
+        """Return the agent that feeds forward the force of `load_belief()`."""
+        return cls(ControllerConfig(feedforward=load_belief()))
 
     @classmethod
     def adaptive(cls) -> TrackingAgent:
@@ -103,18 +101,18 @@ class TrackingAgent(SetpointAgent):
         return cls(ControllerConfig(adaptation=Indi()))
 
     @classmethod
-    def compensated_adaptive(cls, belief: InteractionModel | None = None) -> TrackingAgent:
+    def compensated_adaptive(cls) -> TrackingAgent:
         """Return the agent that feeds a model's force forward and estimates the residual."""
-        return cls(ControllerConfig(feedforward=belief or load_belief(), adaptation=Indi()))
+        return cls(ControllerConfig(feedforward=load_belief(), adaptation=Indi()))
 
     def reference(self, view: View) -> Reference:
         """Return the task's reference at this time."""
         return view.reference(view.time)
 
 
-def compensated_detour(belief: InteractionModel | None = None) -> DetourAgent:
-    """Return a `DetourAgent` with the compensated controller; None for `load_belief()`."""
-    return DetourAgent(ControllerConfig(feedforward=belief or load_belief()))
+def compensated_detour() -> DetourAgent:
+    """Return a `DetourAgent` that feeds forward the force of `load_belief()`."""
+    return DetourAgent(ControllerConfig(feedforward=load_belief()))
 
 
 class PlanAgent(PlannedAgent[SwarmPlan]):
@@ -122,14 +120,11 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
 
     Args:
         belief: The force model of planner and controller; None for `load_belief()`.
-        decision_rate: The number of setpoints per second.
     """
 
-    def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
-        check_integer("decision_rate", decision_rate)
+    def __init__(self, belief: InteractionModel | None = None) -> None:
         self._model = belief or load_belief()
-        tracking = TrackingAgent.compensated(self._model, decision_rate)
-        super().__init__(tracking.requires)
+        super().__init__(TrackingAgent(ControllerConfig(feedforward=self._model)).requires)
 
     def check(self, task: Task) -> None:
         """Raise ValueError for a task that it cannot plan."""

@@ -33,7 +33,6 @@ from swarm_envs.baselines.neural_swarm.flights import (
     versions,
 )
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.errors import check_integer, check_number
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.viewing.comparison import Comparison, plot_comparisons
@@ -78,14 +77,8 @@ def run_demo(
         The content of `summary.json`, which `format_table` formats.
 
     Raises:
-        ValueError: `seed` or `swaps` is out of range.
         OSError: The folder cannot be written.
     """
-    check_integer("seed", seed, at_least=0)
-    check_integer("swaps", swaps)
-    check_number("video_s", video_s)
-    if not 1 <= swaps <= 1000:
-        raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
     out.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     engine, compensated = default_engine(), load_belief()

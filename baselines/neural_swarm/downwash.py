@@ -48,9 +48,9 @@ class DownwashSettings:
     """The largest acceleration of a flight to an assigned goal, m/s^2."""
     travel_s: float = 1.6
     """The duration of a flight to a goal that any drone may take, s."""
-    believes: bool = False
+    compensated: bool = False
     """True to feed `load_belief()` forward."""
-    chooses: bool = False
+    heavy_on_top: bool = False
     """True to place drones with little spare thrust on top, if any may take any goal."""
 
     def __post_init__(self) -> None:
@@ -59,14 +59,14 @@ class DownwashSettings:
             check_number(name, getattr(self, name), above=0.0)
         check_number("cutoff_hz", self.cutoff_hz, at_least=0.0, at_most=20.0, unit="Hz")
         check_number("travel_s", self.travel_s, above=0.0, unit="s")
-        for name in ("believes", "chooses"):
+        for name in ("compensated", "heavy_on_top"):
             check_bool(name, getattr(self, name))
 
     def controller(self) -> ControllerConfig:
         """Return the configuration of the tracking loop."""
         return ControllerConfig(
             gains=PositionGains(self.position, self.velocity, self.integral),
-            feedforward=load_belief() if self.believes else None,
+            feedforward=load_belief() if self.compensated else None,
             adaptation=Indi(self.cutoff_hz) if self.cutoff_hz else None,
             attitude_tilt=self.attitude,
             rate_tilt=self.rate,
@@ -111,7 +111,7 @@ class RestToRestAgent(TrackingAgent):
     def _plan(self, view: View) -> None:
         """Plan the flight from the present setpoints to the goals, reassigned if allowed."""
         goals = self._goals = np.array(view.goals)
-        if self._numbers.chooses and not self._named:
+        if self._numbers.heavy_on_top and not self._named:
             goals = place_heavy_on_top(goals, view.team)
         start, duration = np.array(view.setpoint.position), self._numbers.travel_s
         if self._named:
@@ -127,10 +127,10 @@ TUNED: Mapping[str, DownwashSettings] = MappingProxyType(
     {
         "pid": DownwashSettings(position=5.0, velocity=7.5, integral=2.5),
         "pid+adaptive": _PRECISE,
-        "downwash-aware": replace(_PRECISE, believes=True, chooses=True),
+        "downwash-aware": replace(_PRECISE, compensated=True, heavy_on_top=True),
         "heavy-on-top": DownwashSettings(
             position=0.87, velocity=4.6, integral=1.4, attitude=11.0, rate=4.8, cutoff_hz=2.9,
-            believes=True, chooses=True,
+            compensated=True, heavy_on_top=True,
         ),
     }
 )  # fmt: skip

@@ -126,7 +126,7 @@ class Flights:
     """The reference positions (E, T, N, 3), m."""
     force: FloatArray
     """The true forces (E, T, N, 3), N."""
-    believed: FloatArray
+    feedforward_force: FloatArray
     """The forces (E, T, N, 3) that the controller compensated in the same step, N."""
     worst_height_error: FloatArray
     """The largest vertical distance (E, N) to the reference since errors count, m."""
@@ -259,7 +259,7 @@ def _sample(core: SwarmCore) -> dict[str, FloatArray]:
         "quaternion": state.quaternion,
         "reference": drones["reference_position"],
         "force": core.physics.force,
-        "believed": drones["feedforward_force"],
+        "feedforward_force": drones["feedforward_force"],
     }
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.ways import STAY, Ints, Neighbors, ways_to_any
+from swarm_envs.baselines.rth3d.path_lengths import STAY, Ints, Neighbors, path_lengths_to_any
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
@@ -63,7 +63,7 @@ def _from_plane(
         return np.where(left, c - points[:, axis], points[:, axis] - c - 1).astype(np.int32)
     vertex = np.moveaxis(table[:, STAY].reshape(shape), axis, 0)
     here = np.ravel_multi_index(tuple(points.T), shape)
-    sides = [ways_to_any(table, vertex[k][opening])[here] for k in (c, c + 1)]
+    sides = [path_lengths_to_any(table, vertex[k][opening])[here] for k in (c, c + 1)]
     return np.where(left, *sides).astype(np.int32)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.cuts import cut_bound, passing_bound
-from swarm_envs.baselines.rth3d.ways import FAR, neighbor_table, shortest_ways
+from swarm_envs.baselines.rth3d.path_lengths import FAR, neighbor_table, path_lengths_between
 from swarm_envs.errors import as_numbers, check_integer, check_name
 from swarm_envs.state import BoolArray
 
@@ -70,7 +70,9 @@ class GridInstance:
         if not breaks_pattern(self.obstacles):
             return _pattern_lengths(self)
         table = neighbor_table(self.shape, self.obstacles)
-        found = shortest_ways(table, *(numbers(p, self.shape) for p in (self.starts, self.goals)))
+        found = path_lengths_between(
+            table, *(numbers(p, self.shape) for p in (self.starts, self.goals))
+        )
         cut_off = np.flatnonzero(found == FAR)
         if len(cut_off):
             i = int(cut_off[0])

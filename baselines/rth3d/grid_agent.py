@@ -21,7 +21,6 @@ from swarm_envs.baselines.rth3d.grid_planning import plan
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_number, check_numbers
-from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
 from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
@@ -69,7 +68,6 @@ class GridAgent(PlannedAgent[SplineFlight]):
         spacing: The spacing (x, y, z) of the grid, m, with which drones must keep 1.5 times the sum
             of their radii in any plan; None for 0.4 m, or more for large drones, and a quarter more
             in height.
-        method: The method of `plan`.
         controller: The configuration of the tracking loop; None for its default, which assumes no
             interaction force.
         share: The share of a stage's duration that its flight takes, if limits allow.
@@ -81,7 +79,6 @@ class GridAgent(PlannedAgent[SplineFlight]):
     def __init__(
         self,
         spacing: tuple[float, float, float] | None = None,
-        method: str = "auto",
         controller: ControllerConfig | None = None,
         share: float = 0.7,
     ) -> None:
@@ -89,12 +86,12 @@ class GridAgent(PlannedAgent[SplineFlight]):
             check_numbers("spacing", spacing, 3, above=0.0)
         check_number("share", share, above=0.0, at_most=1.0)
         super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
-        self._spacing, self._method, self._share = spacing, method, share
+        self._spacing, self._share = spacing, share
 
     @classmethod
-    def compensated(cls, belief: InteractionModel | None = None) -> GridAgent:
-        """Return the agent over Neural-Swarm2's controller, by default with `load_belief()`."""
-        return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
+    def compensated(cls) -> GridAgent:
+        """Return the agent over Neural-Swarm2's controller with `load_belief()`."""
+        return cls(controller=ControllerConfig(feedforward=load_belief()))
 
     def plan(self, task: Task, view: View, seed: int) -> SplineFlight:
         """Return a smooth flight along paths on the grid, as slow as the stage allows.
@@ -117,7 +114,6 @@ class GridAgent(PlannedAgent[SplineFlight]):
             lattice.near(goals, free),
             lattice.shape,
             obstacles=None if free.all() else ~free,
-            method=self._method,
             seed=seed,
         )
         points = lattice.origin + lattice.spacing * found.paths
@@ -161,7 +157,7 @@ def _free(task: Task, lattice: Lattice) -> BoolArray:
 def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
     """Return the flight, smoothed and as fast as limits allow, if drones keep their distance."""
     least = NEAR_MISS * 2.0 * float(task.radius.max())
-    close = smallest_distance(flight, (1.0, 1.0, 1.0))
+    close = smallest_distance(flight)
     if close < least:
         raise ValueError(
             f"between the grid and starts or goals, drones would come as close as {close:.3f} m, "

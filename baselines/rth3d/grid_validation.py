@@ -56,13 +56,13 @@ class ValidationReport:
 
 @kernel
 def follow_paths(
-    paths: Array, ways: Array, deltas: Array, arrived: Array, last: Array, moves: Array
+    paths: Array, open_edges: Array, deltas: Array, arrived: Array, last: Array, moves: Array
 ) -> tuple[int, int]:
     """Follow all paths; return the first step in which a rule is broken or 0, and the moves.
 
     Args:
         paths: The vertices (T + 1, n).
-        ways: (V,) with bit k set if edge k of a vertex leads to a free vertex.
+        open_edges: (V,) with bit k set if edge k of a vertex leads to a free vertex.
         deltas: The differences (7,) of vertices' numbers along each edge, and 0 for a wait.
         arrived: (V,) zeros, overwritten by 8 times the last arrival at a vertex plus its edge.
         last: (n,) zeros, overwritten by the last step in which each robot moves.
@@ -78,7 +78,7 @@ def follow_paths(
                 edge = 0
                 while edge < 6 and deltas[edge] != now - before:
                     edge += 1
-                if edge == 6 or not ways[before] >> edge & 1:
+                if edge == 6 or not open_edges[before] >> edge & 1:
                     return t, moved
                 last[i] = t
                 moved += 1
@@ -94,7 +94,7 @@ def follow_paths(
     return 0, moved
 
 
-def _ways(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
+def _open_edges(obstacles: BoolArray) -> npt.NDArray[np.uint8]:
     """Return the edges of each vertex (V,) that lead to a free one, as bits for `follow_paths`."""
     free: BoolArray = np.pad(~obstacles, 1, constant_values=False)
     found = np.zeros(obstacles.shape, dtype=np.uint8)
@@ -141,7 +141,7 @@ def check_paths(
     _, m2, m3 = instance.shape
     deltas = MOVES @ np.array([m2 * m3, m3, 1], dtype=np.int32)
     arrived = np.zeros(instance.obstacles.size, dtype=np.int32)
-    step, moved = follow_paths(paths, _ways(instance.obstacles), deltas, arrived, last, moves)
+    step, moved = follow_paths(paths, _open_edges(instance.obstacles), deltas, arrived, last, moves)
     if step:
         before, now = (_places(paths[t], instance.shape) for t in (step - 1, step))
         return _broken(*_fault(before, now, instance.obstacles), step), moves

@@ -142,11 +142,11 @@ def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) ->
     return most / float(np.prod(sides))
 
 
-Image = npt.NDArray[np.int32]  # (V,) the image of each vertex under a reflection
+def _images(highways: Highways) -> list[Vertices]:
+    """Return images (V,) of the vertices under reflections that keep slots and obstacles.
 
-
-def _images(highways: Highways) -> list[Image]:
-    """Return reflections that keep slots and obstacles; the first is the identity."""
+    The first is the identity.
+    """
     vertex = np.arange(np.prod(highways.shape), dtype=np.int32).reshape(highways.shape)
     found = []
     for flips in product((False, True), repeat=3):
@@ -162,7 +162,7 @@ def _same(first: Vertices, second: Vertices, total: int) -> bool:
     return np.array_equal(np.bincount(first, minlength=total), np.bincount(second, minlength=total))
 
 
-def reflection(highways: Highways, starts: Vertices, goals: Vertices) -> Image | None:
+def reflection(highways: Highways, starts: Vertices, goals: Vertices) -> Vertices | None:
     """Return the reflection of the set of starts onto that of the goals, or None.
 
     Of several it is the one that maps the most starts to the robots' own goals.
@@ -171,7 +171,7 @@ def reflection(highways: Highways, starts: Vertices, goals: Vertices) -> Image |
     return max(images, key=lambda image: int((image[starts] == goals).sum()), default=None)
 
 
-def reflected(paths: Paths, image: Image, goals: Vertices) -> Paths:
+def reflected(paths: Paths, image: Vertices, goals: Vertices) -> Paths:
     """Return paths (T + 1, n) from the goals, the images of paths from the starts."""
     holder = np.empty(len(image), dtype=np.int32)
     holder[image[paths[0]]] = np.arange(paths.shape[1], dtype=np.int32)

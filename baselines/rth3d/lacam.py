@@ -32,17 +32,17 @@ from swarm_envs.baselines.rth3d.grid import (
     numbers,
 )
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.path_lengths import Ints
 from swarm_envs.baselines.rth3d.pibt import (
     Robots,
     draw,
     line_up,
     new_robots,
+    path_length,
     settle_rest,
     take,
-    way,
 )
 from swarm_envs.baselines.rth3d.terrain import WALL, Terrain, neighbor, survey
-from swarm_envs.baselines.rth3d.ways import Ints
 from swarm_envs.compiled import kernel
 
 _Longs = npt.NDArray[np.int64]
@@ -182,7 +182,7 @@ def _add_node(
     pools.state[_NODES] += 1
     at, longest = nodes.at[new], 0
     for i in range(at.shape[0]):
-        left = way(terrain, robots, i, at[i])
+        left = path_length(terrain, robots, i, at[i])
         longest = max(longest, left)
         before = 0 if parent < 0 else nodes.away[parent, i]
         nodes.away[new, i] = 0 if left == 0 else before + 1
@@ -235,7 +235,7 @@ def _branch(
     depth = pools.constraints[constraint, _DEPTH]
     if depth >= robots.records.shape[0]:
         return
-    who, choices, kept = robots.records[depth]["queue"], robots.asked[0], 0
+    who, choices, kept = robots.records[depth]["queue"], robots.stack[0], 0
     here = nodes.at[node, who]
     for k in range(7):
         vertex = neighbor(terrain.grid, terrain.cells[here], here, k)

@@ -19,9 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array
+from swarm_envs.baselines.rth3d.path_lengths import Ints
 from swarm_envs.compiled import equation, kernel
-
-Items = npt.NDArray[np.int32]  # Indices of items or places
 
 
 @equation
@@ -235,11 +234,11 @@ def split_tables(aims: Array, shift: Array, bounded: bool, levels: Array) -> Non
 
 def assign_levels(
     aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_], bounded: bool
-) -> Items:
+) -> Ints:
     """Return levels (G, K, D) of all items, so that each level of a table is a perfect matching.
 
     `aims` (G, K, D) is the target column of each item of G tables, each column D times; item d of a
-    column is in level d at first. Items that are not `real` may be shifted by any distance;
+    column is in level d at first. Ints that are not `real` may be shifted by any distance;
     `bounded` keeps the largest shift of the others small (RTH3D-LBA).
     """
     levels = np.empty(aims.shape, dtype=np.int32)

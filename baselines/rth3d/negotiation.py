@@ -17,8 +17,8 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.path_lengths import Ints, Neighbors, neighbor_table
 from swarm_envs.baselines.rth3d.pibt import following
-from swarm_envs.baselines.rth3d.ways import Ints, Neighbors, neighbor_table
 from swarm_envs.compiled import equation, kernel
 
 _MOST_PLACES = 40_000_000  # The most vertices times steps, 19 bytes each

@@ -20,24 +20,23 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, NoHighways, Vertices
-from swarm_envs.baselines.rth3d.matching import Items
-from swarm_envs.baselines.rth3d.ways import FAR, Neighbors
+from swarm_envs.baselines.rth3d.path_lengths import FAR, Ints, Neighbors
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
 
-def assign_levels_in_turn(aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_]) -> Items:
+def assign_levels_in_turn(aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_]) -> Ints:
     """Return levels (G, K, D) of all items, as `assign_levels`, by the paper's two assignments."""
     return np.stack([_table_levels(*table) for table in zip(aims, real, strict=True)])
 
 
-def _table_levels(aims: Items, real: npt.NDArray[np.bool_]) -> Items:
+def _table_levels(aims: Ints, real: npt.NDArray[np.bool_]) -> Ints:
     columns, size = aims.shape
     every, places = np.arange(columns), np.arange(size, dtype=np.int32)
     shifts = np.abs(places[:, None] - places).astype(np.int32)  # by level and place
     costs, own = np.where(real, shifts[:, None], 0), np.empty((size, columns), dtype=np.int64)
     left, worst = np.zeros(aims.shape, dtype=np.int32), np.empty((size, size), dtype=np.int32)
-    for k in range(size):  # Items that have a level already cost more than any shift
+    for k in range(size):  # Ints that have a level already cost more than any shift
         own[k] = _least_bottleneck(np.ascontiguousarray(aims), np.maximum(costs[k], left))
         left[every, own[k]] = size
         worst[k] = costs[:, every, own[k]].max(axis=1)
@@ -47,7 +46,7 @@ def _table_levels(aims: Items, real: npt.NDArray[np.bool_]) -> Items:
     return found
 
 
-def _least_bottleneck(aims: Items, costs: Items) -> Items:
+def _least_bottleneck(aims: Ints, costs: Ints) -> Ints:
     """Return each column's item (K,) in a perfect matching whose largest cost (K, D) is least."""
     match = np.full(len(aims), -1, dtype=np.int32)
     _match(aims, costs, match)

@@ -13,7 +13,7 @@ from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, NoPlanExists, Vertices, numbers
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.lacam import best_plan
-from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table
+from swarm_envs.baselines.rth3d.path_lengths import Neighbors, neighbor_table
 from swarm_envs.state import IntArray
 
 

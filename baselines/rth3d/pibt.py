@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.path_lengths import Ints
 from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, neighbor, survey
-from swarm_envs.baselines.rth3d.ways import Ints
 from swarm_envs.compiled import equation, kernel
 
 _ROBOT = np.dtype(
@@ -43,7 +43,7 @@ class Robots(NamedTuple):
     records: Array  # (n,) of `_ROBOT`
     # (n, 18) the stack of pushed robots: robot, number of vertices tried, number of vertices, these
     # vertices, the robot that is pulled along or -1, and the sort keys of the vertices
-    asked: Ints
+    stack: Ints
     counts: Ints  # The number of robots of each urgency
     random: npt.NDArray[np.int64]  # (1,) state of the generator
 
@@ -68,10 +68,10 @@ def _manhattan(cell: Array, goal: Array) -> int:
 
 
 @kernel
-def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
+def _length_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
     cells, cell, goal = terrain.cells, terrain.cells[vertex], robots.records[robot]
     if terrain.grid.obstacles == ANY:
-        return int(terrain.ways[robot, cell["column"]])
+        return int(terrain.lengths[robot, cell["column"]])
     x, y, _, m2, m3 = cell["x"], cell["y"], *terrain.grid[1:]
     found = _manhattan(cell, goal)
     if x == goal["x"]:
@@ -83,15 +83,15 @@ def _way_around(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> in
 
 
 @equation
-def way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
+def path_length(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
     """Return the length of a robot's shortest path from a vertex to its goal."""
     if terrain.grid.obstacles == OPEN:
         return _manhattan(terrain.cells[vertex], robots.records[robot])
-    return _way_around(terrain, robots, robot, vertex)
+    return _length_around(terrain, robots, robot, vertex)
 
 
 @kernel
-def _ask(
+def _sort_choices(
     terrain: Terrain, robots: Robots, here: int, robot: int, first: int, depth: int, lost: bool
 ) -> None:
     """Sort a robot's choices: near its goal, off the path of `first`, free ones, at random.
@@ -101,11 +101,11 @@ def _ask(
     pushing others, lets it pass. If `lost`, a robot that is not at its goal sorts at random in one
     of four cases.
     """
-    bits, kept, asked = draw(robots.random), 0, robots.asked
+    bits, kept, stack = draw(robots.random), 0, robots.stack
     grid, cells, records = terrain.grid, terrain.cells, robots.records
     cell, is_open = cells[here], grid.obstacles == OPEN
-    wander = lost and bits >> 28 == 0 and way(terrain, robots, robot, here) > 0
-    ahead = 0 if first == robot else way(terrain, robots, first, here)
+    wander = lost and bits >> 28 == 0 and path_length(terrain, robots, robot, here) > 0
+    ahead = 0 if first == robot else path_length(terrain, robots, first, here)
     for k in range(7):
         vertex = neighbor(grid, cell, here, k)
         if vertex < 0 or cells[vertex]["taken"] >= 0:
@@ -116,29 +116,29 @@ def _ask(
             left = (
                 _manhattan(to, records[robot])
                 if is_open
-                else _way_around(terrain, robots, robot, vertex)
+                else _length_around(terrain, robots, robot, vertex)
             )
             key += 64 * left
         if ahead > 0:
             left = (
                 _manhattan(to, records[first])
                 if is_open
-                else _way_around(terrain, robots, first, vertex)
+                else _length_around(terrain, robots, first, vertex)
             )
             key += 32 * (left < ahead)
         if k < 6 and to["now"] >= 0:
             key += 16
         place = kept
-        while place > 0 and asked[depth, 10 + place] > key:
-            asked[depth, 11 + place] = asked[depth, 10 + place]
-            asked[depth, 3 + place] = asked[depth, 2 + place]
+        while place > 0 and stack[depth, 10 + place] > key:
+            stack[depth, 11 + place] = stack[depth, 10 + place]
+            stack[depth, 3 + place] = stack[depth, 2 + place]
             place -= 1
-        asked[depth, 11 + place] = key
-        asked[depth, 3 + place] = vertex
+        stack[depth, 11 + place] = key
+        stack[depth, 3 + place] = vertex
         kept += 1
-    asked[depth, 0], asked[depth, 1], asked[depth, 2], asked[depth, 10] = robot, 0, kept, -1
+    stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 10] = robot, 0, kept, -1
     if terrain.table.shape[0] > 0 and not wander:
-        _back_out(terrain, robots, here, robot, asked[depth])
+        _back_out(terrain, robots, here, robot, stack[depth])
 
 
 @kernel
@@ -168,7 +168,7 @@ def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int
         for j in range(6):
             if terrain.table[u, j] >= 0:
                 sides += 1
-        if sides > 1 or who < 0 or way(terrain, robots, who, u) > 0:
+        if sides > 1 or who < 0 or path_length(terrain, robots, who, u) > 0:
             branches += 1
             last = u
     return branches, last
@@ -179,17 +179,19 @@ def _must_swap(
     terrain: Terrain, robots: Robots, pusher: int, puller: int, first: int, second: int
 ) -> bool:
     """Return True if a robot at `first` that pushes one at `second` would never get past it."""
-    while way(terrain, robots, pusher, second) < way(terrain, robots, pusher, first):
+    while path_length(terrain, robots, pusher, second) < path_length(
+        terrain, robots, pusher, first
+    ):
         branches, onward = _onward(terrain, robots, first, second)
         if branches >= 2:
             return False
         if branches == 0:
             break
         first, second = second, onward
-    ahead = way(terrain, robots, pusher, first)
-    return way(terrain, robots, puller, first) < way(terrain, robots, puller, second) and (
-        ahead == 0 or way(terrain, robots, pusher, second) < ahead
-    )
+    ahead = path_length(terrain, robots, pusher, first)
+    return path_length(terrain, robots, puller, first) < path_length(
+        terrain, robots, puller, second
+    ) and (ahead == 0 or path_length(terrain, robots, pusher, second) < ahead)
 
 
 @kernel
@@ -234,7 +236,7 @@ def _to_pull(terrain: Terrain, robots: Robots, here: int, robot: int, aim: int) 
 def _pull(terrain: Terrain, robots: Robots, at: Array, depth: int) -> None:
     """Let robots that are to be pulled along follow, if the pullers got their first choices."""
     for k in range(depth, -1, -1):
-        entry = robots.asked[k]
+        entry = robots.stack[k]
         here, other = at[entry[0]], entry[10]
         if other < 0 or entry[1] != 1:
             continue
@@ -255,15 +257,15 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
 
     It always succeeds if no robot was settled by constraints before.
     """
-    depth, asked, cells, records = 0, robots.asked, terrain.cells, robots.records
-    _ask(terrain, robots, at[robot], robot, robot, 0, lost)
+    depth, stack, cells, records = 0, robots.stack, terrain.cells, robots.records
+    _sort_choices(terrain, robots, at[robot], robot, robot, 0, lost)
     while depth >= 0:
-        who = asked[depth, 0]
+        who = stack[depth, 0]
         here = at[who]
         settled = False
-        while asked[depth, 1] < asked[depth, 2]:
-            vertex = asked[depth, 3 + asked[depth, 1]]
-            asked[depth, 1] += 1
+        while stack[depth, 1] < stack[depth, 2]:
+            vertex = stack[depth, 3 + stack[depth, 1]]
+            stack[depth, 1] += 1
             other = cells[vertex]["now"]
             if cells[vertex]["taken"] >= 0:
                 continue
@@ -272,7 +274,7 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
             take(cells, records, who, vertex)
             if other >= 0 and other != who and records[other]["next"] < 0:
                 depth += 1
-                _ask(terrain, robots, at[other], other, robot, depth, lost)
+                _sort_choices(terrain, robots, at[other], other, robot, depth, lost)
             else:
                 settled = True
             break
@@ -314,7 +316,7 @@ def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
         if is_open:
             left = _manhattan(cells[at[i]], records[i])
         else:
-            left = _way_around(terrain, robots, i, at[i])
+            left = _length_around(terrain, robots, i, at[i])
         records[i]["away"] = records[i]["away"] // 2 if left == 0 else records[i]["away"] + 1
         longest = max(longest, left)
         records[i]["urgency"] = top - min(left + records[i]["away"], top)
@@ -410,7 +412,7 @@ def new_robots(instance: GridInstance, most_steps: int) -> Robots:
     records["x"], records["y"], records["z"] = instance.goals.T
     return Robots(
         records=records,
-        asked=np.empty((count, 18), dtype=np.int32),
+        stack=np.empty((count, 18), dtype=np.int32),
         counts=np.zeros(min(most_steps, _MOST_AWAY) + sum(instance.shape) + 3, dtype=np.int32),
         random=np.zeros(1, dtype=np.int64),
     )

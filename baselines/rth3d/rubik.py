@@ -19,7 +19,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.highways import CELL, Highways
-from swarm_envs.baselines.rth3d.matching import Items
+from swarm_envs.baselines.rth3d.path_lengths import Ints
 from swarm_envs.baselines.rth3d.shuffles import (
     STEPS,
     LongShift,
@@ -30,9 +30,8 @@ from swarm_envs.baselines.rth3d.shuffles import (
     write_shift,
 )
 from swarm_envs.baselines.rth3d.unlabeled_mrpp import Balanced
-from swarm_envs.baselines.rth3d.ways import Ints
 
-Matching = Callable[[Ints, npt.NDArray[np.bool_]], Items]
+Matching = Callable[[Ints, npt.NDArray[np.bool_]], Ints]
 """A function that returns levels (G, K, D) from items' targets and a mask of robots."""
 Shuffles = dict[str, Shift | LongShift]
 """Shuffles by name, in their order."""
@@ -40,7 +39,7 @@ Shuffles = dict[str, Shift | LongShift]
 
 @dataclass(frozen=True, eq=False)
 class RubikTable:
-    """Items, numbered by their first slot, and their target slots."""
+    """Ints, numbered by their first slot, and their target slots."""
 
     highways: Highways
     goal: Ints  # (items,) the target slot of each item; slot (c, r, z) has number (c R + r) Z + z

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array
+from swarm_envs.baselines.rth3d.path_lengths import Ints
 from swarm_envs.compiled import kernel
 
 STEPS = 3  # The steps of a change of lanes
@@ -94,13 +95,10 @@ def lane_changes(held: int) -> npt.NDArray[np.int8]:
     return found
 
 
-Steps = npt.NDArray[np.int32]  # An integer for each robot, such as a distance
-
-
 class Shift(NamedTuple):
     """A shuffle across the long axis, by the distance of each item."""
 
-    distance: Steps  # (n,) edges along the axis, with sign
+    distance: Ints  # (n,) edges along the axis, with sign
     stride: int  # Difference of the numbers of two neighbors along the axis
 
     @property
@@ -109,7 +107,7 @@ class Shift(NamedTuple):
         longest = int(np.abs(self.distance).max(initial=0))
         return longest + 2 if longest else 0
 
-    def of(self, items: Steps) -> Shift:
+    def of(self, items: Ints) -> Shift:
         """Return the shuffle of some items (n,) alone."""
         return Shift(self.distance[items], self.stride)
 
@@ -117,11 +115,11 @@ class Shift(NamedTuple):
 class LongShift(NamedTuple):
     """A shuffle along the long axis, by the moves of each item."""
 
-    change: Steps
+    change: Ints
     """(n, STEPS) difference of its vertex's number after each step of the change of lanes."""
-    run: Steps  # (n,) vertices to run, with sign
-    park: Steps  # (n,) difference of its vertex's number when it parks
-    leave: Steps  # (n, 2) difference in each of the last two steps
+    run: Ints  # (n,) vertices to run, with sign
+    park: Ints  # (n,) difference of its vertex's number when it parks
+    leave: Ints  # (n, 2) difference in each of the last two steps
 
     @property
     def duration(self) -> int:
@@ -130,7 +128,7 @@ class LongShift(NamedTuple):
             return 0
         return STEPS + int(np.abs(self.run).max(initial=0)) + 1 + 2
 
-    def of(self, items: Steps) -> LongShift:
+    def of(self, items: Ints) -> LongShift:
         """Return the shuffle of some items (n,) alone."""
         return LongShift(*(part[items] for part in self))
 

@@ -12,11 +12,17 @@ from swarm_envs.baselines.rth3d.grid import (
     breaks_pattern,
     numbers,
 )
-from swarm_envs.baselines.rth3d.ways import STAY, Ints, Neighbors, neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.path_lengths import (
+    STAY,
+    Ints,
+    Neighbors,
+    neighbor_table,
+    path_lengths_to,
+)
 from swarm_envs.compiled import equation
 from swarm_envs.state import BoolArray
 
-_MOST_WAYS = 250_000_000  # The most lengths that are stored, four bytes each
+_MOST_LENGTHS = 250_000_000  # The most lengths that are stored, four bytes each
 
 # One array for all, because reference counting of a kernel's arrays at each call took three
 # quarters of PIBT's time.
@@ -25,7 +31,7 @@ _CELL = np.dtype(
         *((name, np.int32) for name in ("x", "y", "z")),
         ("now", np.int32),  # The robot there, or -1
         ("taken", np.int32),  # The robot that has taken it for the next step, -1, or `WALL`
-        ("column", np.int32),  # Its column of `ways`, or -1
+        ("column", np.int32),  # Its column of `Terrain.lengths`, or -1
         ("along_x", np.int32),  # Number of obstacles at smaller or equal x in the same row
         ("along_y", np.int32),  # Number of obstacles at smaller or equal y in the same column
     ]
@@ -50,7 +56,7 @@ class Terrain(NamedTuple):
     cells: Array  # (V,) the vertices, of `_CELL`
     # (n, F) length of the shortest path from free vertices to each robot's goal; (0, 0) if a
     # formula gives it
-    ways: Ints
+    lengths: Ints
     table: Neighbors  # (V, 7) neighbors, or (0, 7) if all vertices have at least three
     grid: Grid
 
@@ -74,11 +80,12 @@ def survey(instance: GridInstance) -> Terrain:
     for axis, name in enumerate(("along_x", "along_y")):
         cells[name] = np.cumsum(columns, axis=axis, dtype=np.int32)
     grid = Grid(_kind(walls), *shape)
-    ways = np.zeros((0, 0), dtype=np.int32)
+    lengths = np.zeros((0, 0), dtype=np.int32)
     if grid.obstacles == ANY:
-        _check_ways(instance)
-        ways = ways_to(_among_free(table), cells["column"].ravel()[numbers(instance.goals, shape)])
-    return Terrain(cells.ravel(), ways, table if narrow else table[:0], grid)
+        _check_memory(instance)
+        goals = cells["column"].ravel()[numbers(instance.goals, shape)]
+        lengths = path_lengths_to(_among_free(table), goals)
+    return Terrain(cells.ravel(), lengths, table if narrow else table[:0], grid)
 
 
 def _kind(obstacles: BoolArray) -> int:
@@ -87,12 +94,12 @@ def _kind(obstacles: BoolArray) -> int:
     return PATTERN if obstacles.any() else OPEN
 
 
-def _check_ways(instance: GridInstance) -> None:
+def _check_memory(instance: GridInstance) -> None:
     count, free = len(instance.goals), np.count_nonzero(~instance.obstacles)
-    if count * free > _MOST_WAYS:
+    if count * free > _MOST_LENGTHS:
         raise ValueError(
             f"obstacles off the pattern need the paths of {count} robots on {free} vertices, but "
-            f"at most {_MOST_WAYS} lengths are stored; use fewer robots or a smaller grid"
+            f"at most {_MOST_LENGTHS} lengths are stored; use fewer robots or a smaller grid"
         )
 
 

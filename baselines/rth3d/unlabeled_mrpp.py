@@ -21,8 +21,8 @@ import numpy as np
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, NoHighways, Vertices
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
-from swarm_envs.baselines.rth3d.highways import Highways, Image, reflected, reflection
-from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table
+from swarm_envs.baselines.rth3d.highways import Highways, reflected, reflection
+from swarm_envs.baselines.rth3d.path_lengths import STAY, Neighbors, neighbor_table
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
@@ -274,7 +274,7 @@ class Balanced:
 
     first: Paths  # (T1 + 1, n) from the starts
     last: Paths  # (T2 + 1, n) from the goals
-    image: Image  # (V,) the reflection from `first` to `last`; the identity if there is none
+    image: Vertices  # (V,) the reflection from `first` to `last`; the identity if there is none
 
 
 def unlabeled_mrpp(

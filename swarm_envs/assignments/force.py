@@ -39,7 +39,7 @@ class ForceModel(Assignment):
     counted = ""
 
     def grade(self, entry: Entry) -> dict[str, Any]:
-        """Return the scores of a student's model (see `score`), and `copied`."""
+        """Return `explained` of a student's model, and `copied`."""
         rows, held_out = (collected(seed) for seed in (entry.seeds[0], entry.seeds[0] + 1))
         copied = harmless(copied_files, entry.home, entry.work)
         with entry.opened() as (work, _):
@@ -58,18 +58,12 @@ def collected(seed: int) -> InteractionRows:
         return interaction_rows(collect(config, Path(folder), progress=False), config.label)
 
 
-def score(predicted: Array, truth: Array) -> dict[str, float]:
-    """Return the scores of vertical forces (R,), gram-force.
+def explained_share(predicted: Array, truth: Array) -> float:
+    """Return the fraction of the squared vertical force (R,) that a prediction (R,) explains.
 
-    `error_g`: their root mean square error; `baseline_g`: that of zero force; `explained`: the
-    explained fraction of the squared force, 1 for no error, negative if worse than zero force.
+    It is 1 for no error, 0 for a prediction of zero force, and negative if worse than that.
     """
-    error, baseline = np.mean(np.square(predicted - truth)), np.mean(np.square(truth))
-    return {
-        "error_g": float(np.sqrt(error)),
-        "baseline_g": float(np.sqrt(baseline)),
-        "explained": float(1.0 - error / baseline),
-    }
+    return float(1.0 - np.mean(np.square(predicted - truth)) / np.mean(np.square(truth)))
 
 
 def grade_model(
@@ -103,7 +97,7 @@ def grade_model(
         changes.append((typed, _predicted(work, typed) - own))
     copied = harmless(copied_forces, held_out, own, changes)
     truth = modelled_force_g(held_out, "learned")[:, 2]
-    return {**score(own, truth), "copied": copied}
+    return {"explained": explained_share(own, truth), "copied": copied}
 
 
 def copied_forces(

@@ -11,8 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 
 class Misuse(ValueError):
     """Options with which a command cannot run, detected before it begins."""
@@ -26,26 +24,6 @@ def as_misuse(*kinds: type[Exception]) -> Iterator[None]:
         yield
     except expected as error:
         raise Misuse(str(error)) from error
-
-
-class FlightBar:
-    """Progress bar of decisions that begins with the first, after planning and compilation."""
-
-    def __init__(self, total: int) -> None:
-        self._total = total
-        self.bar: Any = None
-        """The tqdm bar; None before the first decision."""
-
-    def __call__(self, *_: object) -> None:
-        """Count a decision."""
-        if self.bar is None:
-            self.bar = tqdm(total=self._total, desc="flight", unit="decision", mininterval=0.5)
-        self.bar.update()
-
-    def close(self) -> None:
-        """Close the bar."""
-        if self.bar is not None:
-            self.bar.close()
 
 
 def check_folder(option: str, folder: Path) -> None:

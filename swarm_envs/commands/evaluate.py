@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack, nullcontext
@@ -47,9 +46,9 @@ if TYPE_CHECKING:
 class EvaluateOptions(EpisodeOptions):
     """Evaluate agents on many episodes with the same seeds, and report rates and means.
 
-    An interrupted command resumes after the last complete episode when it is run again. An agent
-    that fails during an episode is reported with its error, and the exit status is 1. An agent
-    that does not support the task is refused before the first episode.
+    With --out, an interrupted command resumes after the last complete episode when it is run
+    again. An agent that fails during an episode is reported with its error, and the exit status is
+    1. An agent that does not support the task is refused before the first episode.
     """
 
     agent: list[str] | None = None
@@ -67,7 +66,7 @@ class EvaluateOptions(EpisodeOptions):
     out: Path | None = None
     """Output folder for report.json, and for the results of every episode in episodes/."""
     json: Path | None = None
-    """Write the report to this file. Until it is written, episodes are stored next to it."""
+    """Write the report to this file."""
     scale: ScaleOptions = field(default_factory=ScaleOptions)
     """Options of parallel evaluation; they do not change the results."""
 
@@ -97,10 +96,9 @@ def run_evaluate(options: EvaluateOptions) -> int:
         if options.physics == "bullet":
             import_bullet()
         options = replace(options, agent=options.agent or [best_agent(options, task)])
-    folder = _kept(options) if options.out is None else options.out
     with ExitStack() as opened:
         made = _make_all(options, task, opened)
-        opened.enter_context(nullcontext() if folder is None else claimed(folder))
+        opened.enter_context(nullcontext() if options.out is None else claimed(options.out))
         return _evaluate(options, task, made, reports)
 
 
@@ -149,17 +147,7 @@ def _evaluate(
         write_json(path, content)
         print(f"wrote {path}", flush=True)
     print(_head(options, task, made), _table(agents), sep="")
-    kept = _kept(options)
-    if options.out is None and kept is not None and kept.is_dir() and not failed:
-        shutil.rmtree(kept)  # the report is complete, so there is nothing to resume
     return failed
-
-
-def _kept(options: EvaluateOptions) -> Path | None:
-    """Return the folder in which episodes are stored, or None."""
-    if options.out is not None:
-        return options.out / "episodes"
-    return None if options.json is None else options.json.with_suffix(".episodes")
 
 
 def _reports(
@@ -214,14 +202,13 @@ def _open_episodes(
     """Return the file that stores an agent's episodes; None if they are not stored."""
     from swarm_envs.agents.evaluation import EpisodeFile
 
-    folder = _kept(options)
-    if folder is None:
+    if options.out is None:
         return None
     depends = {k: v for k, v in about.items() if k != "seed"}
     depends |= {"agent": flight.agent, "source": flight.digest, "version": __version__}
     own = {name: file_digest(str(getattr(options, name))) for name in ("task", "interactions")}
     depends |= {f"file of {name}": digest for name, digest in own.items() if digest}
-    file = EpisodeFile(folder, flight.agent, depends)
+    file = EpisodeFile(options.out / "episodes", flight.agent, depends)
     if before := sum(seed in file.episodes for seed in flight.seeds):
         print(f"{flight.agent}: resumes after {before} of {options.episodes} episodes", flush=True)
     return file

@@ -14,7 +14,6 @@ from tqdm import tqdm
 
 from swarm_envs import TASKS, __version__, task_family
 from swarm_envs.commands.checks import (
-    FlightBar,
     Misuse,
     as_misuse,
     check_file,
@@ -283,10 +282,30 @@ def best_agent(options: EpisodeOptions, task: str) -> str:
         raise ValueError(f"{error}; name one by --agent") from error
 
 
+class _FlightBar:
+    """Progress bar of decisions that begins with the first, after planning and compilation."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self.bar: Any = None
+        """The tqdm bar; None before the first decision."""
+
+    def __call__(self, *_: object) -> None:
+        """Count a decision."""
+        if self.bar is None:
+            self.bar = tqdm(total=self._total, desc="flight", unit="decision", mininterval=0.5)
+        self.bar.update()
+
+    def close(self) -> None:
+        """Close the bar."""
+        if self.bar is not None:
+            self.bar.close()
+
+
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
     from swarm_envs.agents import record_episode
 
-    bar = FlightBar(round(env.view.horizon_s * env.core.config.decision_rate) + 1)
+    bar = _FlightBar(round(env.view.horizon_s * env.core.config.decision_rate) + 1)
     try:
         recording = record_episode(env, agent, options.seed, watch=bar, name=name)
         bar.bar.total = bar.bar.n  # it may have ended before the time limit

@@ -80,7 +80,7 @@ def run_grade(options: GradeOptions) -> int:
 
     from swarm_envs.grading.assignment import load_assignment
     from swarm_envs.grading.grade import Course, Grade, grade_table, seed_of
-    from swarm_envs.grading.submission import Limits, WorkFailed
+    from swarm_envs.grading.submission import WorkFailed
 
     if options.seed is not None and options.seed < LEAST_SEED:
         print(
@@ -96,7 +96,9 @@ def run_grade(options: GradeOptions) -> int:
         assignment = load_assignment(options.assignment)
     works = _expanded(options.agent)
     _check_works(works, Path(options.assignment))
-    seed = options.seed or seed_of(options.out) or LEAST_SEED + secrets.randbits(128)
+    seed = seed_of(options.out) if options.seed is None else options.seed
+    if seed is None:
+        seed = LEAST_SEED + secrets.randbits(128)
     sandbox = _sandbox(options, works)
     course = Course(
         assignment,
@@ -104,7 +106,7 @@ def run_grade(options: GradeOptions) -> int:
         seed,
         options.episodes,
         sandbox,
-        Limits(work_s=options.limit_s),
+        options.limit_s,
         options.allow_copies,
         options.out,
         options.feedback,

@@ -7,16 +7,13 @@ import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from swarm_envs.errors import check_name, check_number, unknown_name
 from swarm_envs.grading.copies import copied_acts, copied_files, harmless
 from swarm_envs.grading.remote import remote_agent
 from swarm_envs.grading.submission import Entry, RemoteWork, WorkFailed, path_of
 from swarm_envs.user_files import import_file
-
-if TYPE_CHECKING:
-    from swarm_envs.agents.evaluation import Episode
 
 __all__ = ["Assignment", "load_assignment"]
 
@@ -139,12 +136,10 @@ class Assignment:
                 failure = shown and record_episode(env, agent, failed[0], name=shown)
             finally:
                 env.close()
-        copied = copied or harmless(copied_acts, env, agent.kept)
-        return {**self._scored(episodes, score_episodes), "copied": copied, "failure": failure}
-
-    def _scored(self, episodes: list[Episode], score: Any) -> dict[str, Any]:
+        copied = copied or harmless(copied_acts, env, agent.decisions)
         counted = sum(self.counts(episode["metrics"]) for episode in episodes) / len(episodes)
-        return {**score(episodes), "counted": counted}
+        found = {**score_episodes(episodes), "counted": counted}
+        return {**found, "copied": copied, "failure": failure}
 
     def _check_cpu(self, work: RemoteWork, episodes: int) -> None:
         """Raise WorkFailed if a learner used too much CPU time, such as outside `train`."""

@@ -33,12 +33,12 @@ ALIKE = 0.88
 independently reach 0.65, and students of the same teacher 0.7; a copy that is rotated, scaled or
 filtered has 0.97, and one with noise of a quarter of the largest action 0.9."""
 _LINEAR = 0.05  # Least fraction of actions that simple laws must leave unexplained for a comparison
-_BENT = 200  # Number of random nonlinear features that separate a policy from noise
+_NUM_FEATURES = 200  # Number of random nonlinear features that separate a policy from noise
 _PLAIN = ("straight-line",)  # Control laws that anybody may write
 _SHORTEST = 400  # Length of a function's syntax tree below which functions are not compared
 _MOST_READ = 4 << 20  # Bytes of files that are parsed as source code
 _LONG = 100  # Length of a constant from which its value is not compared
-_NOBODYS = ("hover", "random")  # Trivial agents, which are not compared
+_TRIVIAL = ("hover", "random")  # Trivial agents, which are not compared
 _PACKAGE = Path(swarm_envs.__file__).parent
 SOLUTIONS = _PACKAGE.resolve().parent / "tests" / "solutions"
 """Folder of the reference solutions, in a checkout of the repository."""
@@ -157,7 +157,7 @@ def unexplained(laws: Array, acts: Array) -> Array:
     return np.zeros_like(left) if little else left
 
 
-def likenesses(rows: Array, acts: Array, known: dict[str, Array]) -> dict[str, float]:
+def similarities(rows: Array, acts: Array, known: dict[str, Array]) -> dict[str, float]:
     """Return the similarity of actions (S, A) to those of known agents in the same situations.
 
     The part of the actions that linear laws of the rows or `straight-line` explain is removed. The
@@ -174,10 +174,13 @@ def likenesses(rows: Array, acts: Array, known: dict[str, Array]) -> dict[str, f
     left = unexplained(laws, acts)
     if not others or not left.any():
         return {}
-    mixed = np.random.default_rng(0).normal(size=(rows.shape[1], _BENT)) / np.sqrt(rows.shape[1])
-    bent = np.maximum(rows @ mixed, 0.0)
-    shown = basis(np.concatenate([bent - laws @ (laws.T @ bent), *others.values()], axis=1))
-    left = shown @ (shown.T @ left)
+    mixed = np.random.default_rng(0).normal(size=(rows.shape[1], _NUM_FEATURES)) / np.sqrt(
+        rows.shape[1]
+    )
+    features = np.maximum(rows @ mixed, 0.0)
+    features -= laws @ (laws.T @ features)
+    shared = basis(np.concatenate([features, *others.values()], axis=1))
+    left = shared @ (shared.T @ left)
     return {name: _correlation(left, other) for name, other in others.items()}
 
 
@@ -199,7 +202,7 @@ def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]
     for name in _known_agents():
         with suppress(Exception):  # it may not support the task or the action
             known[name] = _flat(_acts_of(name, env, rows))
-    alike = {"": ALIKE, **likenesses(_flat(rows), _flat(acts), known)}
+    alike = {"": ALIKE, **similarities(_flat(rows), _flat(acts), known)}
     name = max(alike, key=alike.__getitem__)
     return Path(name.partition(":")[0]).name if ":" in name else name
 
@@ -212,7 +215,7 @@ def _known_agents() -> list[str]:
     """Return the names of agents that act on rows; those of `baselines` need the true state."""
     own = [name for name, place in SHIPPED.items() if place.startswith("swarm_envs.agents.")]
     files = [f"{file}:{name}" for file in SOLUTIONS.glob("*.py") for name in _classes(file)]
-    return [*(name for name in own if name not in _NOBODYS), *files]
+    return [*(name for name in own if name not in _TRIVIAL), *files]
 
 
 def _classes(file: Path) -> list[str]:

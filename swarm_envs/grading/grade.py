@@ -7,7 +7,6 @@ import inspect
 import json
 import math
 import re
-import statistics
 import tempfile
 import traceback
 from collections.abc import Iterator, Sequence
@@ -21,9 +20,9 @@ from swarm_envs.grading.assignment import Assignment
 from swarm_envs.grading.sandbox import Sandbox
 from swarm_envs.grading.submission import (
     MOST_FOLDER,
+    WORK_S,
     Clock,
     Entry,
-    Limits,
     WorkFailed,
     entered,
     path_of,
@@ -62,7 +61,7 @@ class Course(NamedTuple):
     seed: int  # Seed of the episodes; secret if it has 128 random bits
     episodes: int  # Number of episodes of each submission
     sandbox: Sandbox = Sandbox()
-    limits: Limits = Limits()
+    limit_s: float = WORK_S  # Time limit of each submission; see `Clock`
     allow_copies: bool = False  # True to give points to copies
     out: Path | None = None  # Table to write after each submission, .csv or nbgrader's .json
     feedback: Path | None = None  # Folder for the feedback of each student
@@ -79,7 +78,7 @@ class Course(NamedTuple):
         with tempfile.TemporaryDirectory() as home:
             Path(home).chmod(0o755)
             Path(home, "work.py").write_text("class Work: pass\n", encoding="utf-8")
-            entry = Entry("work.py:Work", Path(home), self.sandbox, Clock(Limits()))
+            entry = Entry("work.py:Work", Path(home), self.sandbox, Clock())
             try:
                 with entry.opened():
                     pass
@@ -99,7 +98,10 @@ class Course(NamedTuple):
                 write_json(progress_file(self.out), {**self._setting(), "done": done})
                 self._write(grades)
             if self.feedback is not None:
-                write_feedback(self.feedback, self.assignment, grades, failure, fresh=not kept)
+                folder = self.feedback / f"{len(grades) - 1:03d}-{_folder_name(grade.work)}"
+                write_results(folder, self.assignment, grade)
+                if not kept:
+                    write_failure(folder, failure)
             yield grade
         if self.out is not None:
             progress_file(self.out).unlink(missing_ok=True)
@@ -109,7 +111,7 @@ class Course(NamedTuple):
         shown = None if self.feedback is None else printable(Path(work).name)
         seeds = episode_seeds(self.seed, self.episodes)
         how: dict[str, Any] = {"seeds": seeds, "shown": shown}
-        place = self.sandbox, Clock(self.limits)
+        place = self.sandbox, Clock(self.limit_s)
         try:
             with entered(work, self.assignment.work, *place, **how) as entry:
                 found = self.assignment.grade(entry)
@@ -231,43 +233,28 @@ def _nbgrader_row(name: str, student: str, grade: Grade) -> dict[str, Any]:
     return {"assignment": name, "student_id": student, "late_submission_penalty": 0.0, **points}
 
 
-def write_feedback(
-    folder: Path,
-    assignment: Assignment,
-    grades: Sequence[Grade],
-    failure: Recording | None = None,
-    fresh: bool = True,
-) -> None:
-    """Write `results.json` in Gradescope's format for all, and `failure.html` for the last.
+def _folder_name(work: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]+", "-", work)[-60:]
 
-    Args:
-        folder: the output folder, in which each student has a folder.
-        assignment: the assignment.
-        grades: the grades so far.
-        failure: the first failed episode of the last submission; None if all succeeded.
-        fresh: True if the last submission was graded in this run.
+
+def write_results(folder: Path, assignment: Assignment, grade: Grade) -> None:
+    """Write a student's `results.json` for Gradescope.
+
+    Its format: gradescope-autograders.readthedocs.io/en/latest/specs.
     """
-    own = folder
-    for number, grade in enumerate(grades):
-        own = folder / f"{number:03d}-{re.sub(r'[^A-Za-z0-9]+', '-', grade.work)[-60:]}"
-        own.mkdir(parents=True, exist_ok=True)
-        write_json(own / "results.json", _gradescope(assignment, grade, grades))
-    if fresh:
-        (own / "failure.html").unlink(missing_ok=True)
-    if failure is not None:
-        from swarm_envs.viewing import write_replay
-
-        write_replay(own / "failure.html", failure)
-
-
-def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
-    """Return Gradescope's results: gradescope-autograders.readthedocs.io/en/latest/specs."""
-    reached = [other.value for other in grades if other.value is not None]
     lines = [assignment.rubric, f"yours: {grade.verdict}"]
     if grade.crashes is not None:
         lines.append(f"share of episodes with a crash: {grade.crashes:.0%}")
-    if len(reached) > 1:
-        quarters = ", ".join(f"{q:.4g}" for q in statistics.quantiles(reached, method="inclusive"))
-        lines.append(f"quartiles of the {len(reached)} submissions so far: {quarters}")
     shown = {"output": "\n".join(lines), "visibility": "visible"}
-    return {"score": grade.points, "max_score": 100.0, **shown}
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "results.json", {"score": grade.points, "max_score": 100.0, **shown})
+
+
+def write_failure(folder: Path, failure: Recording | None) -> None:
+    """Write `failure.html` with the first failed episode of a submission; remove it if None."""
+    from swarm_envs.viewing import write_replay
+
+    if failure is None:
+        (folder / "failure.html").unlink(missing_ok=True)
+    else:
+        write_replay(folder / "failure.html", failure)

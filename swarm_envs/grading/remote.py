@@ -26,18 +26,24 @@ OPTIONS = (
     *("num_neighbors", "num_obstacles", "observe_load", "observe_setpoint"),
 )
 """Options that a submission may require; the others are part of the assignment."""
-SEEN = 8
+LEAST_NEIGHBORS = 8
 """Least number of neighbors in the grader's rows, which also have loads and set-points."""
-MOST_SEEN = 64
+MOST_NEIGHBORS = 64
 """Largest number of neighbors, or obstacles, that a submission may observe."""
-KEPT = 512
+MOST_DECISIONS = 512
 """Number of stored decisions of a submission, for the comparison with other agents."""
 
 
 def remote_agent(
-    work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any], rate: int = 0
+    work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any], rate: int
 ) -> RemoteAgent:
-    """Return a submission as an agent; the arguments are those of `RemoteAgent`.
+    """Return a submission as an agent.
+
+    Args:
+        work: its process.
+        made: its attributes, which are not trusted.
+        flown: the task's name and the options of the environment.
+        rate: the least decision rate of the evaluation, Hz; 0 for the submission's own.
 
     Raises:
         WorkFailed: it requires options that it may not choose, or the true state.
@@ -48,9 +54,10 @@ def remote_agent(
             "use observations"
         )
     try:
-        every = _repeats(_checked(made.get("requires")).get("decision_rate"), rate)
+        required = _checked(made.get("requires"))
+        every = _repeats(required.get("decision_rate"), rate)
         batched = made.get("batched") is True and every == 1
-        return (RemoteBatchAgent if batched else RemoteAgent)(work, made, flown, rate)
+        return (RemoteBatchAgent if batched else RemoteAgent)(work, required, every, flown)
     except (ValueError, TypeError) as error:
         raise WorkFailed(printable(f"cannot be evaluated: {error}")) from error
 
@@ -60,40 +67,37 @@ class RemoteAgent:
 
     Args:
         work: its process.
-        made: its attributes, which are not trusted.
+        required: the options that it requires, checked.
+        every: the number of decisions for which each action is repeated.
         flown: the task's name and the options of the environment, which the process receives.
-        rate: the least decision rate of the evaluation, Hz; each action of a slower submission is
-            repeated. 0 for its own rate.
 
     Raises:
-        ValueError: it requires options that it may not choose.
+        ValueError: it requires other values of the environment's options.
     """
 
     privileged = False
 
     def __init__(
-        self, work: RemoteWork, made: Mapping[str, Any], flown: Mapping[str, Any], rate: int = 0
+        self, work: RemoteWork, required: dict[str, Any], every: int, flown: Mapping[str, Any]
     ) -> None:
-        asked, options = _checked(made.get("requires")), flown["options"]
-        self.requires: Mapping[str, Any] = asked
+        self.requires: Mapping[str, Any] = required
+        options, self._every = flown["options"], every
         check_options_agree(self, options)
-        own = make(flown["task"], **{**options, "physics": "batch", **asked})
+        own = make(flown["task"], **{**options, "physics": "batch", **required})
         self._layout, config = own.observation_layout, own.core.config
-        self.every = _repeats(asked.get("decision_rate"), rate)
-        """The number of decisions for which each action is repeated."""
         self.requires = {
-            **asked,
-            "decision_rate": config.decision_rate * self.every,
-            "num_neighbors": max(config.num_neighbors, SEEN),
+            **required,
+            "decision_rate": config.decision_rate * every,
+            "num_neighbors": max(config.num_neighbors, LEAST_NEIGHBORS),
             "observe_load": True,
             "observe_setpoint": own.core.mode.level == SETPOINTS,
         }
         own.close()
         self._where: npt.NDArray[np.intp] = np.zeros(0, np.intp)  # Columns of its fields
-        self.kept: list[tuple[Float32Array, Array]] = []
+        self.decisions: list[tuple[Float32Array, Array]] = []
         """Stored decisions: rows (N, row width) of the environment, and actions (N, width)."""
         self._work, self._flown, self._held = work, flown, Actions()
-        self._resets = self._decisions = self._steps = 0
+        self._resets = self._count = self._steps = 0
         self._rng = np.random.default_rng(0)
         self._env: SwarmParallelEnv | None = None
 
@@ -109,16 +113,16 @@ class RemoteAgent:
 
     def act(self, observations: Observations, view: View | None) -> Actions:
         """Return the submission's actions for the drones' observations."""
-        if self._steps % self.every == 0:
+        if self._steps % self._every == 0:
             assert self._env is not None
             rows = self._env.core.rows
-            actions = self._asked("act", rows[0], rows.shape[:2])
+            actions = self._request("act", rows[0], rows.shape[:2])
             self._keep(rows, actions)
             self._held = dict(zip(self._env.possible_agents, actions[0], strict=True))
         self._steps += 1
         return self._held
 
-    def _asked(self, kind: str, rows: Float32Array, teams: tuple[int, ...]) -> Array:
+    def _request(self, kind: str, rows: Float32Array, teams: tuple[int, ...]) -> Array:
         assert self._env is not None
         shape = (*teams, self._env.core.mode.width)
         seen = [rows[..., self._where]]
@@ -131,12 +135,12 @@ class RemoteAgent:
 
     def _keep(self, rows: Float32Array, actions: Array) -> None:
         """Store a uniform random sample of decisions, unpredictable for the submission."""
-        self._decisions += 1
-        place, team = self._rng.integers((self._decisions, len(rows)))
-        if len(self.kept) < KEPT:
-            self.kept.append((rows[team].copy(), actions[team].copy()))
-        elif place < KEPT:
-            self.kept[place] = rows[team].copy(), actions[team].copy()
+        self._count += 1
+        place, team = self._rng.integers((self._count, len(rows)))
+        if len(self.decisions) < MOST_DECISIONS:
+            self.decisions.append((rows[team].copy(), actions[team].copy()))
+        elif place < MOST_DECISIONS:
+            self.decisions[place] = rows[team].copy(), actions[team].copy()
 
 
 class RemoteBatchAgent(RemoteAgent):
@@ -144,7 +148,7 @@ class RemoteBatchAgent(RemoteAgent):
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
         """Return the submission's actions for the rows of many teams."""
-        actions: Any = self._asked("batch", rows, rows.shape[:-1])
+        actions: Any = self._request("batch", rows, rows.shape[:-1])
         self._keep(rows, actions)
         return actions
 
@@ -160,7 +164,7 @@ def _checked(requires: Any) -> dict[str, Any]:
     for name, value in requires.items():
         check_name("required option", name, OPTIONS)
         if name.startswith("num_") and value is not None:
-            check_integer(name, value, 0, MOST_SEEN)
+            check_integer(name, value, 0, MOST_NEIGHBORS)
     return requires
 
 

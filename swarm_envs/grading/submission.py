@@ -20,19 +20,15 @@ MOST_SOURCE, MOST_FOLDER = 1 << 20, 1 << 28
 """Most bytes of a source file, and of the files that are copied with it."""
 LONGEST = 500
 """Most characters of a submission's message."""
+WORK_S, DECISION_S = 600.0, 30.0
+"""Time until a submission's first decision, and again for all others, by default, and time for a
+decision after the first, of one team or of many, s."""
 _SPARE = 1 << 20  # Bytes that an answer may have in excess to be reported as wrong in shape
 _DECISIONS = ("act", "batch", "plan")
 
 
 class WorkFailed(RuntimeError):
     """A submission raised an exception, gave an invalid answer, took too long or ended."""
-
-
-class Limits(NamedTuple):
-    """The time limits of a submission."""
-
-    work_s: float = 600.0  # Time until its first decision, and again for all others, s
-    decision_s: float = 30.0  # Time for a decision after the first, of one team or of many, s
 
 
 def printable(words: str) -> str:
@@ -47,15 +43,19 @@ def path_of(name: str) -> Path:
 
 
 class Clock:
-    """The time that a submission has left, for all its processes together."""
+    """The time that a submission has left, for all its processes together.
 
-    def __init__(self, limits: Limits) -> None:
-        self.limits, self.left_s, self._decides = limits, limits.work_s, False
+    Args:
+        work_s: the time until its first decision, and again for all others, s.
+    """
+
+    def __init__(self, work_s: float = WORK_S) -> None:
+        self.work_s, self.left_s, self._decides = work_s, work_s, False
 
     def begin_decisions(self) -> None:
         """Restart the time at the first decision, after compilation."""
         if not self._decides:
-            self.left_s, self._decides = self.limits.work_s, True
+            self.left_s, self._decides = self.work_s, True
 
 
 class Entry(NamedTuple):
@@ -94,7 +94,9 @@ class Entry(NamedTuple):
 
 
 @contextmanager
-def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) -> Iterator[Entry]:
+def entered(
+    name: str, expected: str, sandbox: Sandbox, clock: Clock, **more: Any
+) -> Iterator[Entry]:
     """Copy a submission to a temporary folder.
 
     The other files of its folder are copied too if the file has the name of the assignment, because
@@ -102,7 +104,7 @@ def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) 
 
     Args:
         name: the name of the submission.
-        asked: the name of submissions in the assignment, `file.py:Class`.
+        expected: the name of submissions in the assignment, `file.py:Class`.
         sandbox: its sandbox.
         clock: its time.
         **more: other fields of the entry.
@@ -113,7 +115,7 @@ def entered(name: str, asked: str, sandbox: Sandbox, clock: Clock, **more: Any) 
     path = path_of(name)
     with tempfile.TemporaryDirectory(prefix="swarm-envs-work-") as home:
         Path(home).chmod(0o755)  # the user in a container may differ
-        _copy(path, path.is_dir() or path.name == path_of(asked).name, Path(home))
+        _copy(path, path.is_dir() or path.name == path_of(expected).name, Path(home))
         chosen = f":{name.rpartition(':')[2]}" if path.suffix == ".py" else ""
         work = f"{path.name}{chosen}" if path.is_file() else "."
         yield Entry(work, Path(home), sandbox, clock, **more)
@@ -192,7 +194,7 @@ class RemoteWork:
             WorkFailed: the submission failed.
         """
         clock, begun = self._clock, time.monotonic()
-        limit = clock.limits.decision_s if kind in self._known else limit_s
+        limit = DECISION_S if kind in self._known else limit_s
         self._until = begun + min(limit, clock.left_s)
         try:
             if self._why:
@@ -219,7 +221,7 @@ class RemoteWork:
             return printable(f"gave an invalid answer: {error}")
         if time.monotonic() > self._until:
             slow = f"an answer took longer than {limit:g} s"
-            most = f"took longer than {self._clock.limits.work_s:g} s"
+            most = f"took longer than {self._clock.work_s:g} s"
             return slow if limit < self._clock.left_s else most
         code = self.process.end(1.0)  # its pipe is closed, so it is about to end
         errors = self._errors.read_bytes()[-2000:].decode(errors="replace")

@@ -42,7 +42,7 @@ def tiny(out: Path) -> RllibConfig:
         drones=2,
         num_neighbors=1,
         interactions="none",
-        judge_episodes=4,
+        evaluation_episodes=4,
         hidden=(8, 8),
         **size,
     )

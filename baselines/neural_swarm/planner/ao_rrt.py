@@ -13,7 +13,6 @@ plans last as long as the problem allows.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -113,7 +112,6 @@ def search(
     problem: PlanningProblem,
     config: SearchConfig | None = None,
     seed: int | np.random.Generator = 0,
-    watch: Callable[[float, int], object] = lambda cost, iterations: None,
 ) -> SearchResult:
     """Search valid trajectories of a team, and reduce their cost.
 
@@ -124,7 +122,6 @@ def search(
         problem: The planning problem.
         config: The options, or None for the defaults.
         seed: The random seed, or a generator.
-        watch: A function called after each outer loop with cost and iterations so far.
 
     Raises:
         ValueError: An edge is longer than the longest plan.
@@ -135,7 +132,7 @@ def search(
             f"edge is {options.edge} steps, but max_duration allows {problem.steps}; shorten it"
         )
     announce_compilation(grow_tree)
-    return _Search(problem, options, np.random.default_rng(seed)).run(watch)
+    return _Search(problem, options, np.random.default_rng(seed)).run()
 
 
 class _Search:
@@ -154,7 +151,7 @@ class _Search:
         self.iterations = 0
         self.deadline = time.monotonic() + (options.time_limit or np.inf)
 
-    def run(self, watch: Callable[[float, int], object]) -> SearchResult:
+    def run(self) -> SearchResult:
         """Run outer loops until a reason to stop."""
         costs: list[float] = []
         stop, idle = None, 0
@@ -165,7 +162,6 @@ class _Search:
             else:
                 self.replan_each()
             costs.append(float(self.cost))
-            watch(costs[-1], self.iterations)
             idle = 0 if self.cost < before else idle + 1
             stop = self.stop(idle)
         found = None if self.best is None else trajectories_through(self.problem, self.best)

@@ -27,7 +27,6 @@ import numpy.typing as npt
 from swarm_envs.baselines.neural_swarm.planner import trajectories as paths
 from swarm_envs.baselines.neural_swarm.planner.force_jacobian import force_jacobian
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.errors import check_integer, check_number
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -160,12 +159,6 @@ class SolverSettings:
     """The most iterations, after which an inexact solution is used and its status reported."""
     rho: float = 30.0
     """OSQP's step size, kept constant: OSQP adapts it by elapsed time, and results would vary."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of range."""
-        check_number("tolerance", self.tolerance, above=0.0)
-        check_integer("max_iterations", self.max_iterations, at_least=1)
-        check_number("rho", self.rho, above=0.0)
 
 
 @dataclass(frozen=True)

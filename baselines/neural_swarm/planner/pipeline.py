@@ -10,7 +10,6 @@ from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search as search_team
@@ -23,8 +22,6 @@ from swarm_envs.baselines.neural_swarm.planner.problem import (
     PlanningProblem,
 )
 from swarm_envs.baselines.neural_swarm.planner.scp import (
-    RefinementOptions,
-    StepRecord,
     merit_terms,
     refine,
 )
@@ -64,8 +61,6 @@ def plan_swarm(
     attempts: int = ATTEMPTS,
     initial: Trajectories | None = None,
     search: SearchConfig | None = None,
-    options: RefinementOptions | None = None,
-    progress: bool = False,
 ) -> SwarmPlan:
     """Plan the motions of a team under interaction forces (Neural-Swarm2, Algorithm 1).
 
@@ -84,8 +79,6 @@ def plan_swarm(
         attempts: The most attempts until a plan meets all requirements.
         initial: Motions to refine instead of those of stage 1.
         search: The options of stage 1; None for the defaults.
-        options: The options of stage 2; None for the defaults.
-        progress: True to show a progress bar.
 
     Returns:
         The plan; check `plan.converged` and `plan.reason` before using it.
@@ -116,12 +109,10 @@ def plan_swarm(
         _check_initial(problem, initial)
     deadline = math.inf if time_limit is None else began + time_limit
     plans: list[SwarmPlan] = []
-    with tqdm(desc="plan", unit="program", disable=not progress) as bar:
-        for attempt in range(attempts):
-            drawn = (seed, attempt)
-            plans.append(_run(problem, drawn, initial, search or SEARCH, options, deadline, bar))
-            if plans[-1].converged or initial is not None or time.monotonic() > deadline:
-                break
+    for attempt in range(attempts):
+        plans.append(_run(problem, (seed, attempt), initial, search or SEARCH, deadline))
+        if plans[-1].converged or initial is not None or time.monotonic() > deadline:
+            break
 
     def rank(plan: SwarmPlan) -> tuple[bool, bool, float]:
         """Return the sort key of a plan: converged, feasible and cheap ones come first."""
@@ -157,27 +148,20 @@ def _run(
     drawn: tuple[int, int],
     initial: Trajectories | None,
     search: SearchConfig,
-    options: RefinementOptions | None,
     deadline: float,
-    bar: Any,
 ) -> SwarmPlan:
     """Run both stages and the check of an attempt, with random draws by (seed, attempt)."""
     began, rng = time.monotonic(), np.random.default_rng(drawn)
     about: dict[str, Any] = {}
-
-    def show(record: StepRecord) -> None:
-        bar.set_postfix_str(f"sweep {record.sweep}, merit {record.merit:.4g}", refresh=False)
-        bar.update()
-
     if initial is None:
         left = _SEARCH_SHARE * (deadline - began)
         limit = min(search.time_limit or math.inf, max(left, _SHORTEST_SEARCH_S))
         config = replace(search, time_limit=limit) if limit < math.inf else search
-        initial, about = _first_motions(problem, config, rng, bar)
+        initial, about = _first_motions(problem, config, rng)
     else:
         initial = trajectories_through(problem, initial.states)
     searched = time.monotonic()
-    refined = refine(problem, initial, rng, options, deadline, show)
+    refined = refine(problem, initial, rng, deadline=deadline)
     check = check_plan(problem, refined.trajectories)
     lacks = "; ".join(check.shortcomings())
     converged, time_limit, iteration_limit, not_feasible = STATUSES
@@ -205,14 +189,10 @@ def _run(
 
 
 def _first_motions(
-    problem: PlanningProblem, config: SearchConfig, rng: np.random.Generator, bar: Any
+    problem: PlanningProblem, config: SearchConfig, rng: np.random.Generator
 ) -> tuple[Trajectories, dict[str, Any]]:
     """Return the motions of stage 1, or bent lines if it finds none; and its statistics."""
-
-    def show(cost: float, iterations: int) -> None:
-        bar.set_postfix_str(f"search: cost {cost:.3g} after {iterations} iterations")
-
-    found = search_team(problem, config, rng, show)
+    found = search_team(problem, config, rng)
     about = {
         "found": found.trajectories is not None,
         "stop": found.stop,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 import json
 import math
@@ -20,7 +19,7 @@ from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck
 from swarm_envs.errors import check_array, check_name, unknown_name
-from swarm_envs.files import read_npz, write_json, written_whole
+from swarm_envs.files import read_npz, written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team, Vehicle
@@ -77,31 +76,6 @@ class SwarmPlan:
         return self.status == STATUSES[0]
 
     @property
-    def times(self) -> FloatArray:
-        """The times (T + 1,) of the knots, s."""
-        return self.trajectories.times
-
-    @property
-    def states(self) -> FloatArray:
-        """The positions (m) and velocities (m/s) (T + 1, N, 6) at the knots."""
-        return self.trajectories.states
-
-    @property
-    def controls(self) -> FloatArray:
-        """The controls u (T, N, 3), held from knot to knot, m/s^2."""
-        return self.trajectories.controls
-
-    @property
-    def forces(self) -> FloatArray:
-        """The predicted forces f_a (T + 1, N, 3) at the knots, N."""
-        return self.trajectories.forces
-
-    @property
-    def duration(self) -> float:
-        """The time from start to goal, t_f, s."""
-        return self.trajectories.duration
-
-    @property
     def costs(self) -> dict[str, float]:
         """The cost of each stage's motions, (6), the integral of ||u|| over all robots, m/s."""
         return {"stage 1": self.initial.cost, "stage 2": self.trajectories.cost}
@@ -112,8 +86,9 @@ class SwarmPlan:
         Between knots, a polynomial of fifth order has the position, the velocity and the mean of
         the two accelerations at both ends, so that the acceleration is continuous.
         """
-        at = min(max(time, 0.0), self.duration)
-        moving = float(0.0 <= time < self.duration)
+        duration = self.trajectories.duration
+        at = min(max(time, 0.0), duration)
+        moving = float(0.0 <= time < duration)
         position, *slopes = (curve(at) for curve in self._curves)
         return Reference(np.asarray(position), *(np.asarray(moving * slope) for slope in slopes))
 
@@ -121,17 +96,17 @@ class SwarmPlan:
     def _curves(self) -> tuple[Any, ...]:
         from scipy.interpolate import BPoly
 
-        states = self.states.copy()
+        states = self.trajectories.states.copy()
         states[[0, -1], :, 3:] = 0.0  # The solver leaves velocities below its tolerance
         held = np.diff(states[..., 3:], axis=0) / self.trajectories.dt
         acceleration = np.zeros_like(states[..., 3:])
         acceleration[1:-1] = 0.5 * (held[1:] + held[:-1])
         rows = np.stack([states[..., :3], states[..., 3:], acceleration], axis=1)
-        curve = BPoly.from_derivatives(self.times, rows)
+        curve = BPoly.from_derivatives(self.trajectories.times, rows)
         return curve, *(curve.derivative(order) for order in (1, 2, 3))
 
     def save(self, path: str | Path) -> None:
-        """Write the plan to an `.npz` or `.json` file, atomically.
+        """Write the plan to an `.npz` file, atomically.
 
         Raises:
             ValueError: The suffix is another.
@@ -141,10 +116,6 @@ class SwarmPlan:
         arrays, about = {"starts": self.starts, "goals": self.goals}, _about(self)
         for owner, part in itertools.product(_MOTIONS, _PARTS):
             arrays[f"{owner}_{part}"] = getattr(getattr(self, owner), part)
-        about["sha256"] = _digest(arrays, about)
-        if file.suffix.lower() == ".json":
-            write_json(file, {"about": about, **{name: a.tolist() for name, a in arrays.items()}})
-            return
         written: dict[str, Any] = {**arrays, "about": np.array(json.dumps(about, allow_nan=False))}
         with written_whole(file) as partial:
             np.savez_compressed(partial, **written)
@@ -159,20 +130,16 @@ class SwarmPlan:
         """
         file = _checked(path)
         try:
-            if file.suffix.lower() == ".npz":
-                raw: dict[str, Any] = read_npz(file)
-                return _assemble(json.loads(str(raw.pop("about"))), raw)
-            raw = json.loads(file.read_text(encoding="utf-8-sig"))
-            return _assemble(raw.pop("about"), raw)
+            raw: dict[str, Any] = read_npz(file)
+            return _assemble(json.loads(str(raw.pop("about"))), raw)
         except _DAMAGE as error:
             what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
             raise ValueError(f"{str(file)!r} is no plan, or damaged: {what}") from error
 
 
-# ---- Files of plans, npz or JSON, with a checksum
+# ---- Files of plans
 
 _VERSION = 1  # The version of the format
-_SUFFIXES = (".npz", ".json")
 _PARTS = ("states", "controls", "forces")
 _MOTIONS = ("trajectories", "initial")
 _DAMAGE = (ValueError, TypeError, KeyError, AttributeError)
@@ -180,8 +147,8 @@ _DAMAGE = (ValueError, TypeError, KeyError, AttributeError)
 
 def _checked(path: str | Path) -> Path:
     file = Path(path)
-    if file.suffix.lower() not in _SUFFIXES:
-        raise ValueError(unknown_name("suffix", file.suffix, _SUFFIXES, f"of {str(file)!r}"))
+    if file.suffix.lower() != ".npz":
+        raise ValueError(unknown_name("suffix", file.suffix, (".npz",), f"of {str(file)!r}"))
     return file
 
 
@@ -216,15 +183,6 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _digest(arrays: dict[str, FloatArray], about: dict[str, Any]) -> str:
-    rest = {key: value for key, value in about.items() if key != "sha256"}
-    digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
-    for name in sorted(arrays):
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(arrays[name], dtype=np.float64).tobytes())
-    return digest.hexdigest()
-
-
 def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
     if about["version"] != _VERSION:
         raise ValueError(f"it is of version {about['version']!r}, but must be of {_VERSION}")
@@ -236,8 +194,6 @@ def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
         widths = ((steps + 1, count, 6), (steps, count, 3), (steps + 1, count, 3))
         shapes |= {f"{owner}_{part}": shape for part, shape in zip(_PARTS, widths)}
     arrays = {name: check_array(name, raw[name], shape) for name, shape in shapes.items()}
-    if about["sha256"] != _digest(arrays, about):
-        raise ValueError("its numbers are not those that were written: the checksum differs")
     motions: dict[str, Any] = {
         owner: Trajectories(**{p: arrays[f"{owner}_{p}"] for p in _PARTS}, dt=float(about["dt"]))
         for owner in _MOTIONS

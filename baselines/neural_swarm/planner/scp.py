@@ -25,11 +25,9 @@ from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     PenaltyWeights,
     ProgramSolution,
     RobotProgram,
-    SolverSettings,
     convexify,
 )
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.errors import check_integer, check_number, check_type
 from swarm_envs.state import FloatArray
 
 
@@ -90,55 +88,19 @@ def _force_excess(
     return np.asarray(np.abs(forces) / bounds - 1.0)
 
 
+MAX_SWEEPS = 80
+"""The most sweeps, in each of which all robots are planned once."""
+MAX_TIGHTENINGS = 4
+"""The most times that force bounds are lowered because forces exceed them between knots."""
+_TRUST_POSITION, _TRUST_SPEED, _TRUST_CONTROL = 0.3, 1.0, 5.0
+"""The initial and largest b_x of positions, m, and velocities, m/s, and b_u, m/s^2."""
+_GROW, _SHRINK = 1.5, 0.4
+"""The factors of a trust region after an accepted and after a rejected step."""
+_LEAST_TRUST = 2e-3  # Share of the trust region at which a robot has settled
+_RENEWED_TRUST = 0.2  # Least share of the trust region after force bounds were lowered
+_TOLERANCE = 2e-4  # Share of the merit below which a predicted improvement is negligible
 _NEARLY = 5e-3  # Share of a force bound by which it may be exceeded between knots
-
-
-@dataclass(frozen=True)
-class RefinementOptions:
-    """The options of stage 2."""
-
-    max_sweeps: int = 80
-    """The most sweeps, in each of which all robots are planned once."""
-    trust_position: float = 0.3
-    """The initial and largest b_x of positions, m."""
-    trust_speed: float = 1.0
-    """The initial and largest b_x of velocities, m/s."""
-    trust_control: float = 5.0
-    """The initial and largest b_u, m/s^2."""
-    grow: float = 1.5
-    """The factor by which a trust region grows after an accepted step."""
-    shrink: float = 0.4
-    """The factor by which it shrinks after a rejected step."""
-    least_trust: float = 2e-3
-    """The share of the trust region at which a robot has settled."""
-    max_tightenings: int = 4
-    """The most times that force bounds are lowered because forces exceed them between knots."""
-    renewed_trust: float = 0.2
-    """The least share of the trust region after that."""
-    tolerance: float = 2e-4
-    """The share of the merit below which a predicted improvement is negligible."""
-    weights: PenaltyWeights = PenaltyWeights()
-    """The weights of goals and bounds."""
-    solver: SolverSettings = SolverSettings()
-    """The settings of each program's solver."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of range."""
-        check_type("weights", self.weights, PenaltyWeights)
-        check_type("solver", self.solver, SolverSettings)
-        for name in ("max_sweeps", "max_tightenings"):
-            check_integer(name, getattr(self, name), at_least=0)
-        for name in (
-            "trust_position",
-            "trust_speed",
-            "trust_control",
-            "grow",
-            "shrink",
-            "least_trust",
-            "renewed_trust",
-            "tolerance",
-        ):
-            check_number(name, getattr(self, name), at_least=0.0)
+_WEIGHTS = PenaltyWeights()
 
 
 @dataclass(frozen=True)
@@ -172,22 +134,20 @@ class RefinementResult:
 class _Refiner:
     """The state of one refinement."""
 
-    def __init__(
-        self, problem: PlanningProblem, motions: paths.Trajectories, options: RefinementOptions
-    ) -> None:
+    def __init__(self, problem: PlanningProblem, motions: paths.Trajectories) -> None:
         team = len(problem.team)
-        self.problem, self.motions, self.options = problem, motions, options
+        self.problem, self.motions = problem, motions
         self.force_bounds, self.tightened = problem.bounds.force_bounds(problem.team), 0
         self.trust, self.settled = np.ones(team), np.zeros(team, dtype=np.bool_)
         self.history: list[StepRecord] = []
         shape = (motions.steps, len(problem.axes), team - 1)
-        self.programs = [RobotProgram(*shape, options.weights, options.solver) for _ in range(team)]
+        self.programs = [RobotProgram(*shape, _WEIGHTS) for _ in range(team)]
         self.evaluate()
 
     def evaluate(self) -> None:
         """Update the merit of the present motions under the present force bounds."""
         self.terms = merit_terms(self.problem, self.motions, self.force_bounds)
-        self.merit = self.terms.team(self.options.weights)
+        self.merit = self.terms.team(_WEIGHTS)
 
     def tighten(self) -> bool:
         """Lower the force bounds that are exceeded between knots; return True if any was."""
@@ -196,41 +156,41 @@ class _Refiner:
             axis=(0, 1)
         )
         excess = 1.0 + np.maximum(peak, 0.0)
-        if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
+        if self.tightened == MAX_TIGHTENINGS or excess.max() < 1.0 + _NEARLY:
             return False
         self.tightened += 1
         margin = np.where(excess > 1.0, 1.0 + _NEARLY, 1.0)
         self.force_bounds = self.force_bounds / (excess * margin)
-        self.settled[:], self.trust[:] = False, np.maximum(self.trust, self.options.renewed_trust)
+        self.settled[:], self.trust[:] = False, np.maximum(self.trust, _RENEWED_TRUST)
         self.evaluate()
         return True
 
     def step(self, sweep: int, robot: int) -> None:
         """Solve one robot's program, and take the step if it reduces the team's merit."""
-        began, options, trust = time.perf_counter(), self.options, float(self.trust[robot])
+        began, trust = time.perf_counter(), float(self.trust[robot])
         convex = convexify(
             self.problem,
             self.motions,
             robot,
-            (trust * options.trust_position, trust * options.trust_speed),
-            trust * options.trust_control,
+            (trust * _TRUST_POSITION, trust * _TRUST_SPEED),
+            trust * _TRUST_CONTROL,
             self.force_bounds,
         )
         solution = self.programs[robot].solve(convex)
         spent = time.perf_counter() - began
-        own = self.terms.robot(robot, options.weights)
+        own = self.terms.robot(robot, _WEIGHTS)
         promised = own - solution.objective if solution.usable else 0.0
         gained = self._try(robot, solution)
         taken = gained > 0.0
-        little = options.tolerance * max(self.merit, 1.0)
-        tiny = trust * options.shrink < options.least_trust
+        little = _TOLERANCE * max(self.merit, 1.0)
+        tiny = trust * _SHRINK < _LEAST_TRUST
         self.settled[robot] = solution.usable and (promised < little or (not taken and tiny))
         if taken and gained > little:
             self.settled[:] = False  # Others may now be able to improve
-        change = options.grow if taken else options.shrink
+        change = _GROW if taken else _SHRINK
         if not solution.usable:
-            change = options.grow  # The trust region was too small to contain a solution
-        self.trust[robot] = min(1.0, max(trust * change, options.least_trust))
+            change = _GROW  # The trust region was too small to contain a solution
+        self.trust[robot] = min(1.0, max(trust * change, _LEAST_TRUST))
         self.history.append(
             StepRecord(
                 sweep=sweep,
@@ -253,7 +213,7 @@ class _Refiner:
         velocity = solution.states[:, len(self.problem.axes) :]
         motions = with_velocity(self.problem, self.motions, robot, velocity)
         terms = merit_terms(self.problem, motions, self.force_bounds)
-        merit = terms.team(self.options.weights)
+        merit = terms.team(_WEIGHTS)
         gained = self.merit - merit
         if gained > 0.0:
             self.motions, self.terms, self.merit = motions, terms, merit
@@ -264,7 +224,6 @@ def refine(
     problem: PlanningProblem,
     initial: paths.Trajectories,
     rng: np.random.Generator,
-    options: RefinementOptions | None = None,
     deadline: float = float("inf"),
     watch: Callable[[StepRecord], None] | None = None,
 ) -> RefinementResult:
@@ -273,9 +232,9 @@ def refine(
     The initial motions begin at the starts, and may miss goals and exceed bounds. `watch` is called
     after every program.
     """
-    state = _Refiner(problem, initial, options or RefinementOptions())
+    state = _Refiner(problem, initial)
     out_of_time = False
-    for sweep in range(state.options.max_sweeps):
+    for sweep in range(MAX_SWEEPS):
         for robot in rng.permutation(len(problem.team)):
             out_of_time = time.monotonic() > deadline
             if out_of_time:
@@ -291,7 +250,7 @@ def refine(
     elif out_of_time:
         reason = "the time limit was reached"
     else:
-        reason = f"not converged after {state.options.max_sweeps} sweeps"
+        reason = f"not converged after {MAX_SWEEPS} sweeps"
     return RefinementResult(state.motions, tuple(state.history), converged, out_of_time, reason)
 
 

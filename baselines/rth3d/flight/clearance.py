@@ -30,8 +30,7 @@ def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> fl
     """Return the least distance of robots on any valid plan's splines, over the spacing along x.
 
     Args:
-        stretch: The spacing by axis over that along x; for a scaled distance, after the division of
-            heights by Theta.
+        stretch: The spacing by axis over that along x.
 
     Returns:
         A lower bound: 0.647 on a cubic lattice, where straight motion has 1 / sqrt(2).
@@ -94,10 +93,8 @@ def _least_square(d: FloatArray, stretch: FloatArray, weights: FloatArray) -> fl
     return least
 
 
-def smallest_distance(
-    flight: SplineFlight, scaling: tuple[float, float, float], samples: int = 8
-) -> float:
-    """Return the least scaled distance of a flight's robots, at samples of each step, m."""
+def smallest_distance(flight: SplineFlight, samples: int = 8) -> float:
+    """Return the least distance of a flight's robots, at samples of each step, m."""
     from scipy.spatial import cKDTree
 
     if flight.num_robots < 2:
@@ -105,7 +102,7 @@ def smallest_distance(
     times = np.arange(flight.num_steps * samples + 1) * (flight.step_s / samples)
     least = math.inf
     for time in times:
-        points = flight.reference(float(time)).position / np.array(scaling)
+        points = flight.reference(float(time)).position
         distance, _ = cKDTree(points).query(points, k=2)
         least = min(least, float(distance[:, 1].min()))
     return least

@@ -28,13 +28,13 @@ from swarm_envs.baselines.mlr_dmpc.condensed_qp import solve_qp
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.compiled import kernel
-from swarm_envs.errors import check_array, check_integer, check_number, check_numbers, check_type
 from swarm_envs.state import FloatArray, IntArray
 
 __all__ = ["SmoothingConfig", "smooth"]
 
 BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
 """The Bezier points of a step, by row, from its four control points."""
+_TRAVEL_M = 0.25  # The farthest that a control point moves by axis in a round
 
 
 class _Planes(NamedTuple):
@@ -42,7 +42,7 @@ class _Planes(NamedTuple):
 
     robot: IntArray  # (P,) the robot to which it applies
     step: IntArray  # (P,) the step in which it applies
-    normal: FloatArray  # (P, 3) of unit length in the scaled metric
+    normal: FloatArray  # (P, 3) of unit length
     offset: FloatArray  # (P, 4) one for each Bezier point, m
 
     def some(self, which: IntArray | slice) -> _Planes:
@@ -61,39 +61,34 @@ def bezier_points(control: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("bk,...kx->...bx", BEZIER, windows))
 
 
-def planes_between(
-    flight: SplineFlight, distance: float, scaling: FloatArray, travel: float
-) -> _Planes:
+def planes_between(flight: SplineFlight, distance: float) -> _Planes:
     """Return planes halfway between robots that could come close, for both of each pair.
 
-    The present flight satisfies every plane: pairs that are closer than `distance` keep their
-    distance. `travel` is the farthest that control points may move by axis, m.
+    The present flight satisfies every plane: pairs that are closer than `distance`, m, keep their
+    distance.
     """
-    points = bezier_points(flight.control) / scaling
-    steps, first, second = _near_pairs(points, distance, travel / float(scaling.min()))
+    points = bezier_points(flight.control)
+    steps, first, second = _near_pairs(points, distance)
     a, b = points[steps, first], points[steps, second]
     normal, apart = _nearest_points(np.ascontiguousarray(a - b))
-    world = normal / scaling
-    near = (apart - distance) / 2 < travel * np.abs(world).sum(axis=1)
+    near = (apart - distance) / 2 < _TRAVEL_M * np.abs(normal).sum(axis=1)
     steps, first, second, a, b = (x[near] for x in (steps, first, second, a, b))
-    normal, world, apart = normal[near], world[near], apart[near]
+    normal, apart = normal[near], apart[near]
     half = np.minimum(distance, apart)[:, None] / 2
     middle = np.einsum("px,pkx->pk", normal, (a + b) / 2)
     return _Planes(
         np.concatenate([first, second]),
         np.concatenate([steps, steps]),
-        np.concatenate([world, -world]),
+        np.concatenate([normal, -normal]),
         np.concatenate([middle + half, half - middle]),
     )
 
 
-def _near_pairs(
-    points: FloatArray, distance: float, travel: float
-) -> tuple[IntArray, IntArray, IntArray]:
+def _near_pairs(points: FloatArray, distance: float) -> tuple[IntArray, IntArray, IntArray]:
     """Return steps and pairs of robots (first < second) that could come within a distance."""
     middle = points.mean(axis=2)
     radius = np.linalg.norm(points - middle[:, :, None], axis=-1).max(axis=2)
-    apart = distance + 2.0 * np.sqrt(3.0) * travel
+    apart = distance + 2.0 * np.sqrt(3.0) * _TRAVEL_M
     reach = apart + 2.0 * radius.max(initial=0.0)
     found = [cKDTree(row).query_pairs(reach, output_type="ndarray") for row in middle]
     steps = np.repeat(np.arange(len(found)), [len(pairs) for pairs in found])
@@ -104,13 +99,11 @@ def _near_pairs(
     return steps[near], first[near], second[near]
 
 
-def planes_to_boxes(
-    flight: SplineFlight, boxes: FloatArray, distance: float, travel: float
-) -> _Planes:
+def planes_to_boxes(flight: SplineFlight, boxes: FloatArray, distance: float) -> _Planes:
     """Return planes at a distance, m, from the faces of near boxes (B, 2, 3).
 
     The face of a box is that from which a robot is farthest. A robot that is closer keeps its
-    distance. `travel` is as for `planes_between`.
+    distance.
     """
     points = bezier_points(flight.control)
     nothing = np.empty(0, dtype=np.int64)
@@ -119,7 +112,7 @@ def planes_to_boxes(
         gaps = np.concatenate([low - points.max(axis=2), points.min(axis=2) - high], axis=-1)
         face = gaps.argmax(axis=-1)
         best = np.take_along_axis(gaps, face[..., None], axis=-1)[..., 0]
-        step, robot = np.nonzero(best < distance + 2.0 * travel)
+        step, robot = np.nonzero(best < distance + 2.0 * _TRAVEL_M)
         chosen = face[step, robot]
         normal = np.concatenate([-np.eye(3), np.eye(3)])[chosen]
         surface = np.concatenate([-low, high])[chosen]
@@ -187,11 +180,11 @@ class _Smoothness(NamedTuple):
     rows: FloatArray
 
 
-def smoothness(count: int, jerk_weight: float) -> _Smoothness:
+def smoothness(count: int) -> _Smoothness:
     """Return the cost of K control points, at least 7, by squared second and third differences."""
     eye = np.eye(count)
     second, third = np.diff(eye, n=2, axis=0), np.diff(eye, n=3, axis=0)
-    hessian = second.T @ second + jerk_weight * (third.T @ third)
+    hessian = second.T @ second + third.T @ third
     free = slice(FIXED, count - FIXED)
     held = np.r_[:FIXED, count - FIXED : count]
     lower = np.linalg.cholesky(hessian[free, free])
@@ -285,46 +278,22 @@ _ROUNDING = 1e-5  # By how much robots may come closer, due to the tolerance of 
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothingConfig:
-    """The distances, limits and rounds of smoothing.
-
-    Raises:
-        ValueError: A number is out of range.
-    """
+    """The distances, limits and rounds of smoothing."""
 
     distance: float
-    """The scaled distance of robots, m; closer ones keep their distance."""
-    scaling: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """The diagonal of Theta, by which distances are divided."""
+    """The distance of robots, m; closer ones keep their distance."""
     box: tuple[tuple[float, float, float], tuple[float, float, float]]
     """The corners of the box in which robots may fly, m; enlarged to contain the present flight."""
     obstacles: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
     """The corners of boxes to avoid, m."""
     obstacle_distance: float = 0.1
     """The distance from them, m; closer robots keep their distance."""
-    travel: float = 0.25
-    """The farthest that a control point moves by axis in a round, m."""
     rounds: int = 5
     """The number of rounds."""
-    jerk_weight: float = 1.0
-    """The weight of squared third differences relative to squared second differences."""
     speed: float = 2.0
     """The largest speed by axis, m/s."""
     acceleration: float = 5.0
     """The largest acceleration by axis, m/s^2."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of range."""
-        for name in ("distance", "obstacle_distance", "travel"):
-            check_number(name, getattr(self, name), above=0.0, unit="m")
-        check_numbers("scaling", self.scaling, 3, above=0.0)
-        check_array("box", self.box, (2, 3))
-        check_type("obstacles", self.obstacles, tuple)
-        for box in self.obstacles:
-            check_array("one of obstacles", box, (2, 3))
-        check_integer("rounds", self.rounds, at_least=1)
-        check_number("jerk_weight", self.jerk_weight, at_least=0.0)
-        for name in ("speed", "acceleration"):
-            check_number(name, getattr(self, name), above=0.0)
 
 
 def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
@@ -336,10 +305,10 @@ def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
     if flight.num_steps <= FIXED:
         return flight
     safe = flight
-    kept = min(config.distance, smallest_distance(flight, config.scaling)) - _ROUNDING
+    kept = min(config.distance, smallest_distance(flight)) - _ROUNDING
     for _ in range(config.rounds):
         flight = _round(flight, config)
-        if smallest_distance(flight, config.scaling) >= kept:
+        if smallest_distance(flight) >= kept:
             safe = flight
     return faster(safe, config.speed, config.acceleration)
 
@@ -352,16 +321,15 @@ def faster(flight: SplineFlight, speed: float, acceleration: float) -> SplineFli
 
 
 def _round(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
-    scaling = np.array(config.scaling)
     boxes = np.array(config.obstacles, dtype=np.float64).reshape(-1, 2, 3)
     planes = (
-        planes_between(flight, config.distance, scaling, config.travel),
-        planes_to_boxes(flight, boxes, config.obstacle_distance, config.travel),
+        planes_between(flight, config.distance),
+        planes_to_boxes(flight, boxes, config.obstacle_distance),
     )
     together = _join(planes)
     together = together.some(np.argsort(together.robot, kind="stable"))
     bounds = np.searchsorted(together.robot, np.arange(flight.num_robots + 1))
-    cost = smoothness(len(flight.control), config.jerk_weight)
+    cost = smoothness(len(flight.control))
     control = flight.control.copy()
     for i in range(flight.num_robots):
         own = together.some(slice(bounds[i], bounds[i + 1]))
@@ -377,4 +345,4 @@ def _reach(
     low = np.minimum(np.array(config.box[0]), control.min(axis=0))
     high = np.maximum(np.array(config.box[1]), control.max(axis=0))
     free = control[FIXED:-FIXED]
-    return np.maximum(low, free - config.travel), np.minimum(high, free + config.travel)
+    return np.maximum(low, free - _TRAVEL_M), np.minimum(high, free + _TRAVEL_M)

@@ -11,13 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 
-__all__ = ["on_grid", "shortest_step"]
+__all__ = ["shortest_step"]
 
 DEGREE = 3  # The degree of the splines
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
@@ -100,18 +99,6 @@ class SplineFlight:
         differences = [np.diff(self.control, n=k, axis=0) / self.step_s**k for k in (1, 2, 3)]
         speed, acceleration, jerk = (float(np.abs(d).max(initial=0.0)) for d in differences)
         return speed, acceleration, jerk
-
-
-def on_grid(
-    paths: npt.NDArray[np.integer], spacing: FloatArray, origin: FloatArray, step_s: float
-) -> SplineFlight:
-    """Return the flight along paths (T + 1, n, 3) on a grid of spacing (3,) and origin (3,), m.
-
-    A step lasts `step_s`, which should be at least `shortest_step`.
-    """
-    points = np.asarray(origin) + np.asarray(spacing) * np.asarray(paths, dtype=np.float64)
-    ends = [points[:1]] * 2, [points[-1:]] * 2
-    return SplineFlight(np.concatenate([*ends[0], points, *ends[1]]), step_s)
 
 
 def shortest_step(spacing: FloatArray, speed: float, acceleration: float) -> float:

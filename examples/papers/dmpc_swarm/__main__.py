@@ -1,7 +1,6 @@
-"""Reproduce a figure of DMPC-Swarm, or sweep the message loss of the radio.
+"""Reproduce a figure of DMPC-Swarm.
 
     python -m examples.papers.dmpc_swarm figure-3b --seeds 1 --out runs/figure-3b
-    python -m examples.papers.dmpc_swarm losses --out runs/losses
 
 Each command prints its numbers, for figures beside those of the paper, and writes them as JSON,
 with a picture.
@@ -12,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from examples.papers.common import run_command
-from examples.papers.dmpc_swarm.figures import figure_3a, figure_3b, figure_3c, figure_4, losses
+from examples.papers.dmpc_swarm.figures import figure_3a, figure_3b, figure_3c, figure_4
 from examples.papers.dmpc_swarm.hall import figures_in_hall
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -21,7 +20,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "figure-3c": figure_3c,
     "figure-4": figure_4,
     "hall": figures_in_hall,
-    "losses": losses,
 }
 
 

@@ -1,15 +1,15 @@
-"""Pictures of DMPC-Swarm's figures and of the sweep of message loss."""
+"""Pictures of DMPC-Swarm's figures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from examples.papers.common import Array
-from examples.papers.dmpc_swarm.flights import CRASH_M, ReferenceFlight, median_total
+from examples.papers.dmpc_swarm.flights import CRASH_M, ReferenceFlight
 from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig
 from swarm_envs.viewing.style import GREY, picture
 
@@ -88,29 +88,3 @@ def draw_jam(path: Path, flights: Mapping[str, ReferenceFlight], jam_s: float) -
         last.set(xlabel="Time (s)", ylabel="Least scaled distance (m)", ylim=(0.0, 0.5))
         last.legend(fontsize=8, title="recovery")
         last.grid(True)
-
-
-def draw_losses(
-    path: Path,
-    cases: Mapping[str, Mapping[str, Any]],
-    losses: Sequence[float],
-    recoveries: Sequence[str],
-) -> None:
-    """Draw the time to the last arrival and the least distance over the share of messages lost."""
-    with picture(path, 10.0, 4.2, "Message loss, by recovery") as figure:
-        left, right = figure.subplots(1, 2)
-        place = np.arange(len(losses))
-        for name, color in zip(recoveries, COLORS, strict=True):
-            own = [cases[f"{100 * loss:g} %, {name}"] for loss in losses]
-            least = [min(case["least_scaled_distance_m"]) for case in own]
-            left.plot(place, [median_total(case) for case in own], "o-", color=color, label=name)
-            right.plot(place, least, "o-", color=color, label=name)
-        left.set(ylabel="Median time to the last arrival (s)", ylim=(0.0, None))
-        left.set_title("No point: half or more of the runs do not arrive")
-        right.set(ylabel="Least scaled distance of any run (m)", ylim=(0.0, None))
-        right.axhline(CRASH_M, color=CRASH, linestyle="--", linewidth=0.9, label="crash")
-        for axis in (left, right):
-            axis.set_xticks(place, [f"{100 * loss:g}" for loss in losses])
-            axis.set_xlabel("Messages lost (%)")
-            axis.legend(fontsize=8, title="recovery")
-            axis.grid(True)

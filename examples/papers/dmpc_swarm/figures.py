@@ -1,4 +1,4 @@
-"""Figs. 3a to 4 of DMPC-Swarm, and a sweep of message loss.
+"""Figs. 3a to 4 of DMPC-Swarm.
 
 The paper prints no times. Those in brackets are of the authors' public simulation, on other
 formations (https://github.com/Data-Science-in-Mechanical-Engineering/DMPC-Swarm, commit ad30d51,
@@ -22,12 +22,10 @@ from examples.papers.common import (
     markdown,
     within,
     write_compared,
-    write_json,
 )
 from examples.papers.dmpc_swarm.drawing import (
     draw_formations,
     draw_jam,
-    draw_losses,
     draw_sequence,
 )
 from examples.papers.dmpc_swarm.flights import (
@@ -43,8 +41,6 @@ from examples.papers.dmpc_swarm.flights import (
 from swarm_envs.baselines.mlr_dmpc import Jam, LossModel, MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
 
-LOSSES = (0.0, 1e-4, 0.01, 0.1, 0.2, 0.3, 0.4, 0.5)
-"""Shares of messages lost in the sweep."""
 RECOVERIES: dict[str, dict[str, Any]] = {
     "ours": OURS,
     "paper's": PUBLISHED,
@@ -243,22 +239,6 @@ def compare_recoveries(cases: Cases) -> list[Row]:
     ]
 
 
-def losses(options: FlightOptions) -> None:
-    """Time and distance by the share of messages that the radio loses, for each recovery.
-
-    The paper has no such figure. Writes losses.json (times and least distances of each case) and
-    losses.png.
-    """
-    cases = {
-        f"{100 * loss:g} %, {name}": {**way, "loss": loss}
-        for name, way in RECOVERIES.items()
-        for loss in LOSSES
-    }
-    numbers, _ = fly_cases(fly_circle, cases, options)
-    draw_losses(options.out / "losses.png", numbers["cases"], LOSSES, tuple(RECOVERIES))
-    finish(options, "losses", numbers, [])
-
-
 def fly_formations(
     options: FlightOptions, figure: str, cases: Mapping[str, Mapping[str, Any]], by: str
 ) -> dict[str, Any]:
@@ -359,8 +339,5 @@ def finish(options: Options, name: str, numbers: dict[str, Any], rows: Sequence[
     path = options.out / f"{name}.json"
     if "cases" in numbers:
         print(flight_table(numbers["cases"]), end="\n\n")
-    if rows:
-        write_compared(path, numbers, rows)
-    else:
-        write_json(path, numbers)
+    write_compared(path, numbers, rows)
     print(f"wrote {name}.json and {name}.png to {options.out}")

@@ -13,11 +13,7 @@ from examples.papers.neural_swarm2.collection import table_2
 from examples.papers.neural_swarm2.curriculum import curriculum
 from examples.papers.neural_swarm2.flight_figures import figure_1, figure_8, figure_9
 from examples.papers.neural_swarm2.force_figure import figure_5
-from examples.papers.neural_swarm2.hall import hall
 from examples.papers.neural_swarm2.import_logs import import_logs
-from examples.papers.neural_swarm2.lag import lag
-from examples.papers.neural_swarm2.limits import limits
-from examples.papers.neural_swarm2.plan_pictures import plan_picture
 from examples.papers.neural_swarm2.planning_figures import figure_6, figure_7
 from examples.papers.neural_swarm2.real_flights import real_flights
 from examples.papers.neural_swarm2.vehicles import table_1
@@ -34,13 +30,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "table-2": table_2,
     "table-3": table_3,
     "curriculum": curriculum,
-    "plan": plan_picture,
     "as-flown": as_flown,
     "real-flights": real_flights,
-    "lag": lag,
     "ball": ball,
-    "limits": limits,
-    "hall": hall,
     "adaptation": adaptation,
 }
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,6 @@ from tqdm import tqdm
 
 from examples.papers.common import markdown, write_json
 from examples.papers.neural_swarm2 import theorem
-from examples.papers.neural_swarm2.bars import draw_bars
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import run_flights, swap_test
@@ -30,6 +29,9 @@ from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
 from swarm_envs.viewing.style import GREY, INK, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 RATE_G = 0.5  # d_f: how fast the model error changes, gram-force a second
 SIZE_G = 5.0  # bound of the random errors, gram-force; the growing one reaches RATE_G * DURATION_S
@@ -184,7 +186,7 @@ def measure_belief(seed: int, flights: int) -> dict[str, float]:
     controller = ControllerConfig(feedforward=load_belief())
     test = replace(swap_test("L2S", truth="learned"), decision_rate=PHYSICS_RATE)
     flown = run_flights(test, controller, frozen_seeds(seed, flights))
-    error = (flown.force - flown.believed)[:, 1:, -1]
+    error = (flown.force - flown.feedforward_force)[:, 1:, -1]
     size = float(_norms(error).max())
     rate = float(_norms(np.diff(error, axis=1)).max() / TIME_STEP)
     radius = theorem.error_ball(controller.gains, SMALL.mass, rate).radius
@@ -225,6 +227,19 @@ def plot_ball(
         growing.set_ylim(0.0, 3.2 * mid["ball_cm"])
         drawn = (("ball", "#B8BEC5", "ball, eq. (23)"), *(plant[:3] for plant in PLANTS))
         series = {label: (color, [row[f"{key}_cm"] for row in rows]) for key, color, label in drawn}
-        draw_bars(balls, [row["gains"] for row in rows], series)
+        _draw_bars(balls, [row["gains"] for row in rows], series)
         balls.legend(fontsize=8, ncols=2, loc="upper center")
         balls.set(title="Worst error, by gains", ylim=(1.0, 500.0), ylabel="Largest error (cm)")
+
+
+def _draw_bars(
+    axis: Axes, groups: Sequence[str], series: Mapping[str, tuple[str, Sequence[float]]]
+) -> None:
+    """Draw series (color and heights by label) on a logarithmic axis, numbers above the bars."""
+    for k, (label, (color, heights)) in enumerate(series.items()):
+        places = np.arange(len(groups)) + 0.2 * (k - 0.5 * (len(series) - 1))
+        bars = axis.bar(places, heights, 0.19, color=color, label=label)
+        axis.bar_label(bars, [f"{y:.3g}" for y in heights], fontsize=8, color=INK)
+    axis.set_yscale("log")
+    axis.set_xticks(range(len(groups)), groups)
+    axis.grid(True, axis="y")

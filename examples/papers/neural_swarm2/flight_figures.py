@@ -156,7 +156,7 @@ def fly_figure(
         "versions": versions(),
         "truths": [_conditions_row(options, c, cases[c], flown[c]) for c in cases],
     }
-    compared = [row for air in report["truths"] for row in compare(air)]
+    compared = [row for group in report["truths"] for row in compare(group)]
     write_compared(options.out / f"figure_{figure}.json", report, compared)
     draw = plot_swaps if figure == 8 else plot_rings
     draw(options.out / f"figure_{figure}.png", report, list(cases.values()), list(flown.values()))
@@ -173,7 +173,7 @@ def _conditions_row(
     flown: Sequence[PairedFlights],
 ) -> dict[str, Any]:
     return {
-        "air": conditions.name,
+        "forces": conditions.name,
         "world": conditions.world,
         "truth": describe_model(load(conditions.truth)),
         "belief": describe_model(options.model(conditions.truth)),
@@ -204,9 +204,6 @@ def case_row(case: FlightCase, flown: PairedFlights) -> dict[str, Any]:
         "crashed": dict(zip(SIDES, flown["crashed"].sum(axis=1).tolist())),
         "least_separation_m": dict(zip(SIDES, flown["separation_m"].min(axis=1).round(4).tolist())),
         "explained": round(float(flown["explained"]), 4),
-        "mean_neighbors": round(float(flown["neighbors"][0]), 2),
-        "most_neighbors": int(flown["neighbors"][1]),
-        "others_cm": None if case.drone is None else _others(flown),
         "worst_height_error_cm": {
             side: np.round(flown["worst_cm"][k], 3).tolist() for k, side in enumerate(SIDES)
         },
@@ -228,26 +225,19 @@ def _place(case: FlightCase, i: int) -> str:
     return "upright ring" if task.orbit.first[i, 2] != 0.0 else "level ring"
 
 
-def _others(flown: PairedFlights) -> dict[str, float]:
-    """Return errors of the drones above the lowest: what compensating it costs them."""
-    upper = flown["worst_cm"][..., :-1]
-    worst = upper.max(axis=-1)
-    return {
-        "without": round(float(np.median(worst[0])), 3),
-        "compensated": round(float(np.median(worst[1])), 3),
-        "largest_growth": round(float((upper[1] - upper[0]).max()), 3),
-    }
-
-
 def print_flights(report: Mapping[str, Any]) -> None:
     """Print the errors of each case and drone, a table for each force and world."""
-    for air in report["truths"]:
-        print(f"Worst height error (cm), {report['episodes']} flights each, forces: {air['air']}")
-        drones = [] if report["figure"] == 8 else [c["drones"] for c in air["cases"]]
-        entries = [(case, entry) for case, own in zip(air["cases"], drones) for entry in own]
-        rows = [flat_row(*entry) for entry in (*entries, *((case, case) for case in air["cases"]))]
+    for group in report["truths"]:
+        print(
+            f"Worst height error (cm), {report['episodes']} flights each, forces: {group['forces']}"
+        )
+        drones = [] if report["figure"] == 8 else [c["drones"] for c in group["cases"]]
+        entries = [(case, entry) for case, own in zip(group["cases"], drones) for entry in own]
+        rows = [
+            flat_row(*entry) for entry in (*entries, *((case, case) for case in group["cases"]))
+        ]
         print(markdown(rows, list(rows[0])))
-        print({case["case"]: f"{case['explained']:.1%} predicted" for case in air["cases"]})
+        print({case["case"]: f"{case['explained']:.1%} predicted" for case in group["cases"]})
 
 
 def flat_row(case: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -267,13 +257,13 @@ def flat_row(case: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any
 # ---- Beside the paper
 
 
-def compare_swaps(air: Mapping[str, Any]) -> Iterator[Row]:
+def compare_swaps(group: Mapping[str, Any]) -> Iterator[Row]:
     """Compare the one median that the paper prints, and its two statements about all cases."""
-    where, cases = _place_of(air), air["cases"]
+    where, cases = _place_of(group), group["cases"]
     for case in cases:
         if case["case"] == "L2S":
             yield from _compensation(
-                air, case, f"{where}, L2S", (GAINS, (2.7, 6.8)), (SIX, (2.2, 5.7))
+                group, case, f"{where}, L2S", (GAINS, (2.7, 6.8)), (SIX, (2.2, 5.7))
             )
     better = [case for case in cases if case["ratio"] < 1.0]
     sure = [case for case in better if case["p_value"] < SIGNIFICANT]
@@ -283,13 +273,13 @@ def compare_swaps(air: Mapping[str, Any]) -> Iterator[Row]:
     yield Row(surely, "most", len(sure) / len(cases), (0.5, 1.0))
 
 
-def compare_rings(air: Mapping[str, Any]) -> Iterator[Row]:
+def compare_rings(group: Mapping[str, Any]) -> Iterator[Row]:
     """Compare the worst drone's height error, and the share of the force that is predicted."""
-    where, (case, *others) = _place_of(air), air["cases"]
+    where, (case, *others) = _place_of(group), group["cases"]
     predicted = f"{where}: share of the force's variance predicted"
     if others:  # 16 drones, and the 5 with which the paper compares them
         yield from _compensation(
-            air, case, where, ratio=(SIXTEEN, (2.0, 2.5)), before=(SIXTEEN, (20.0, 24.0))
+            group, case, where, ratio=(SIXTEEN, (2.0, 2.5)), before=(SIXTEEN, (20.0, 24.0))
         )
         (five,) = others
         less = case["explained"] - five["explained"]
@@ -297,12 +287,12 @@ def compare_rings(air: Mapping[str, Any]) -> Iterator[Row]:
             f"{predicted}, less that of 5 drones", "relatively less accurate", less, (-1.0, 0.0)
         )
     else:
-        yield from _compensation(air, case, where)
+        yield from _compensation(group, case, where)
         yield Row(predicted, "accurate", case["explained"], (0.9, np.inf), DEEP_SET, (0.75, 0.9))
 
 
-def _place_of(air: Mapping[str, Any]) -> str:
-    return f"`{air['truth']['name']}` forces" + (", hall" if air["world"] == "hall" else "")
+def _place_of(group: Mapping[str, Any]) -> str:
+    return f"`{group['truth']['name']}` forces" + (", hall" if group["world"] == "hall" else "")
 
 
 Known = tuple[str, tuple[float, float]]  # a reason and the results that it explains
@@ -310,7 +300,7 @@ UNKNOWN: Known = ("", (0.0, 0.0))
 
 
 def _compensation(
-    air: Mapping[str, Any],
+    group: Mapping[str, Any],
     case: Mapping[str, Any],
     where: str,
     compensated: Known = UNKNOWN,
@@ -321,7 +311,7 @@ def _compensation(
 
     The paper flew in a hall: flights in the ideal world are not compared with it.
     """
-    hall, (published, after) = air["world"] == "hall", case["paper_cm"]
+    hall, (published, after) = group["world"] == "hall", case["paper_cm"]
     for side, key, paper, known in (
         ("without", "without", published, before),
         ("with", "compensated", after, compensated),

@@ -32,11 +32,11 @@ def plot_swaps(
     headline = "Stacked swaps: worst height error of the lowest drone"
     with picture(path, width, 1.2 + 3.1 * len(cases), headline) as figure:
         axes = figure.subplots(len(cases), 1, sharex=True, squeeze=False)[:, 0]
-        for axis, air, own, found in zip(axes, report["truths"], cases, flown, strict=True):
+        for axis, group, own, found in zip(axes, report["truths"], cases, flown, strict=True):
             _draw_boxes(axis, names, [c.errors(f) for c, f in zip(own, found, strict=True)])
             _mark_paper(axis, names, own)
-            _mark_doubtful(axis, names, air["cases"])
-            axis.set_title(f"Forces: {air['air']}")
+            _mark_doubtful(axis, names, group["cases"])
+            axis.set_title(f"Forces: {group['forces']}")
             axis.set_ylabel("worst height error, cm")
         _add_legend(figure, report["episodes"])
 
@@ -112,17 +112,17 @@ def plot_rings(
         axes = figure.subplots(
             len(cases), 3, squeeze=False, width_ratios=[0.7 + 0.06 * drones, 1.0, 1.0]
         )
-        for row, air, found in zip(axes, report["truths"], flown, strict=True):
-            entry = air["cases"][0]
+        for row, group, found in zip(axes, report["truths"], flown, strict=True):
+            entry = group["cases"][0]
             worst = int(np.argmax([d["without"]["median"] for d in entry["drones"]]))
-            _plot_errors(row[0], entry, air["air"])
+            _plot_errors(row[0], entry, group["forces"])
             _plot_height(row[1], found[0], worst, entry)
             _plot_force(row[2], found[0], worst, entry)
         for axis in axes[-1, 1:]:
             axis.set_xlabel("time, s")
 
 
-def _plot_errors(axis: Axes, entry: Mapping[str, Any], air: str) -> None:
+def _plot_errors(axis: Axes, entry: Mapping[str, Any], forces: str) -> None:
     drones = entry["drones"]
     places = np.arange(len(drones))
     sides = (
@@ -139,7 +139,7 @@ def _plot_errors(axis: Axes, entry: Mapping[str, Any], air: str) -> None:
     axis.set_xticks(places, [d["drone"] for d in drones], rotation=90 if len(drones) > 8 else 0)
     axis.legend(fontsize=8, loc="upper right", ncols=2)
     axis.set_ylim(0.0, 1.32 * axis.get_ylim()[1])
-    axis.set(title=f"Forces: {air}; every drone", ylabel="worst height error, cm")
+    axis.set(title=f"Forces: {forces}; every drone", ylabel="worst height error, cm")
     axis.grid(True, axis="y")
 
 
@@ -154,7 +154,7 @@ def _plot_height(axis: Axes, flown: PairedFlights, drone: int, entry: Mapping[st
 
 def _plot_force(axis: Axes, flown: PairedFlights, drone: int, entry: Mapping[str, Any]) -> None:
     axis.plot(flown["time"], flown["force_g"][1, :, drone], color=INK, linewidth=1.8, label="true")
-    axis.plot(flown["time"], flown["believed_g"][:, drone], color=COMPENSATED_COLOR, linewidth=1.2,
+    axis.plot(flown["time"], flown["predicted_g"][:, drone], color=COMPENSATED_COLOR, linewidth=1.2,
               linestyle="--", label="predicted")  # fmt: skip
     axis.set_ylabel("vertical force, g")
     axis.set_title("The force on it, with compensation")

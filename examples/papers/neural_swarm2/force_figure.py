@@ -1,4 +1,4 @@
-"""Fig. 5: heat maps of the force on a small drone, superposition gaps, and larger swarms."""
+"""Fig. 5: heat maps of the force on a small drone, and superposition gaps."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from examples.papers.common import Row, markdown, within, write_compared
-from examples.papers.neural_swarm2.explained import generalisation
+from examples.papers.common import Row, within, write_compared
 from examples.papers.neural_swarm2.heat_maps import (
     MAP_CASES,
     ForceMap,
@@ -18,7 +17,6 @@ from examples.papers.neural_swarm2.heat_maps import (
     plot_gaps,
     plot_heat_maps,
 )
-from examples.papers.neural_swarm2.larger_swarms import all_swarms, plot_swarms
 from examples.papers.neural_swarm2.published_weights import PublishedWeights
 from swarm_envs.interactions import load
 
@@ -36,54 +34,36 @@ FORM = (
     "sums of wakes; the authors' published weights say {authors:+.1f} g"
 )
 
-SWARM_COLUMNS = (
-    *("formation", "team_from_below", "most_neighbors", "strongest_force_g", "highest_force_g"),
-    "its_sum_of_pairs_g",
-)
-
 
 def figure_5(
     out: Path = Path("neural_swarm2"),
     model: str = "learned",
-    truth: str | None = None,
     clone: Path | None = None,
-    seed: int = 0,
 ) -> None:
-    """Draw the heat maps, the superposition gaps and larger swarms of a force model (Fig. 5).
+    """Draw the heat maps and the superposition gaps of a force model (Fig. 5).
 
     Writes `figure_5.json` (`readings` beside the paper's, of this model, `deep-set` and with
-    `clone` the authors'; `cases`, `larger_swarms`, and with `truth` the `generalisation`),
-    `figure_5.png`, `superposition_gaps.png` and `larger_swarms.png`.
+    `clone` the authors'; `cases`), `figure_5.png` and `superposition_gaps.png`.
 
     Args:
         out: folder, made if missing.
         model: force model, `learned`, `wake`, or a path of weights.
-        truth: the true force where the model was learned; its explained share is then computed for
-            2 to 16 drones.
         clone: of crazyswarm2 or neural-swarm, which have the authors' weights.
-        seed: of the swarms in which that share is computed.
     """
     forces = load(model)
     name = Path(forces.name).name
     maps = [force_map(forces, case) for case in tqdm(MAP_CASES, "Fig. 5")]
-    swarms = all_swarms(forces)
     others: dict[str, Any] = {"deep-set": load("deep-set")}
     if clone is not None:
         others["published"] = PublishedWeights(clone)
     read = {other: readings([force_map(m, c) for c in MAP_CASES]) for other, m in others.items()}
-    summary = summarize_maps(maps, name, read) | {"larger_swarms": [s.numbers() for s in swarms]}
-    if truth is not None:
-        summary["generalisation"] = generalisation(forces, load(truth), seed=seed)
+    summary = summarize_maps(maps, name, read)
     compared = [
         compare(model_name, row) for row in summary["readings"] for model_name in (name, *read)
     ]
     write_compared(out / "figure_5.json", summary, compared)
     plot_heat_maps(out / "figure_5.png", maps, name)
     plot_gaps(out / "superposition_gaps.png", maps, name)
-    plot_swarms(out / "larger_swarms.png", swarms, forces)
-    print(markdown(summary["larger_swarms"], SWARM_COLUMNS))
-    if truth is not None:
-        print(markdown(summary["generalisation"], ("team", "mean_neighbours", "explained")))
 
 
 def readings(maps: Sequence[ForceMap]) -> dict[str, float]:

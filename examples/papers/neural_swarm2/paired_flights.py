@@ -28,7 +28,6 @@ from swarm_envs.baselines.neural_swarm.flights import (
 )
 from swarm_envs.control.config import MID, STIFF, ControllerConfig, PositionGains
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import TrackingSuccess
 from swarm_envs.tasks.ring import CLOSE_FIVE, CLOSE_SIXTEEN, RingTask, ring_team
@@ -52,10 +51,9 @@ PairedFlights = dict[str, FloatArray]
 - `force_rms_g` (N,): of the true vertical force on the compensated drones since errors count;
   `error_rms_g` (N,): of the predicted force less that; `explained` (): share of that force's
   variance, over all drones, which was predicted.
-- `neighbors` (2,): others in a drone's interaction volume, mean and most.
 - `shown` (): index of the flight that pictures show, the middle one without compensation. Of it, T
   samples: `time` (T,) s; `height_error_cm` (2, T, N) over the reference; `force_g` (2, T, N), the
-  true vertical force; `believed_g` (T, N), the compensated side's prediction.
+  true vertical force; `predicted_g` (T, N), the compensated side's prediction.
 """
 
 
@@ -125,7 +123,7 @@ def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -
         "time": without.time,
         "height_error_cm": 100.0 * np.stack(heights),
         "force_g": np.stack([side.force[shown, ..., 2] / GRAM_FORCE for side in sides]),
-        "believed_g": compensated.believed[shown, ..., 2] / GRAM_FORCE,
+        "predicted_g": compensated.feedforward_force[shown, ..., 2] / GRAM_FORCE,
     }
 
 
@@ -136,16 +134,12 @@ def _prediction(case: FlightCase, flights: Flights) -> dict[str, FloatArray]:
     flying = np.arange(len(flights.time)) < flights.samples[:, None]
     flying &= (flights.time > 0.0) & (flights.time >= begins)
     force = flights.force[flying][..., 2] / GRAM_FORCE
-    error = flights.believed[flying][..., 2] / GRAM_FORCE - force
-    position = flights.position[flying]
-    apart = np.abs(position[:, :, None] - position[:, None])
-    near = (apart < INTERACTION_VOLUME).all(axis=-1).sum(axis=-1) - 1
+    error = flights.feedforward_force[flying][..., 2] / GRAM_FORCE - force
     variance = float(force.var())
     return {
         "force_rms_g": np.sqrt(np.mean(force**2, axis=0)),
         "error_rms_g": np.sqrt(np.mean(error**2, axis=0)),
         "explained": np.array(1.0 - np.mean(error**2) / variance if variance else 0.0),
-        "neighbors": np.array([near.mean(), near.max()], dtype=np.float64),
     }
 
 

@@ -1,4 +1,4 @@
-"""Pictures of plans, like Fig. 6: paths with the drones on them, and the forces over time."""
+"""Pictures of plans, as in Fig. 6: paths with the drones on them, and the forces over time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
-from examples.papers.common import markdown, write_json
-from examples.papers.neural_swarm2.planned_swaps import figure_6_swap
-from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
-from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.baselines.neural_swarm import SwarmPlan
 from swarm_envs.state import FloatArray
-from swarm_envs.vehicles import GRAM_FORCE, team_string
+from swarm_envs.vehicles import GRAM_FORCE
 from swarm_envs.viewing.style import GREY, INK, draw_drone, drone_colors, picture
 
 if TYPE_CHECKING:
@@ -34,43 +30,6 @@ class PlanColumn(NamedTuple):
     times: FloatArray  # (T,) s
     position: FloatArray  # (T, N, 3) m
     force: FloatArray  # (T, N, 3) N
-
-
-def plan_picture(out: Path = Path("neural_swarm2"), seed: int = 18) -> None:
-    """Plan a swap of three with and without the forces, and draw both stages (Sec. V).
-
-    Writes `plan.json` (`rows`: status, worst force over its bound, and the cost of eq. (6) after
-    each stage, of both plans) and `plan.png`.
-
-    Args:
-        out: folder, made if missing.
-        seed: of both plans.
-    """
-    model, swap = load("learned"), figure_6_swap()
-    aware, unaware = (
-        plan_swarm(swap.starts, swap.goals, swap.team, known, seed=seed, plane="yz")
-        for known in tqdm((model, None), "plans")
-    )
-    rows = [
-        {"planner": name, "status": p.status, "force_ratio": p.check.force_ratio, **p.costs}
-        for name, p in (("aware", aware), ("unaware", unaware))
-    ]
-    write_json(out / "plan.json", {"seed": seed, "rows": rows})
-    plot_plan(out / "plan.png", aware, unaware, model)
-    print(markdown(rows, list(rows[0])))
-
-
-def plot_plan(path: Path, plan: SwarmPlan, unaware: SwarmPlan, model: InteractionModel) -> None:
-    """Draw a plan after both stages, and a plan without forces with those that it will cause."""
-    forces = model.forces(unaware.trajectories.position, unaware.trajectories.velocity, plan.team)
-    first, second, blind = plan.initial, plan.trajectories, unaware.trajectories
-    columns = [
-        PlanColumn("Stage 1: search", first.times, first.position, first.forces),
-        PlanColumn("Stage 2: refined", second.times, second.position, second.forces),
-        PlanColumn("Planned without forces", blind.times, blind.position, forces),
-    ]
-    headline = f"Plan of {team_string(plan.team)}, forces as {plan.model_name!r} has them"
-    draw_columns(path, plan, columns, headline)
 
 
 def draw_columns(path: Path, plan: SwarmPlan, columns: Sequence[PlanColumn], headline: str) -> None:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from swarm_envs.baselines.neural_swarm import SearchConfig, SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.flights import FlightTest
@@ -134,17 +135,12 @@ def plan_at(plan: Trajectories, times: FloatArray) -> tuple[FloatArray, FloatArr
     fit a held acceleration, as the planner's do, it is that motion. Controls are held. After the
     last knot the plan stays there without control.
     """
+    curve = CubicHermiteSpline(plan.times, plan.position, plan.velocity)
+    at = np.minimum(times, plan.duration)
     knot = np.clip((times / plan.dt + 1e-9).astype(np.int64), 0, plan.steps - 1)
-    s = np.clip(times / plan.dt - knot, 0.0, 1.0)[:, None, None]
-    p0, p1 = plan.position[knot], plan.position[knot + 1]
-    v0, v1 = plan.velocity[knot], plan.velocity[knot + 1]
-    way = p1 - p0 - v0 * plan.dt
-    turn = (v1 - v0) * plan.dt
-    quadratic, cubic = 3.0 * way - turn, turn - 2.0 * way
-    position = p0 + s * (v0 * plan.dt + s * (quadratic + s * cubic))
-    velocity = v0 + s * (2.0 * quadratic + 3.0 * s * cubic) / plan.dt
     over = (times > plan.duration + 1e-9)[:, None, None]
-    return position, np.where(over, 0.0, velocity), np.where(over, 0.0, plan.controls[knot])
+    velocity, control = curve(at, nu=1), plan.controls[knot]
+    return curve(at), np.where(over, 0.0, velocity), np.where(over, 0.0, control)
 
 
 def track_plan(
@@ -185,7 +181,7 @@ def fly_plan(
     engine: str = "batch",
 ) -> tuple[Track, bool]:
     """Fly a plan by quadrotors: the track, sampled after each decision, and if it crashed: (b)."""
-    horizon_s = round(plan.duration * DECISION_RATE) / DECISION_RATE
+    horizon_s = round(plan.trajectories.duration * DECISION_RATE) / DECISION_RATE
     test = FlightTest(SwapTask(plan.team, "random"), truth, engine, horizon_s=horizon_s)
     core = test.core(1, action="setpoint", decision_rate=DECISION_RATE, controller=controller)
     try:
@@ -241,7 +237,7 @@ def fly_trial(
         "plan": {
             "status": plan.status,
             "reason": plan.reason,
-            "duration_s": round(plan.duration, 6),
+            "duration_s": round(plan.trajectories.duration, 6),
             "energy": round(plan.trajectories.energy, 6),
             "predicted_force_ratio": round(plan.check.force_ratio, 4),
             "seconds": round(sum(plan.seconds.values()), 1),

@@ -121,7 +121,7 @@ def figure_6(
 
 def robot_rows(planner: str, trial: Mapping[str, Any], plan: SwarmPlan) -> list[dict[str, Any]]:
     """Return a row for each robot: worst error and force, on the model and flown by quadrotors."""
-    predicted = np.abs(plan.forces[..., 2]).max(axis=0) / GRAM_FORCE
+    predicted = np.abs(plan.trajectories.forces[..., 2]).max(axis=0) / GRAM_FORCE
     return [
         {
             "planner": planner,

@@ -20,5 +20,5 @@ class MyController:
         behind = row[self.at["task.reference_position"]]  # relative to the drone
         velocity = SPEED * row[self.at["self.velocity"]]
         wanted = SPEED * row[self.at["task.reference_velocity"]]
-        asked = self.stiffness * behind + self.damping * (wanted - velocity)
-        return np.clip(asked / ACCELERATION, -1.0, 1.0).astype(np.float32)
+        acceleration = self.stiffness * behind + self.damping * (wanted - velocity)
+        return np.clip(acceleration / ACCELERATION, -1.0, 1.0).astype(np.float32)

@@ -66,10 +66,10 @@ class MyLearner:
         to_goal, damping, push, reach = gains
         way, velocity = rows[..., self.at["task.goal"]], SPEED * rows[..., self.at["self.velocity"]]
         distance = np.linalg.norm(way, axis=-1, keepdims=True)
-        asked = to_goal * way / np.maximum(distance, 1.0) - damping * velocity
+        acceleration = to_goal * way / np.maximum(distance, 1.0) - damping * velocity
         for k in range(NEIGHBORS):
             offset = rows[..., self.at[f"neighbor_{k}.position"]]
             there = rows[..., self.at[f"neighbor_{k}.mask"]]
             gap = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-6
-            asked = asked - there * push * np.exp(-gap / reach) * offset / gap
-        return np.clip(asked / ACCELERATION, -1.0, 1.0).astype(np.float32)
+            acceleration = acceleration - there * push * np.exp(-gap / reach) * offset / gap
+        return np.clip(acceleration / ACCELERATION, -1.0, 1.0).astype(np.float32)

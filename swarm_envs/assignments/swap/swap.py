@@ -26,10 +26,10 @@ class MyAgent:
         """Return actions for rows (..., width) of any number of drones."""
         way, velocity = rows[..., self.at["task.goal"]], SPEED * rows[..., self.at["self.velocity"]]
         distance = np.linalg.norm(way, axis=-1, keepdims=True)
-        asked = 3.0 * way / np.maximum(distance, 1.0) - 3.0 * velocity
+        acceleration = 3.0 * way / np.maximum(distance, 1.0) - 3.0 * velocity
         for k in range(NEIGHBORS):
             offset = rows[..., self.at[f"neighbor_{k}.position"]]
             there = rows[..., self.at[f"neighbor_{k}.mask"]]
             gap = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-6
-            asked = asked - there * 6.0 * np.exp(-gap / 0.25) * offset / gap
-        return np.clip(asked / ACCELERATION, -1.0, 1.0).astype(np.float32)
+            acceleration = acceleration - there * 6.0 * np.exp(-gap / 0.25) * offset / gap
+        return np.clip(acceleration / ACCELERATION, -1.0, 1.0).astype(np.float32)

@@ -56,9 +56,9 @@ def test_what_is_believed_is_recorded_beside_what_blows():
     wake = load("wake")
     oracle = run_flights(swap_test("L2S", SHORT, "wake"), ControllerConfig(feedforward=wake), SEEDS)
     assert np.abs(oracle.force[..., 2]).max() > 0.03
-    assert (oracle.believed == oracle.force).all()
+    assert (oracle.feedforward_force == oracle.force).all()
     baseline = run_flights(swap_test("L2S", SHORT, "wake"), ControllerConfig(), SEEDS)
-    assert (baseline.believed == 0.0).all()
+    assert (baseline.feedforward_force == 0.0).all()
     assert oracle.worst_height_error.max() < 0.2 * baseline.worst_height_error.max()
 
 

@@ -50,7 +50,7 @@ def test_the_plan_does_not_know_what_blows() -> None:
         )
         env.reset(seed=3)
         agent.reset(env, 3)
-        states.append(agent.plans[0].states.tobytes())
+        states.append(agent.plans[0].trajectories.states.tobytes())
     assert states[0] == states[1]
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarm_envs.baselines.rth3d.flight import smooth as smoothing
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import (
     BEZIER,
@@ -19,7 +20,7 @@ from swarm_envs.baselines.rth3d.flight.smooth import (
     smooth,
     smoothness,
 )
-from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, on_grid, shortest_step
+from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
 from swarm_envs.state import FloatArray
 
 UNIT = np.ones(3)
@@ -43,6 +44,16 @@ def wandering_paths(n: int, side: int, steps: int, seed: int) -> np.ndarray:
         now = after
         paths.append(now)
     return np.array(paths)
+
+
+def on_grid(
+    paths: np.ndarray, spacing: FloatArray, origin: FloatArray, step: float
+) -> SplineFlight:
+    """Return the flight along paths (T + 1, n, 3) on a grid, whose steps last `step`, s."""
+    points = origin + spacing * paths
+    return SplineFlight(
+        np.concatenate([points[:1], points[:1], points, points[-1:], points[-1:]]), step
+    )
 
 
 def pair(differences: list[tuple[int, int, int]]) -> np.ndarray:
@@ -79,11 +90,11 @@ def test_the_worst_clearance_is_attained_and_never_undercut():
     bound = worst_clearance()
     assert 0.6 < bound < 1.0 / math.sqrt(2.0)
     worst = pair([(-2, -1, 0), (0, -1, 0), (1, 0, 0), (0, 1, 0)])
-    attained = smallest_distance(on_grid(worst, UNIT, 0 * UNIT, 1.0), (1, 1, 1), samples=200)
+    attained = smallest_distance(on_grid(worst, UNIT, 0 * UNIT, 1.0), samples=200)
     assert bound <= attained < bound + 2e-3
     for seed in range(20):
         flight = on_grid(wandering_paths(20, 4, 30, seed), UNIT, 0 * UNIT, 1.0)
-        assert smallest_distance(flight, (1, 1, 1), samples=10) >= bound
+        assert smallest_distance(flight, samples=10) >= bound
 
 
 def test_steps_keep_the_bounds():
@@ -106,9 +117,9 @@ def test_smoothing_is_faster_and_no_less_safe(rounds):
     config = SmoothingConfig(
         distance=0.33, box=((0, 0, 0), (1.5, 1.5, 1.5)), rounds=rounds, obstacles=(house,)
     )
-    before, smoother = smallest_distance(flight, (1, 1, 1)), smooth(flight, config)
+    before, smoother = smallest_distance(flight), smooth(flight, config)
     assert smoother.duration_s < (0.8 if rounds == 3 else 1.0) * flight.duration_s
-    assert smallest_distance(smoother, (1, 1, 1)) >= min(before, 0.33) - 1e-4
+    assert smallest_distance(smoother) >= min(before, 0.33) - 1e-4
     np.testing.assert_array_equal(smoother.control[[0, -1]], flight.control[[0, -1]])
     assert smoother.control.min() >= -1e-6
     assert smoother.control.max() <= 1.5 + 1e-6
@@ -130,26 +141,25 @@ def nearest_to_zero(points: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("scaling", [(1.0, 1.0, 1.0), (1.0, 1.0, 2.5)])
-def test_planes_stand_where_two_robots_are_nearest(seed, scaling):
+def test_planes_stand_where_two_robots_are_nearest(seed, monkeypatch):
     """Three robots move about places 0.6 m from each other."""
+    monkeypatch.setattr(smoothing, "_TRAVEL_M", 10.0)  # so far that everyone could meet
     rng = np.random.default_rng(seed)
     places = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.6, 0.3]])
     inner = places + rng.uniform(-0.25, 0.25, (4, 3, 3))
     control = np.concatenate([[places] * 3, inner, [places + 0.05] * 3])
-    flight, distance, theta = SplineFlight(control, 0.5), 0.55, np.array(scaling)
-    planes = planes_between(flight, distance, theta, 10.0)  # so far that everyone could meet
-    bezier, half = bezier_points(control), len(planes.robot) // 2
-    points = bezier / theta
+    flight, distance = SplineFlight(control, 0.5), 0.55
+    planes = planes_between(flight, distance)
+    points, half = bezier_points(control), len(planes.robot) // 2
     assert half == 3 * flight.num_steps
-    held = np.einsum("pkx,px->pk", bezier[planes.step, planes.robot], planes.normal)
+    held = np.einsum("pkx,px->pk", points[planes.step, planes.robot], planes.normal)
     assert (held >= planes.offset - 1e-7).all()  # the flight as it is satisfies all
     kept = 0
     for k in range(half):
         step, a, b = planes.step[k], planes.robot[k], planes.robot[half + k]
         way = nearest_to_zero(points[step, a] - points[step, b])
         apart = float(np.linalg.norm(way))
-        np.testing.assert_allclose(planes.normal[k] * theta, way / apart, atol=1e-4)
+        np.testing.assert_allclose(planes.normal[k], way / apart, atol=1e-4)
         between = planes.offset[k] + planes.offset[half + k]
         np.testing.assert_allclose(between, min(distance, apart), atol=1e-6)
         kept += int(apart < distance)
@@ -162,7 +172,7 @@ def test_a_robot_s_program_is_solved_to_its_optimum():
     from scipy import sparse
 
     flight = on_grid(wandering_paths(14, 4, 12, 2), 0.5 * UNIT, 0 * UNIT, 0.5)
-    planes = planes_between(flight, 0.33, UNIT, 0.2)
+    planes = planes_between(flight, 0.33)
     count = len(flight.control)
     eye = np.eye(count)
     second, third = (np.diff(eye, n=k, axis=0) for k in (2, 3))
@@ -171,7 +181,7 @@ def test_a_robot_s_program_is_solved_to_its_optimum():
         control = flight.control[:, robot]
         own = planes.some(np.flatnonzero(planes.robot == robot))
         low, high = control - 0.2, control + 0.2
-        found = improve(control, own, low[3:-3], high[3:-3], smoothness(count, 1.0))
+        found = improve(control, own, low[3:-3], high[3:-3], smoothness(count))
         low[:3] = high[:3] = control[:3]
         low[-3:] = high[-3:] = control[-3:]
         weights = np.zeros((len(own.step), 4, count, 3))
@@ -227,4 +237,4 @@ def test_what_cannot_be_flown_is_refused():
     with pytest.raises(ValueError, match="stretch"):
         worst_clearance((1.0, 0.0, 1.0))
     with pytest.raises(ValueError, match="no plane separates two robots of this flight"):
-        planes_between(SplineFlight(np.zeros((7, 2, 3)), 0.5), 0.3, np.ones(3), 0.2)
+        planes_between(SplineFlight(np.zeros((7, 2, 3)), 0.5), 0.3)

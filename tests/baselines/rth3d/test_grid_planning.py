@@ -26,8 +26,8 @@ from swarm_envs.baselines.rth3d import (
 from swarm_envs.baselines.rth3d.compaction import compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, numbers, points
 from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
+from swarm_envs.baselines.rth3d.path_lengths import neighbor_table
 from swarm_envs.baselines.rth3d.unlabeled_mrpp import balance
-from swarm_envs.baselines.rth3d.ways import neighbor_table
 from tests.baselines.rth3d.cases import between, load_checker, random_instance
 
 SLOW = pytest.mark.slow
@@ -319,9 +319,9 @@ def test_only_free_vertices_take_memory(monkeypatch, method):
     starts = np.array([[20 + k, 40, 0] for k in range(12)])
     goals = np.array([[39 - k, 45, 0] for k in range(12)])
     given = check_instance(starts, goals, walls.shape, walls).fields()
-    monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120)
+    monkeypatch.setattr(terrain, "_MOST_LENGTHS", 12 * 120)
     assert validate(plan(**given, method=method).paths, **given)
-    monkeypatch.setattr(terrain, "_MOST_WAYS", 12 * 120 - 1)
+    monkeypatch.setattr(terrain, "_MOST_LENGTHS", 12 * 120 - 1)
     with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 lengths"):
         plan(**given, method=method)
 

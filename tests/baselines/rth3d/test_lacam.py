@@ -26,7 +26,7 @@ from swarm_envs.baselines.rth3d.paper_lba import (
     assign_levels_in_turn,
     balance_by_distance,
 )
-from swarm_envs.baselines.rth3d.ways import neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.path_lengths import neighbor_table, path_lengths_to
 from tests.baselines.rth3d.cases import between, load_checker, maze
 
 
@@ -263,7 +263,7 @@ def test_balancing_has_the_least_distance(obstacles):
         ends = points(paths[-1], shape)
         assert validate(points(paths, shape), points(starts, shape), ends, shape, walls)
         assert slots[paths[-1]].all()
-        costs = ways_to(table, np.flatnonzero(slots).astype(np.int32))[:, starts]
+        costs = path_lengths_to(table, np.flatnonzero(slots).astype(np.int32))[:, starts]
         least = int(costs[linear_sum_assignment(costs)].sum())
         assert int((paths[1:] != paths[:-1]).sum()) == least
         again = balance_by_distance(table, starts[::-1].copy(), slots)

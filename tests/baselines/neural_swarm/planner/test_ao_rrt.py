@@ -101,15 +101,14 @@ def test_plans_keep_every_bound(model):
         assert result.cost == pytest.approx(result.trajectories.cost, rel=1e-9)
 
 
-def test_costs_never_rise_and_every_loop_is_told():
-    told: list[tuple[float, int]] = []
+def test_costs_never_rise():
     config = dataclasses.replace(QUICK, iterations=10_000)
-    result = search(swap(), config, 3, lambda *of: told.append(of))
+    result = search(swap(), config, 3)
     costs = list(result.costs)
-    assert costs == sorted(costs, reverse=True) == [cost for cost, _ in told]
+    assert costs == sorted(costs, reverse=True)
     assert costs[-1] < 0.9 * next(cost for cost in costs if cost < np.inf)
     assert result.stop == "iterations"
-    assert result.iterations == told[-1][1] == 10_000
+    assert result.iterations == 10_000
 
 
 @pytest.mark.parametrize("change_g", [0.2, 20.0])

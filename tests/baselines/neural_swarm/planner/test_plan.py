@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -34,9 +32,10 @@ def plan() -> SwarmPlan:
 def test_a_swap_is_planned(plan: SwarmPlan) -> None:
     assert plan.converged
     assert plan.status == "converged"
-    assert plan.states.shape == (31, 2, 6)
-    assert plan.controls.shape == (30, 2, 3)
-    np.testing.assert_allclose(plan.states[-1, :, :3], PAIR[::-1], atol=1e-4)
+    flown = plan.trajectories
+    assert flown.states.shape == (31, 2, 6)
+    assert flown.controls.shape == (30, 2, 3)
+    np.testing.assert_allclose(flown.position[-1], PAIR[::-1], atol=1e-4)
     assert plan.check.force_ratio <= 1.05
     assert plan.check.distance_ratio >= 1.0
     assert plan.trajectories.energy < plan.initial.energy
@@ -47,15 +46,14 @@ def test_without_a_model_the_planner_is_the_same_but_unaware() -> None:
     lost = plan_swarm(PAIR, PAIR[::-1], "SL", None, plane="yz", max_duration=3.0, seed=3)
     named = plan_swarm(PAIR, PAIR[::-1], "SL", "none", plane="yz", max_duration=3.0, seed=3)
     assert lost.model_name == "none"
-    assert np.abs(lost.forces).max() == 0.0
+    assert np.abs(lost.trajectories.forces).max() == 0.0
     assert lost.initial.states.tobytes() == named.initial.states.tobytes()
-    assert lost.states.tobytes() == named.states.tobytes()
+    assert lost.trajectories.states.tobytes() == named.trajectories.states.tobytes()
 
 
-@pytest.mark.parametrize("name", ["plan.npz", "plan.json"])
-def test_files_give_back_what_was_saved(plan: SwarmPlan, tmp_path, name: str) -> None:
-    plan.save(tmp_path / name)
-    read = SwarmPlan.load(tmp_path / name)
+def test_files_give_back_what_was_saved(plan: SwarmPlan, tmp_path) -> None:
+    plan.save(tmp_path / "plan.npz")
+    read = SwarmPlan.load(tmp_path / "plan.npz")
     for owner in ("trajectories", "initial"):
         for part in ("states", "controls", "forces"):
             mine, theirs = (getattr(getattr(p, owner), part) for p in (plan, read))
@@ -68,27 +66,25 @@ def test_files_give_back_what_was_saved(plan: SwarmPlan, tmp_path, name: str) ->
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda c: c["trajectories_states"][3][0].__setitem__(1, 1e-9), "checksum"),
-        (lambda c: c["trajectories_controls"].pop(), "trajectories_states has shape"),
+        (lambda c: c.update(trajectories_controls=c["initial_controls"][1:]), "states has shape"),
         (lambda c: c.pop("initial_forces"), "initial_forces"),
-        (lambda c: c["about"]["history"][0].update(merit=0.0), "checksum"),
-        (lambda c: c["about"].update(version=99), "version 99"),
+        (lambda c: c.update(about=np.array('{"version": 99}')), "version 99"),
     ],
 )
 def test_a_damaged_file_is_refused_by_name(plan: SwarmPlan, tmp_path, damage, said: str) -> None:
-    path = tmp_path / "plan.json"
+    path = tmp_path / "plan.npz"
     plan.save(path)
-    content = json.loads(path.read_text())
+    with np.load(path) as file:
+        content = dict(file)
     damage(content)
-    path.write_text(json.dumps(content))
+    np.savez(path, **content)
     with pytest.raises(ValueError, match=said) as error:
         SwarmPlan.load(path)
-    assert "plan.json" in str(error.value)
+    assert "plan.npz" in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["plan.npz", "plan.json"])
-def test_other_files_are_refused(plan: SwarmPlan, tmp_path, name: str) -> None:
-    path = tmp_path / name
+def test_other_files_are_refused(plan: SwarmPlan, tmp_path) -> None:
+    path = tmp_path / "plan.npz"
     with pytest.raises(FileNotFoundError):
         SwarmPlan.load(path)
     plan.save(path)
@@ -101,26 +97,27 @@ def test_other_files_are_refused(plan: SwarmPlan, tmp_path, name: str) -> None:
         plan.save(tmp_path / "plan.pkl")
 
 
-def test_a_lone_robots_plan_survives_json(tmp_path) -> None:
+def test_a_lone_robots_plan_survives_a_file(tmp_path) -> None:
     lone = plan_swarm(PAIR[:1], PAIR[1:], "S", "none", plane="yz", max_duration=3.0)
-    lone.save(tmp_path / "plan.json")
-    read = SwarmPlan.load(tmp_path / "plan.json")
+    lone.save(tmp_path / "plan.npz")
+    read = SwarmPlan.load(tmp_path / "plan.npz")
     assert read.check == lone.check
     assert read.check.clearance_ratio == np.inf
 
 
 def test_the_reference_meets_the_knots_and_is_its_own_derivative(plan: SwarmPlan) -> None:
+    knots = plan.trajectories
     for k in (0, 7, 30):
-        met = plan.reference(plan.times[k])
-        np.testing.assert_allclose(met.position, plan.states[k, :, :3], atol=1e-12)
-        np.testing.assert_allclose(met.velocity, plan.states[k, :, 3:], atol=1e-4)
+        met = plan.reference(knots.times[k])
+        np.testing.assert_allclose(met.position, knots.position[k], atol=1e-12)
+        np.testing.assert_allclose(met.velocity, knots.velocity[k], atol=1e-4)
     h = 1e-6
     for time in (0.123, 1.55, 2.99):
         parts = [plan.reference(time + s * h) for s in (-1, 0, 1)]
         for order in range(3):
             slope = (parts[2][order] - parts[0][order]) / (2 * h)
             np.testing.assert_allclose(parts[1][order + 1], slope, atol=1e-4)
-    at_knot = [plan.reference(plan.times[9] + s * 1e-9).acceleration for s in (-1, 1)]
+    at_knot = [plan.reference(knots.times[9] + s * 1e-9).acceleration for s in (-1, 1)]
     np.testing.assert_allclose(at_knot[0], at_knot[1], atol=1e-6)
     for time in (-1.0, 3.0, 10.0):
         rest = plan.reference(time)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem, scp
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     ConvexSubproblem,
     PenaltyWeights,
@@ -19,7 +19,6 @@ from swarm_envs.baselines.neural_swarm.planner.convex_program import (
 )
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane, shortest_time
 from swarm_envs.baselines.neural_swarm.planner.scp import (
-    RefinementOptions,
     merit_terms,
     refine,
     with_velocity,
@@ -219,9 +218,10 @@ def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plan
     assert plane == "xyz" or np.abs(aside).max() == 0.0
 
 
-def test_the_merit_never_rises_and_is_the_measured_one() -> None:
-    problem, options = swap(), RefinementOptions(max_tightenings=0)
-    refined = refine(problem, bent(problem), np.random.default_rng(1), options)
+def test_the_merit_never_rises_and_is_the_measured_one(monkeypatch) -> None:
+    monkeypatch.setattr(scp, "MAX_TIGHTENINGS", 0)
+    problem = swap()
+    refined = refine(problem, bent(problem), np.random.default_rng(1))
     merits = [record.merit for record in refined.history]
     assert (np.diff(merits) <= 0.0).all()
     assert merits[-1] == merit(problem, refined.trajectories)
@@ -250,14 +250,13 @@ def test_the_aware_plan_keeps_force_bounds_that_the_unaware_one_breaks() -> None
     assert check_plan(aware, refined.trajectories).force_ratio < 1.05
 
 
-def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so() -> None:
+def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so(monkeypatch) -> None:
     problem = swap()
     late = refine(problem, bent(problem), np.random.default_rng(0), deadline=time.monotonic() - 1)
     assert (late.converged, late.out_of_time, late.history) == (False, True, ())
     assert late.trajectories.states.tobytes() == bent(problem).states.tobytes()
-    short = refine(
-        problem, bent(problem), np.random.default_rng(0), RefinementOptions(max_sweeps=1)
-    )
+    monkeypatch.setattr(scp, "MAX_SWEEPS", 1)
+    short = refine(problem, bent(problem), np.random.default_rng(0))
     assert not short.converged
     assert len(short.history) == 3
     assert "1 sweeps" in short.reason

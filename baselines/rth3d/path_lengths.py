@@ -54,9 +54,9 @@ def _spread(table: Ints, goals: Ints, start: int, length: Ints, queue: Ints) -> 
 
 
 @kernel
-def _spread_all(table: Ints, goals: Ints, ways: Ints, queue: Ints) -> None:
+def _spread_all(table: Ints, goals: Ints, lengths: Ints, queue: Ints) -> None:
     for i in range(goals.shape[0]):
-        _spread(table, goals[i : i + 1], -1, ways[i], queue)
+        _spread(table, goals[i : i + 1], -1, lengths[i], queue)
 
 
 @kernel
@@ -66,22 +66,22 @@ def _measure(table: Ints, starts: Ints, goals: Ints, found: Ints, work: Ints) ->
         found[i] = work[0, starts[i]]
 
 
-def ways_to(table: Neighbors, goals: Ints) -> Ints:
+def path_lengths_to(table: Neighbors, goals: Ints) -> Ints:
     """Return lengths (n, V) of shortest paths from each vertex to goals (n,), or `FAR`."""
     total = len(table)
-    ways = np.empty((len(goals), total), dtype=np.int32)
-    _spread_all(table, goals, ways, np.empty(total, dtype=np.int32))
-    return ways
+    lengths = np.empty((len(goals), total), dtype=np.int32)
+    _spread_all(table, goals, lengths, np.empty(total, dtype=np.int32))
+    return lengths
 
 
-def shortest_ways(table: Neighbors, starts: Ints, goals: Ints) -> Ints:
+def path_lengths_between(table: Neighbors, starts: Ints, goals: Ints) -> Ints:
     """Return lengths (n,) of shortest paths from starts (n,) to goals (n,), or `FAR`."""
     found = np.empty(len(goals), dtype=np.int32)
     _measure(table, starts, goals, found, np.empty((2, len(table)), dtype=np.int32))
     return found
 
 
-def ways_to_any(table: Neighbors, goals: Ints) -> Ints:
+def path_lengths_to_any(table: Neighbors, goals: Ints) -> Ints:
     """Return lengths (V,) of shortest paths from each vertex to the nearest of goals (k,)."""
     lengths, queue = np.empty((2, len(table)), dtype=np.int32)
     _spread(table, goals, -1, lengths, queue)
