@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
+from swarm_envs.baselines.mlr_dmpc.input_checks import checked_points
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import RoundLog
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound, Unreachable
@@ -61,6 +64,8 @@ class MlrDmpcResult:
     """All messages of each round and their receivers."""
 
 
+Targets = FloatArray | Callable[[float], FloatArray]  # (N, 3), m, or a function of time, s
+
 REFERENCE_RATE = 100.0  # Samples of the reference positions per second
 _DAY_S = 86_400
 _TOLERANCE = 1e-6
@@ -68,21 +73,25 @@ _TOLERANCE = 1e-6
 
 def simulate(
     starts: FloatArray,
-    targets: FloatArray,
+    targets: Targets,
     compute_units: int = 3,
     *,
     duration_s: float = 60.0,
     config: MlrDmpcConfig | None = None,
+    stop_on_arrival: bool = True,
+    progress: bool = False,
     **options: Any,
 ) -> MlrDmpcResult:
-    """Simulate a swarm from starts until all have arrived at their targets.
+    """Simulate a swarm from starts to targets.
 
     Args:
         starts: The positions (N, 3) at which the drones hover at first, m.
-        targets: The targets (N, 3), m.
+        targets: The targets (N, 3), m, or a function of time, s, that returns them.
         compute_units: The number M of compute units, at most N.
         duration_s: The longest duration of the flight, s.
         config: The parameters, or None for the defaults.
+        stop_on_arrival: True to end when all have arrived; ignored with moving targets.
+        progress: True to show a progress bar.
         options: Further options of `MlrDmpcSwarm`, such as `loss`, `recovery` or `seed`.
 
     Returns:
@@ -90,17 +99,26 @@ def simulate(
 
     Raises:
         ValueError: See `MlrDmpcSwarm`; also for a duration that is not positive or longer than a
-            day.
+            day, and for moving targets that are ever outside the box or too close to each other.
     """
     check_number("duration_s", duration_s, above=0.0, at_most=_DAY_S, unit="s")
     config = config or MlrDmpcConfig()
-    swarm = MlrDmpcSwarm(starts, targets, config=config, compute_units=compute_units, **options)
+    rounds = max(round(duration_s / config.round_s), 1)
+    count = len(checked_points("starts", starts, config))
+    if callable(targets):
+        times = [k * config.round_s for k in range(rounds)]
+        points = {t: np.asarray(targets(t), dtype=np.float64) for t in times}
+        course = [checked_points(f"targets at {t:.1f} s", points[t], config, count) for t in times]
+    else:
+        course = [checked_points("targets", targets, config, count)]
+    swarm = MlrDmpcSwarm(starts, course[0], config=config, compute_units=compute_units, **options)
     flight = _FlightRecorder(swarm)
-    for _ in range(max(round(duration_s / config.round_s), 1)):
+    ends = stop_on_arrival and not callable(targets)
+    for k in tqdm(range(rounds), desc="rounds", unit="round", disable=not progress):
         flight.record_round()
-        if flight.over():
+        if ends and flight.over():
             break
-        flight.reports.append(swarm.run_round())
+        flight.reports.append(swarm.run_round(course[k] if callable(targets) else None))
     return flight.result()
 
 

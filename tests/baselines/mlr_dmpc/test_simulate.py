@@ -77,6 +77,7 @@ def test_drones_join_and_leave():
         leaves={0: 20},
         loss=0.05,
         duration_s=15.0,
+        stop_on_arrival=False,
     )
     in_air = ~np.isnan(flown.reference_positions[:, :, 0])
     assert not in_air[: 10 * 20, 4].any() and in_air[-1, 4]
@@ -95,12 +96,10 @@ def test_moving_targets_are_followed():
         )
         return points @ turned.T
 
-    swarm = MlrDmpcSwarm(points, points, compute_units=3)
-    for k in range(60):
-        swarm.run_round(targets(0.2 * k))
-    last = swarm.reference(np.zeros(1))[:, 0, 0]
-    assert np.linalg.norm(last - targets(12.0), axis=1).max() < 0.35
-    assert np.linalg.norm(last - points, axis=1).min() > 0.5
+    flown = simulate(points, targets, compute_units=3, duration_s=12.0)
+    late = flown.reference_positions[-1] - targets(12.0)
+    assert np.linalg.norm(late, axis=1).max() < 0.35
+    assert np.linalg.norm(flown.reference_positions[-1] - points, axis=1).min() > 0.5
 
 
 def test_a_drone_blown_off_is_planned_for_from_where_it_is():
@@ -126,6 +125,7 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
         ({"loss": 1.5}, r"loss is 1.5, but must be a share in \[0, 1\]"),
         ({"duration_s": 0.0}, "duration_s is 0.0, but must be a number in"),
         ({"recovery": "paper", "joins": {1: 5}}, "only recovery=True"),
+        ({"targets": lambda t: FAR * [1 - 0.5 * t, 1, 1]}, "targets at 1.6 s"),
     ],
 )
 def test_bad_input_is_refused_with_the_reason(changes, reason):
