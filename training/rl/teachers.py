@@ -203,7 +203,7 @@ class Carousel(CoreAgent):
         return np.asarray(acceleration / ACCELERATION_LIMIT / np.maximum(size, 1.0))
 
 
-class _Ahead(RoundaboutAgent):
+class _RoundaboutWithoutObstacles(RoundaboutAgent):
     """The roundabout without the avoidance of obstacles, which `WayFinder` adds."""
 
     def _around(self, rows: Float32Array, wanted: Float32Array) -> Float32Array:
@@ -224,7 +224,7 @@ class WayFinder(CoreAgent):
         shipped = TUNED["roundabout"]
         cruise = Cruise(position_gain=12.0, velocity_gain=6.0, speed_mps=1.9)
         safety = Safety(margin_m=0.15, horizon_s=0.4, response_s=0.126, rate=8.73, downwash=1.15)
-        self._pilot = SafetyFilter(_Ahead(cruise, shipped.roundabout), safety)
+        self._pilot = SafetyFilter(_RoundaboutWithoutObstacles(cruise, shipped.roundabout), safety)
         self.requires = {**self._pilot.requires, "num_obstacles": 3, "observe_load": False}
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
