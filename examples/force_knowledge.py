@@ -29,11 +29,18 @@ from tqdm import tqdm
 from swarm_envs import make
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import claimed, write_json
 from swarm_envs.state import FloatArray
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import finished_report, train_policy
+from swarm_envs.training.rl.teachers import (
+    DeliveryInTime,
+    SetpointTeacher,
+    SprintInTime,
+    TimedTeacher,
+)
 from swarm_envs.training.scoreboard.summary import align_columns
 
 CONDITIONS: Mapping[str, Mapping[str, Any]] = {
@@ -51,7 +58,6 @@ RECIPE: Mapping[str, Any] = {
     **{"progress": False},
 }
 """Options of every training run."""
-TEACHERS = "swarm_envs/training/rl/teachers.py"
 EPISODE_SEED = 7  # Of the evaluation episodes
 
 
@@ -63,7 +69,7 @@ class Case(NamedTuple):
     drones: int
     """The number of drones."""
     teacher: str
-    """The class in `TEACHERS`."""
+    """The class of the teacher in this file."""
     options: Mapping[str, Any] = {}
     """The options of the environment and of the training run."""
     measure: str = "success"
@@ -105,6 +111,53 @@ class ForceStudy:
             check_name("--task", name, CASES)
 
 
+class OracleTeacher(SetpointTeacher):
+    """Teacher that reads the true force, with a controller without a force model."""
+
+    controller = "pid"
+
+    def shift(self, core: SwarmCore) -> FloatArray:
+        """Return the shift of set-points that cancels the displacement by the true force, m."""
+        drones, g = core.world.drones, self.requires["controller"].gains
+        unknown = all_force(core) - drones["adaptive_force"]
+        learned = g.velocity * g.integral * drones["velocity_integral"]
+        pushed = unknown / drones["nominal_mass"][..., None] - learned
+        return np.asarray(-pushed / (g.position * (g.velocity + g.integral)))
+
+
+def all_force(core: SwarmCore) -> FloatArray:
+    """Return the interaction force (E, N, 3) and the vertical random force of the hall, N.
+
+    The physics does not store the random force; it is computed again from its process, for drones
+    with neighbors.
+    """
+    force, drones = np.array(core.physics.force), core.world.drones
+    if core.config.hall is not None:
+        felt = np.linalg.norm(force, axis=-1)
+        grown = felt / (felt + drones["residual_half"])
+        size = drones["residual_quiet"] + drones["residual_more"] * grown
+        force[..., 2] += size * drones["residual_process"][..., 2] + drones["force_offset"]
+    return force
+
+
+class StackOracle(OracleTeacher, TimedTeacher):
+    """`OracleTeacher` with a fixed duration, for `stack`; without forces, for the nearest goals."""
+
+    def assigned_places(self, core: SwarmCore) -> FloatArray:
+        """Return the goals that are assigned to drones, or without forces those of the task."""
+        if core.config.interactions == "none":
+            return np.array(core.world.drones["goal"])
+        return super().assigned_places(core)
+
+
+class SprintOracle(OracleTeacher, SprintInTime):
+    """`OracleTeacher` with the duration of the layout `sprint`."""
+
+
+class DeliveryOracle(OracleTeacher, DeliveryInTime):
+    """`OracleTeacher` with the duration of the task `delivery`."""
+
+
 def training_of(study: ForceStudy, task: str, condition: str, force: bool, seed: int) -> RlConfig:
     """Return the options of a training run."""
     case = CASES[task]
@@ -118,7 +171,7 @@ def training_of(study: ForceStudy, task: str, condition: str, force: bool, seed:
     return RlConfig(
         **given,
         out=study.out / task / (f"{condition}-force" if force else condition) / f"seed-{seed}",
-        dagger=replace(RlConfig.dagger, teacher=(f"{TEACHERS}:{case.teacher}",)),
+        dagger=replace(RlConfig.dagger, teacher=(f"{__file__}:{case.teacher}",)),
         num_neighbors=case.drones - 1,
         observe_force=force,
         steps=study.steps,

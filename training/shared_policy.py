@@ -119,12 +119,6 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """The environments of the first team."""
         return self.cores[0]
 
-    @property
-    def first_drones(self) -> list[int]:
-        """The indices of the sub-environments that are the first drone of an environment."""
-        begins = zip(self.cores, self._begins, strict=False)
-        return [b + e * core.num_drones for core, b in begins for e in range(core.num_envs)]
-
     def observe(self, rows: Float32Array) -> Any:
         """Return observations of rows (..., width), in the environment's form or as features."""
         return self._shape(rows)
@@ -231,10 +225,6 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         for core in self.cores:
             core.close()
 
-    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """Return no pictures; use `parallel_env(render_mode="rgb_array")` for rendering."""
-        return [None] * self.num_envs
-
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of each sub-environment's core."""
         if attr_name == "render_mode":
@@ -312,10 +302,9 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """Return the reset options of an environment, which must be the same for its drones."""
         first, *others = self._options[begin : begin + drones]
         if not all(other is first or _equal(first, other) for other in others):
-            number = self.first_drones.index(begin)
             raise ValueError(
-                f"options of environment {number} differ between its drones; give all {drones} of "
-                "them the same"
+                f"options of sub-environments {begin} to {begin + drones - 1} differ, but they are "
+                "the drones of one environment; give all of them the same"
             )
         return dict(first)
 

@@ -26,6 +26,8 @@ from swarm_envs.training.collection.table import (
 )
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 
+__all__ = ["CollectOptions", "run_collect"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class CollectOptions:

@@ -9,8 +9,7 @@ import pytest
 
 from swarm_envs.cli import main
 from swarm_envs.hall import Hall
-from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.physics import BatchPhysics
+from swarm_envs.interactions import load
 from swarm_envs.reference import rotate
 from swarm_envs.training.collection import (
     CollectionConfig,
@@ -342,32 +341,6 @@ def test_labels_are_the_force_that_acted(team, kind, label, bound):
     error = (force - acted)[5:-2]
     assert np.isfinite(error).all()
     assert np.sqrt(np.mean(error**2, axis=(0, 1))).max() < bound
-
-
-def test_a_label_knows_the_log_alone(tmp_path, monkeypatch):
-    """With every truth of the simulator spoilt as soon as a step is made, the rows are the same."""
-    config = CollectionConfig(
-        teams=("SL",), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=3.0
-    )
-    expected = interaction_rows(collect(config, tmp_path / "a", progress=False))
-    step = BatchPhysics.step
-
-    def spoilt(self, commands, external_force=None):
-        state = step(self, commands, external_force)
-        self.force[...] = np.nan
-        return state._replace(rotor_thrust=np.full(state.rotor_thrust.shape, 9.0))
-
-    monkeypatch.setattr(BatchPhysics, "step", spoilt)
-    flights = collect(config, tmp_path / "b", progress=False)
-
-    def forbidden(*_):
-        raise AssertionError("a label asked the simulator for the force")
-
-    monkeypatch.setattr(InteractionModel, "forces", forbidden)
-    rows = interaction_rows(flights)
-    np.testing.assert_array_equal(rows.force_g, expected.force_g)
-    for label in ("differentiated", "imu"):
-        assert np.isfinite(interaction_rows(flights, label).force_g).all()
 
 
 def test_an_accelerometer_reads_one_g_in_hover_and_turns_with_the_body():

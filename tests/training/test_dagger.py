@@ -245,11 +245,11 @@ def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered(
     for _ in range(7):
         seen = [features_of(core.rows, *core.form[1:]) for core in made.cores]
         made._decide(0.5)
-    memory = made.memory
-    assert (memory.filled, memory.place) == (700, 7 * 120 % 700)
-    last = (np.arange(120) + memory.place - 120) % 700
+    buffer = made.buffer
+    assert (buffer.filled, buffer.place) == (700, 7 * 120 % 700)
+    last = (np.arange(120) + buffer.place - 120) % 700
     flat = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in seen])
-    assert np.array_equal(memory.parts[0][last], flat)
+    assert np.array_equal(buffer.parts[0][last], flat)
 
 
 def test_a_short_training_imitates_where_the_straight_line_collides():

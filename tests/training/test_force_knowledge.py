@@ -12,10 +12,17 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from examples import force_knowledge
-from examples.force_knowledge import CONDITIONS, ForceStudy, run_study, summary_of, table_of
+from examples.force_knowledge import (
+    CONDITIONS,
+    ForceStudy,
+    SprintOracle,
+    StackOracle,
+    run_study,
+    summary_of,
+    table_of,
+)
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
-from swarm_envs.training.rl.teachers import SprintOracle, StackOracle
 from tests.helpers.interrupts import calls_of
 
 
@@ -52,7 +59,7 @@ def test_teachers_compensate_the_force_of_their_air(condition):
     core.reset(list(range(32)))
     while core.running.all():
         core.step(np.clip(teacher.teach(core), -1.0, 1.0))
-    away = np.linalg.norm(teacher._shift(core), axis=-1)
+    away = np.linalg.norm(teacher.shift(core), axis=-1)
     if condition == "none":
         assert away.max() < 2e-3  # what the integrator has gathered on the way
     else:
@@ -67,7 +74,7 @@ def test_only_a_teacher_in_air_with_forces_puts_the_heavy_on_top():
         blueprint = batch_of("columns_v0", **teacher.requires, **CONDITIONS[condition])
         core = SwarmCore(blueprint.task, blueprint.config, 1)
         core.reset([3])
-        places[condition] = teacher._chosen(core) - teacher._shift(core)
+        places[condition] = teacher.assigned_places(core) - teacher.shift(core)
         goals = np.array(core.world.drones["goal"])
     assert np.array_equal(places["none"], goals)
     assert not np.allclose(places["learned"], goals)

@@ -94,7 +94,7 @@ def test_an_interrupted_run_of_dagger_ends_with_the_same_policy(whole, tmp_path,
 
 
 def test_an_interrupted_run_of_stable_baselines3_goes_on(tmp_path, capsys):
-    with calls_of(sb3.Watch, "_on_step", killed_at=100):
+    with calls_of(sb3.ProgressCallback, "_on_step", killed_at=100):
         assert main(command("ppo", tmp_path)) == 130
     models = [*(tmp_path / "checkpoints").glob("*.zip")]
     assert len(models) == 1
@@ -252,7 +252,7 @@ def test_a_drone_that_waits_for_its_team_is_not_imitated(monkeypatch):
     made.fly(1)
     decisions = 100 * sum(core.num_envs * core.num_drones for core in made.cores)
     assert sum(waits) > 5
-    assert made.memory.filled == decisions - sum(waits)
+    assert made.buffer.filled == decisions - sum(waits)
     made.close()
 
 

@@ -17,7 +17,7 @@ from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds, source_digest
 from swarm_envs.cli import main
 from swarm_envs.training.flights import Flight, fly_chunk
-from swarm_envs.training.scale_out import ScaleOptions, WorkerDied, run_jobs
+from swarm_envs.training.scale_out import ScaleOptions, run_jobs
 from tests.helpers.small_jobs import alive, small_job, wait_for
 from tests.helpers.users_agents import FINE
 
@@ -85,18 +85,6 @@ def test_a_job_whose_process_dies_is_repeated(tmp_path):
     assert found.pop("dies") == 1.0
     assert len([*notes.iterdir()]) == 2
     assert found == {k: (0.1 * k) * (0.1 * k) / 3.0 for k in range(20)}
-
-
-def test_a_job_that_kills_every_process_is_given_up():
-    jobs = [("kill", signal.SIGKILL), ("other", 0)]
-    found = dict(run_jobs(send_to_itself, jobs, ScaleOptions(workers=2)))
-    assert isinstance(found["kill"], WorkerDied)
-    assert found["other"] is None
-
-
-def send_to_itself(number: int) -> None:
-    """Send a signal to this process; 0 does nothing."""
-    os.kill(os.getpid(), number)
 
 
 DRIVER = """

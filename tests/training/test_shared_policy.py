@@ -112,7 +112,7 @@ def test_options_of_the_next_reset():
     assert np.array_equal(env.core.physics.state.position[0], start)
     assert np.array_equal(seeded[DRONES:], quick().reset()[DRONES:])
     env.set_options([{"start": start}] + [{}] * 5)
-    with pytest.raises(ValueError, match="options of environment 0 differ between its drones"):
+    with pytest.raises(ValueError, match="options of sub-environments 0 to 1 differ"):
         env.reset()
     core, before = env.core, living(env.core)
     env.set_options([{"start": start}] * DRONES + [{"team": "SX"}] * (2 * DRONES))

@@ -48,6 +48,14 @@ class FitConfig:
     out: Path
     """Output folder for the model and its report: learned.safetensors and learned.json of a
     `deep-set`, composed.safetensors and composed.json, or wake.json and wake-fit.json."""
+    model: Model = "deep-set"
+    """Force model: `deep-set` (eq. 10 of Neural-Swarm2); `composed`, a wake model plus a network
+    per pair of vehicle types, whose forces stay physical for any number of neighbors; or `wake`, a
+    closed form."""
+    mode: Mode = "anchored"
+    """`anchored` fits a model for environments: zero force on a lone drone aloft, smooth cut-off of
+    distant neighbors, inputs clamped to the data's range; `measured` fits the paper's model to the
+    labels as they are, with all neighbors."""
     steps: int = 6000
     """Number of optimizer steps."""
     batch_size: int = 1024
@@ -66,14 +74,6 @@ class FitConfig:
     drone's type; with 1, weak forces on small drones count as much as forces on large drones."""
     seed: int = 0
     """Random seed of the initial weights and all samples. The same seed gives the same weights."""
-    model: Model = "deep-set"
-    """Force model: `deep-set` (eq. 10 of Neural-Swarm2); `composed`, a wake model plus a network
-    per pair of vehicle types, whose forces stay physical for any number of neighbors; or `wake`, a
-    closed form."""
-    mode: Mode = "anchored"
-    """`anchored` fits a model for environments: zero force on a lone drone aloft, smooth cut-off of
-    distant neighbors, inputs clamped to the data's range; `measured` fits the paper's model to the
-    labels as they are, with all neighbors."""
     offsets: Literal["estimated", "none"] = "estimated"
     """Calibration offsets that `anchored` subtracts from the labels; `none` for exact labels."""
     hidden: tyro.conf.Suppress[int] = 20

@@ -82,7 +82,7 @@ def train_dagger(config: RlConfig, task: str) -> dict[str, Any]:
     return report
 
 
-class Memory:
+class ReplayBuffer:
     """Replay buffer: features (size, width), labels (size, actions), weights (size, 1)."""
 
     def __init__(self, size: int, width: int, actions: int) -> None:
@@ -125,7 +125,7 @@ class Dagger:
         self.actor = Actor(setting.sizes, self.config.hidden, width, sets)
         self._start()
         self.adam = torch.optim.Adam(self.actor.parameters())
-        self.memory = Memory(self.config.dagger.buffer_size, setting.sizes.width, width)
+        self.buffer = ReplayBuffer(self.config.dagger.buffer_size, setting.sizes.width, width)
         self.rollout, self.cpu_s, self.wall_s = 0, 0.0, 0.0
         self.curve: list[dict[str, Any]] = []
 
@@ -223,7 +223,7 @@ class Dagger:
                 own = self.actor(torch.from_numpy(rows)).numpy()
             label, weight = teacher.labels(core, self.config.dagger.avoiding)
             flies = core.world.drones["active"] > 0.0
-            self.memory.add(rows[flies], label[flies], weight[flies])
+            self.buffer.add(rows[flies], label[flies], weight[flies])
             result = core.step(self._mixed(own, label, guided))
             ended = result.terminated | result.truncated
             if ended.any():
@@ -244,7 +244,7 @@ class Dagger:
         cosine = 0.5 + 0.5 * math.cos(math.pi * self.rollout / self.config.rollouts)
         self.adam.param_groups[0]["lr"] = options.learning_rate * max(cosine, LAST_RATE)
         for _ in range(options.gradient_steps):
-            seen, label, weight = self.memory.draw(self.rng, options.batch_size)
+            seen, label, weight = self.buffer.draw(self.rng, options.batch_size)
             errors = nn.functional.huber_loss(
                 self.actor(seen), label, reduction="none", delta=HUBER
             )
@@ -258,15 +258,15 @@ class Dagger:
 
     def save(self) -> None:
         """Write a checkpoint; the last one does not contain the replay buffer."""
-        filled = self.memory.filled if self.rollout < self.config.rollouts else 0
+        filled = self.buffer.filled if self.rollout < self.config.rollouts else 0
         tensors = {f"actor.{n}": t for n, t in self.actor.state_dict().items()}
-        tensors |= {f"memory.{k}": part[:filled] for k, part in enumerate(self.memory.parts)}
+        tensors |= {f"buffer.{k}": part[:filled] for k, part in enumerate(self.buffer.parts)}
         for k, state in self.adam.state_dict()["state"].items():
             tensors |= {f"adam.{k}.{n}": torch.as_tensor(t).clone() for n, t in state.items()}
         progress = {
             "config": result_options(self.config, self.setting.task),
             "rollout": self.rollout,
-            "place": self.memory.place,
+            "place": self.buffer.place,
             "evaluations": self.evaluation.results,
             "curve": self.curve,
             "cpu_s": self.cpu_s,
@@ -310,11 +310,11 @@ class Dagger:
             state.setdefault(int(number), {})[entry] = tensors[name]
         groups = self.adam.state_dict()["param_groups"]
         self.adam.load_state_dict({"state": state, "param_groups": groups})
-        for k, part in enumerate(self.memory.parts):
-            held = tensors[f"memory.{k}"]
+        for k, part in enumerate(self.buffer.parts):
+            held = tensors[f"buffer.{k}"]
             part[: len(held)] = held
-            self.memory.filled = len(held)
-        self.memory.place, self.rollout = int(progress["place"]), int(progress["rollout"])
+            self.buffer.filled = len(held)
+        self.buffer.place, self.rollout = int(progress["place"]), int(progress["rollout"])
         self.evaluation = Evaluation(self.setting, progress["evaluations"])
         self.curve = progress["curve"]
         self.cpu_s, self.wall_s = progress["cpu_s"], progress["wall_s"]

@@ -87,11 +87,11 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
         outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
         model.set_logger(configure(str(config.out), outputs))
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
-            callbacks: list[BaseCallback] = [Watch(bar), EvaluationCallback(evaluation)]
+            callbacks: list[BaseCallback] = [ProgressCallback(bar), EvaluationCallback(evaluation)]
             folder, every = config.out / CHECKPOINTS, -(-config.steps // config.evaluations)
             callbacks.append(CheckpointCallback(max(every // env.num_envs, 1), str(folder)))
             if isinstance(model, OnPolicyAlgorithm):
-                callbacks.append(Schedules(setting))
+                callbacks.append(ScheduleCallback(setting))
             remaining = config.steps - model.num_timesteps
             try:
                 model.learn(max(remaining, 0), callbacks, reset_num_timesteps=False)
@@ -199,7 +199,7 @@ def _steps_of(path: Path) -> int:
     return int(path.stem.split("_")[-2])
 
 
-class Watch(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
+class ProgressCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
     """Callback that updates a progress bar, and logs success and collisions in training."""
 
     def __init__(self, bar: Any) -> None:
@@ -216,7 +216,7 @@ class Watch(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
         return True
 
 
-class Schedules(BaseCallback):  # type: ignore[misc]
+class ScheduleCallback(BaseCallback):  # type: ignore[misc]
     """Callback that reduces the cost of proximity, and begins the second stage of PPO."""
 
     def __init__(self, setting: Setting) -> None:

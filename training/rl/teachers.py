@@ -28,6 +28,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
+__all__ = ["DeliveryInTime", "SetpointTeacher", "SprintInTime", "TimedTeacher"]
+
 
 def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
     """Return `roundabout` with a higher speed and a larger margin.
@@ -78,27 +80,24 @@ class SetpointTeacher(CoreAgent):
     """
 
     controller = "downwash-aware"
-    compensates = False
-    """True if set-points are shifted to cancel the displacement by the true force."""
     slope, braking_mps2, speed_mps = 6.0, 3.0, 1.9
     approach = 5.0  # Velocity per distance to a moving reference, 1/s
 
     def __init__(self) -> None:
         flown = controller_of(self.controller)
         self.requires = {"action": "velocity", "decision_rate": 48, "controller": flown}
-        self._gains = flown.gains
         self._places: FloatArray | None = None
 
     def teach(self, core: SwarmCore) -> FloatArray:
         """Return velocities of the set-points."""
         drones = core.world.drones
         if not getattr(core.task.success, "named", True):
-            velocity = self._towards(drones, self._chosen(core))
+            velocity = self._towards(drones, self.assigned_places(core))
         elif core.task.motion.rests:
-            velocity = self._towards(drones, drones["goal"] + self._shift(core))
+            velocity = self._towards(drones, drones["goal"] + self.shift(core))
         else:
             ahead = ACCELERATION_LAG * drones["reference_acceleration"]
-            place = drones["reference_position"] + self._shift(core)
+            place = drones["reference_position"] + self.shift(core)
             velocity = drones["reference_velocity"] + ahead
             velocity = velocity + self.approach * (place - drones["setpoint_position"])
         return np.asarray(velocity / SPEED_LIMIT)
@@ -112,39 +111,18 @@ class SetpointTeacher(CoreAgent):
         near = np.minimum(self.slope * distance, np.sqrt(np.maximum(root, least**2)))
         return np.asarray(delta / np.maximum(distance, 1e-9) * np.minimum(near, self.speed_mps))
 
-    def _chosen(self, core: SwarmCore) -> FloatArray:
+    def assigned_places(self, core: SwarmCore) -> FloatArray:
         """Return the goals (E, N, 3) that are assigned to drones at the start of an episode."""
         if self._places is None:
             self._places = np.array(core.world.drones["goal"])
         for e in np.flatnonzero(core.world.environments["decisions"] == 0):
             goals = np.array(core.world.drones["goal"][e])
             self._places[e] = place_heavy_on_top(goals, core.tasks[e].team)
-        return self._places + self._shift(core)
+        return self._places + self.shift(core)
 
-    def _shift(self, core: SwarmCore) -> FloatArray | float:
-        """Return the shift of set-points that cancels the displacement by the true force, m."""
-        if not self.compensates:
-            return 0.0
-        drones, g = core.world.drones, self._gains
-        unknown = _all_force(core) - drones["adaptive_force"]
-        learned = g.velocity * g.integral * drones["velocity_integral"]
-        pushed = unknown / drones["nominal_mass"][..., None] - learned
-        return np.asarray(-pushed / (g.position * (g.velocity + g.integral)))
-
-
-def _all_force(core: SwarmCore) -> FloatArray:
-    """Return the interaction force (E, N, 3) and the vertical random force of the hall, N.
-
-    The physics does not store the random force; it is computed again from its process, for drones
-    with neighbors.
-    """
-    force, drones = np.array(core.physics.force), core.world.drones
-    if core.config.hall is not None:
-        felt = np.linalg.norm(force, axis=-1)
-        grown = felt / (felt + drones["residual_half"])
-        size = drones["residual_quiet"] + drones["residual_more"] * grown
-        force[..., 2] += size * drones["residual_process"][..., 2] + drones["force_offset"]
-    return force
+    def shift(self, core: SwarmCore) -> FloatArray | float:
+        """Return the shift of set-points from their places, m, which may compensate forces."""
+        return 0.0
 
 
 class RingLine(SetpointTeacher):
@@ -167,7 +145,7 @@ class TimedTeacher(SetpointTeacher):
         """Return velocities of the set-points."""
         drones, task = core.world.drones, core.task
         named = getattr(task.success, "named", True)
-        places = drones["goal"] + self._shift(core) if named else self._chosen(core)
+        places = drones["goal"] + self.shift(core) if named else self.assigned_places(core)
         since, stage_s = np.array(core.world.environments["time"]), task.motion.stage_s
         since = np.mod(since + 1e-9, stage_s) if stage_s else since
         x = np.clip(since / self.travel_s, 0.02, self.latest)[:, None, None]
@@ -188,12 +166,6 @@ class DeliveryInTime(TimedTeacher):
     """`TimedTeacher` with the duration of the task `delivery`, and a force estimate."""
 
     controller, travel_s, latest = "pid+adaptive", 1.5, 0.8
-
-
-class OracleTeacher(SetpointTeacher):
-    """`SetpointTeacher` that reads the true force, with a controller without a force model."""
-
-    controller, compensates = "pid", True
 
 
 class Carousel(CoreAgent):
@@ -225,30 +197,13 @@ class Carousel(CoreAgent):
         near = left < self.straight_m
         level = np.where(near, self.braking * delta[..., :2], level)
         wanted = np.concatenate([level, self.braking * delta[..., 2:]], axis=-1)
-        asked = self.gain * (wanted - drones["velocity"])
-        asked[..., :2] -= np.where(near, 0.0, speed**2 / radius) * out
-        size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
-        return np.asarray(asked / ACCELERATION_LIMIT / np.maximum(size, 1.0))
+        acceleration = self.gain * (wanted - drones["velocity"])
+        acceleration[..., :2] -= np.where(near, 0.0, speed**2 / radius) * out
+        size = np.abs(acceleration).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+        return np.asarray(acceleration / ACCELERATION_LIMIT / np.maximum(size, 1.0))
 
 
-class StackOracle(OracleTeacher, TimedTeacher):
-    """`OracleTeacher` with a fixed duration, for `stack`; without forces, for the nearest goals."""
-
-    def _chosen(self, core: SwarmCore) -> FloatArray:
-        if core.config.interactions == "none":
-            return np.array(core.world.drones["goal"])
-        return super()._chosen(core)
-
-
-class SprintOracle(OracleTeacher, SprintInTime):
-    """`OracleTeacher` with the duration of the layout `sprint`."""
-
-
-class DeliveryOracle(OracleTeacher, DeliveryInTime):
-    """`OracleTeacher` with the duration of the task `delivery`."""
-
-
-class _Ahead(RoundaboutAgent):
+class _RoundaboutWithoutObstacles(RoundaboutAgent):
     """The roundabout without the avoidance of obstacles, which `WayFinder` adds."""
 
     def _around(self, rows: Float32Array, wanted: Float32Array) -> Float32Array:
@@ -269,7 +224,7 @@ class WayFinder(CoreAgent):
         shipped = TUNED["roundabout"]
         cruise = Cruise(position_gain=12.0, velocity_gain=6.0, speed_mps=1.9)
         safety = Safety(margin_m=0.15, horizon_s=0.4, response_s=0.126, rate=8.73, downwash=1.15)
-        self._pilot = SafetyFilter(_Ahead(cruise, shipped.roundabout), safety)
+        self._pilot = SafetyFilter(_RoundaboutWithoutObstacles(cruise, shipped.roundabout), safety)
         self.requires = {**self._pilot.requires, "num_obstacles": 3, "observe_load": False}
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
