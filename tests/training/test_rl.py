@@ -98,8 +98,11 @@ def test_an_interrupted_run_of_stable_baselines3_goes_on(tmp_path, capsys):
         assert main(command("ppo", tmp_path)) == 130
     models = [*(tmp_path / "checkpoints").glob("*.zip")]
     assert len(models) == 1
+    first = (tmp_path / "progress.csv").read_bytes()
     assert main(command("ppo", tmp_path)) == 0
     assert "resuming at 1,024 steps" in capsys.readouterr().out
+    assert first and (tmp_path / "progress.csv").read_bytes() == first
+    assert (tmp_path / "progress_from_1024.csv").stat().st_size
     assert json.loads((tmp_path / "report.json").read_text())["steps"] == 2048
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import nn
 from tqdm import tqdm
@@ -84,8 +84,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
         )
         model, evaluation = _begin(algorithm, arguments, env, setting)
         network_of(model)  # raises before the training if the policy could not be written
-        outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
-        model.set_logger(configure(str(config.out), outputs))
+        model.set_logger(_logger(config.out, model.num_timesteps))
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
             callbacks: list[BaseCallback] = [ProgressCallback(bar), EvaluationCallback(evaluation)]
             folder, every = config.out / CHECKPOINTS, -(-config.steps // config.evaluations)
@@ -105,12 +104,19 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             "chosen": evaluation.best,
             "last": evaluation.results[-1],
             "next": advice(setting.config, task, evaluation.results),
-            "cpu_s": round(time.process_time() - begun[0], 1),
+            "cpu_s": round(time.process_time() - begun[0], 1),  # since the run resumed, if it did
             "wall_s": round(time.monotonic() - begun[1], 1),
             "version": __version__,
         }
         write_json(config.out / REPORT, report)
     return report
+
+
+def _logger(folder: Path, steps: int) -> Logger:
+    """Return the logger of a run, whose files do not replace those before it resumed at `steps`."""
+    outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
+    suffix = f"_from_{steps}" if steps else ""
+    return Logger(str(folder), [make_output_format(name, str(folder), suffix) for name in outputs])
 
 
 def algorithm_of(name: str) -> type[BaseAlgorithm]:
