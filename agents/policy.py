@@ -218,7 +218,8 @@ def read_policy(path: Path) -> Policy:
             f"policy {str(path)!r} looks like a model of Stable-Baselines3, which is a pickle: it "
             "can run any code when it is read, so commands refuse it. Load a model that you trust "
             "in Python: agent = swarm_envs.agents.from_model(PPO.load(path), env); "
-            "fly_episode(env, agent, seed)"
+            "fly_episode(env, agent, seed). For commands write a class that loads it, "
+            "file.py:Class (docs/how-to/agent.md)"
         )
     if not path.is_file():
         raise FileNotFoundError(

@@ -115,6 +115,11 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
     assert not table.exists()
 
 
+def test_a_file_without_a_class_is_the_teacher_s_mistake(work, capsys):
+    assert main([*GRADE, "--assignment", "swap", "--agent", str(work)]) == 2
+    assert f"as '{work}:MyAgent'; nothing was graded" in capsys.readouterr().err
+
+
 def test_files_that_are_none_are_not_looked_at(tmp_path, work, capsys):
     """A pipe without an end, a link to others' work, a source as large as a memory."""
     link, large, pipe = (tmp_path / part / "work.py" for part in ("link", "large", "pipe"))

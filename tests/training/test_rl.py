@@ -69,6 +69,7 @@ def test_a_run_is_written_and_its_policy_flies(algo, whole, capsys):
     assert report["steps"] >= report["last"]["step"] > 0
     assert {"random_success", "circle_success"} <= report["chosen"].keys()
     assert len(curve(whole[algo])) > 1
+    assert algo == "dagger" or "rollout/ep_rew_mean" in curve(whole[algo])[-1]
     agent = load(whole[algo])
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.provenance["config"] == report["config"]

@@ -40,8 +40,8 @@ def advice(config: RlConfig, task: str, results: Sequence[Mapping[str, float]]) 
     collisions = _mean(results[-1], "_collision")
     if config.action == "acceleration" and collisions > 0.5 * (1.0 - rates[-1]):
         found.append(
-            f"drones collide in {collisions:.0%} of the episodes: add a safety filter, "
-            f"--agent {config.out}+filter"
+            f"drones collide in {collisions:.0%} of the episodes (mean of layouts): add a safety "
+            f"filter, --agent {config.out}+filter"
         )
     return found
 

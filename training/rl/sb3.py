@@ -21,6 +21,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 from tqdm import tqdm
 
@@ -76,11 +77,13 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
     algorithm, arguments = algorithm_of(config.algo), arguments_of(setting)
     with claimed(config.out):
         begun = time.process_time(), time.monotonic()
-        env = SharedPolicyVecEnv(
-            setting.blueprints,
-            config.environments // len(setting.blueprints),
-            config.seed,
-            features=True,
+        env = VecMonitor(  # logs mean reward and length of episodes
+            SharedPolicyVecEnv(
+                setting.blueprints,
+                config.environments // len(setting.blueprints),
+                config.seed,
+                features=True,
+            )
         )
         model, evaluation = _begin(algorithm, arguments, env, setting)
         network_of(model)  # raises before the training if the policy could not be written
