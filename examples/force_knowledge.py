@@ -206,7 +206,7 @@ def summary_of(values: FloatArray) -> dict[str, Any]:
 
 
 def run_study(study: ForceStudy) -> list[dict[str, Any]]:
-    """Train and evaluate the missing policies, write the results, and return them."""
+    """Train the missing policies, evaluate all, write the results, and return them."""
     students, results = list(product(study.task, CONDITIONS, (False, True))), []
     with (
         claimed(study.out),

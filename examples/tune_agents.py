@@ -172,5 +172,8 @@ def tune_agent(options: TuneOptions) -> tuple[Candidate, float]:
 
 
 if __name__ == "__main__":
-    found, worth = tune_agent(tyro.cli(TuneOptions))
+    chosen = tyro.cli(TuneOptions)
+    if chosen.out.exists():
+        sys.exit(f"{chosen.out} exists; delete it, or name another file by --out")
+    found, worth = tune_agent(chosen)
     sys.stdout.write(f"{worth:.4f} {json.dumps(numbers_of(found))}\n")

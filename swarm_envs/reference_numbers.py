@@ -96,11 +96,11 @@ def aerodynamics_of(
     | `phi`, `phi_env`, `rho` | pairs, drones, drones | networks of `deep-set` |
 
     Raises:
-        ValueError: the model is a function, or lacks a vehicle's type.
+        ValueError: the model is a function or a sum of pairs, or lacks a vehicle's type.
     """
     found, drones = load(model), parse_team(team)
     field, own = found.field, found.type_indices(drones)
-    if found.function is not None:
+    if found.function is not None or field.kind not in (0, 1, DEEP_SET, COMPOSED):
         raise ValueError(
             f"interaction model {found.name!r} has no equations in swarm_envs.reference; use "
             "'wake', 'learned', 'deep-set', or a file that was fitted as one of these"

@@ -238,7 +238,7 @@ def assign_levels(
     """Return levels (G, K, D) of all items, so that each level of a table is a perfect matching.
 
     `aims` (G, K, D) is the target column of each item of G tables, each column D times; item d of a
-    column is in level d at first. Ints that are not `real` may be shifted by any distance;
+    column is in level d at first. Items that are not `real` may be shifted by any distance;
     `bounded` keeps the largest shift of the others small (RTH3D-LBA).
     """
     levels = np.empty(aims.shape, dtype=np.int32)

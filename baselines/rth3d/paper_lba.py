@@ -36,7 +36,7 @@ def _table_levels(aims: Ints, real: npt.NDArray[np.bool_]) -> Ints:
     shifts = np.abs(places[:, None] - places).astype(np.int32)  # by level and place
     costs, own = np.where(real, shifts[:, None], 0), np.empty((size, columns), dtype=np.int64)
     left, worst = np.zeros(aims.shape, dtype=np.int32), np.empty((size, size), dtype=np.int32)
-    for k in range(size):  # Ints that have a level already cost more than any shift
+    for k in range(size):  # Items that have a level already cost more than any shift
         own[k] = _least_bottleneck(np.ascontiguousarray(aims), np.maximum(costs[k], left))
         left[every, own[k]] = size
         worst[k] = costs[:, every, own[k]].max(axis=1)

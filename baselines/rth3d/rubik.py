@@ -39,7 +39,7 @@ Shuffles = dict[str, Shift | LongShift]
 
 @dataclass(frozen=True, eq=False)
 class RubikTable:
-    """Ints, numbered by their first slot, and their target slots."""
+    """Items, numbered by their first slot, and their target slots."""
 
     highways: Highways
     goal: Ints  # (items,) the target slot of each item; slot (c, r, z) has number (c R + r) Z + z

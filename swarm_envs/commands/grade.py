@@ -154,10 +154,10 @@ def _expanded(works: list[str]) -> list[str]:
     found = []
     for work in works:
         path, colon, name = work.rpartition(":") if ".py:" in work else (work, "", "")
-        if path.endswith(".py") and not name:
+        if Path(path).is_file() and path.endswith(".py") and not name:
             raise Misuse(
                 f"--agent is {work!r}, but must name a class or function of the file, as "
-                f"{work + ':MyAgent'!r}; nothing was graded"
+                f"{path + ':MyAgent'!r}; nothing was graded"
             )
         files = sorted(glob.glob(path)) if glob.has_magic(path) else [path]  # noqa: PTH207
         if not files:

@@ -29,6 +29,7 @@ from swarm_envs.reference import (
 from swarm_envs.reference_numbers import aerodynamics_of, bodies_of, gains_of
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import parse_team
+from tests.helpers.frozen import pairwise_model
 
 ENGINES = (BatchPhysics, BulletPhysics) if bullet_available() else (BatchPhysics,)
 SECONDS = 5.0
@@ -248,3 +249,8 @@ def test_the_exact_turn_is_of_second_order_that_of_engines_of_first() -> None:
     for turn, order in ((turned, 1), (turned_exactly, 2)):
         coarse, fine = (np.abs(flown(turn, n) - truth).max() for n in (120, 1200))
         assert np.log10(coarse / fine) == pytest.approx(order, abs=0.15)
+
+
+def test_a_sum_of_pairs_has_no_equations():
+    with pytest.raises(ValueError, match=r"has no equations in swarm_envs\.reference"):
+        aerodynamics_of(pairwise_model(), "LS")

@@ -348,3 +348,9 @@ def test_a_constant_force_leaves_the_slope_of_the_window() -> None:
     found = steepest(network, 1, np.random.default_rng(0))
     assert 0.9 * 75.0 < found["position_gradient_g_per_m"] <= bound
     assert found["input_gradient_g_per_unit"] == pytest.approx(found["position_gradient_g_per_m"])
+
+
+@pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])
+def test_a_type_that_cannot_be_filed_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="cannot be the name of a vehicle type"):
+        DeepSetSpec(("S", name))

@@ -81,6 +81,10 @@ class DeepSetSpec:
     torque: bool = False
     """True if rho outputs the torque too; for a deep set only."""
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for names of vehicle types that weights cannot have."""
+        _check_types(self.types)
+
     @property
     def phi_widths(self) -> tuple[int, ...]:
         """The widths of phi after its input (6 for a vehicle, 4 for the environment)."""
@@ -90,6 +94,17 @@ class DeepSetSpec:
     def rho_widths(self) -> tuple[int, ...]:
         """The widths of rho from its input to its output."""
         return (self.hidden, *(_WIDTH,) * (self.layers - 1), 1)
+
+
+def _check_types(types: tuple[str, ...]) -> None:
+    for name in types:
+        if not name or "." in name or name == "environment" or hasattr(nn.ModuleDict(), name):
+            raise ValueError(
+                f"{name!r} cannot be the name of a vehicle type, because it is used in names of "
+                "weights; choose another without a period, such as 'XL'"
+            )
+    if len(set(types)) < len(types) or not types:
+        raise ValueError(f"types are {types}, but must be one or more different names")
 
 
 def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:

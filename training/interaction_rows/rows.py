@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.errors import unknown_name
 from swarm_envs.files import read_npz, written_whole
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
@@ -215,9 +216,17 @@ def _published_rows(arrays: Arrays) -> InteractionRows:
     outside the interaction volume: they stay in the table, and the models' window masks them.
     """
     x, fa = _numbers(arrays, "x"), _numbers(arrays, "fa")
+    if x.ndim != 2 or x.shape[1] != 18 or fa.ndim != 2 or fa.shape[1] < 3:
+        raise ValueError(
+            f"x has shape {x.shape} and fa {fa.shape}, but they must have (R, 18) and (R, 3) or "
+            "(R, 4)"
+        )
     names = tuple(str(name) for name in arrays["names"])
-    scenario, vehicle = (arrays[name].astype(np.int64) for name in ("scenario", "cf"))
-    table = np.array([_neighbors(name) for name in names])
+    scenario = arrays["scenario"].astype(np.int64)
+    if scenario.size and not 0 <= scenario.min() <= scenario.max() < len(names):
+        raise ValueError(f"scenario goes to {scenario.max()}, but there are {len(names)} names")
+    vehicle = arrays["cf"].astype(np.int64)
+    table = np.array([_neighbors(name) for name in names]).reshape(-1, 2)
     return InteractionRows(
         types=("S", "L"),
         ego_type=(vehicle > _LARGE_VEHICLES).astype(np.int64),
@@ -237,5 +246,12 @@ def _published_rows(arrays: Arrays) -> InteractionRows:
 
 def _neighbors(scenario: str) -> list[int]:
     """Return the types of the two neighbors of a scenario such as `SL2S`."""
-    above = scenario.partition("2")[0].removeprefix("Ge")
-    return [*("SL".index(letter) for letter in above), *[NO_NEIGHBOR] * (2 - len(above))]
+    above, _, ego = scenario.partition("2")
+    above = "" if above == "Ge" else above
+    for letter in (*above, ego):
+        if letter not in ("S", "L"):
+            where = f"in the scenario {scenario!r}"
+            raise ValueError(unknown_name("vehicle type", letter, ("S", "L"), where))
+    if len(above) > 2:
+        raise ValueError(f"scenario {scenario!r} has {len(above)} neighbors, but x has two")
+    return [*(("S", "L").index(letter) for letter in above), *[NO_NEIGHBOR] * (2 - len(above))]

@@ -176,6 +176,15 @@ def test_the_published_format_names_its_types_by_scenario(tmp_path: Path) -> Non
     assert rows.neighbor_type[:3].tolist() == [[-1, -1], [0, 1], [1, -1]]
     np.savez(path, **without("val")(published(("Ge2S", "SL2S", "L2L"))))
     assert not read_rows(path).validation.any()
+    np.savez(path, **published(("Ge2S", "SM2S", "L2L")))
+    with pytest.raises(ValueError, match=r"unknown vehicle type 'M' in the scenario 'SM2S'; .*'S'"):
+        read_rows(path)
+    np.savez(path, **published(("Ge2S", "SLL2S", "L2L")))
+    with pytest.raises(ValueError, match="has 3 neighbors, but x has two"):
+        read_rows(path)
+    np.savez(path, **edited("x", lambda x: x[:, :12])(published(("Ge2S", "L2L"))))
+    with pytest.raises(ValueError, match=r"x has shape \(900, 12\) and fa"):
+        read_rows(path)
 
 
 def test_rows_survive_their_file(tmp_path: Path) -> None:
