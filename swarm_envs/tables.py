@@ -254,6 +254,7 @@ SETTINGS = (
     Field("compensates", (), "", None, "True if the controller compensates a force.", np.bool_),
     Field("drains", (), "", None, "True if batteries discharge.", np.bool_),
     Field("gusty", (), "", None, "True if there are gusts.", np.bool_),
+    Field("twists", (), "", None, "True if interaction forces also exert a torque.", np.bool_),
     Field("bounded", (), "", None, "True if actions lie in [-1, 1].", np.bool_),
     Field("tracks", (), "", None, "True if success requires tracking the reference.", np.bool_),
     Field("exchanges", (), "", None, "True if drones may exchange goals.", np.bool_),

@@ -118,13 +118,13 @@ def mix_rotors(
 
 @part
 def track(
-    blocks: Records, count: int, settings: Records, adaptive: bool | None, hall: bool | None = None
+    blocks: Records, count: int, settings: Records, varied: bool | None, hall: bool | None = None
 ) -> None:
     """Make one step of the position and attitude loops for the drones of the first `count` blocks.
 
     The commands for the rate loop are written, and set-points are extrapolated by one step with
-    their jerk. `adaptive` is True if the force of `adapt` is also compensated, and `hall` in the
-    world "hall"; else they are None.
+    their jerk. `varied` is True if the force of `adapt`, which is 0 without adaptation, is also
+    compensated, and `hall` in the world "hall"; else they are None.
     """
     s = settings[0]
     step, per_step, lead = s.step, 1.0 / s.step, s.lead  # divisions are slow
@@ -163,7 +163,7 @@ def track(
 
             # The vertical component of the desired force is kept positive
             (fx, fy, fz), known = three(b.desired_force, lane), three(b.feedforward_force, lane)
-            if adaptive is not None:
+            if varied is not None:
                 more = three(b.adaptive_force, lane)
                 known = known[0] + more[0], known[1] + more[1], known[2] + more[2]
             fx, fy, fz = fx - known[0], fy - known[1], max(fz + weight - known[2], least * weight)

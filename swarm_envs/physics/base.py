@@ -141,7 +141,7 @@ class Physics:
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
         rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
         self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
-        self.hall, self._twisting = hall, interaction_torque
+        self.hall = hall
         self._battery = BatteryModel() if battery is None else battery
         self._bounds_g = force_bounds_g
         drones = len(self.team)
@@ -157,6 +157,7 @@ class Physics:
             compensates=config.feedforward is not None and self.feedforward.function is None,
             drains=battery is not None,
             gusty=strength > 0.0,
+            twists=interaction_torque,
             gust_kept=float(np.exp(-TIME_STEP / correlation_s)),
             gust_strength=strength,
             arena=self.arena,
@@ -210,8 +211,7 @@ class Physics:
             open_circuit=self._open_circuit,
             order=self.order,
         )
-        flags = (self._varied, self.settings["adaptation"][0], self.hall, self._twisting)
-        given = (flight, *(True if flag else None for flag in flags))
+        given = flight, self._varied or None, None if self.hall is None else True
         size = len(work.members)
         models = self.interactions.packed, self.feedforward.packed
         self._given = [  # for each thread
@@ -223,9 +223,10 @@ class Physics:
     @property
     def _varied(self) -> bool:
         """True if `fly` needs one of the parts that are compiled with its flag `varied`."""
-        s = self.settings[0]
-        options = s["drains"] or s["gusty"] or s["bounces"] or s["compensates"]
-        return bool(options or len(self.obstacles) or len(self.team) > FEW)
+        names = "drains", "gusty", "bounces", "compensates", "adaptation", "twists"
+        options = any(bool(self.settings[name][0]) for name in names)
+        large = len(self.team) > FEW
+        return options or large or self.hall is not None or len(self.obstacles) > 0
 
     def compile(self) -> None:
         """Compile `fly`, which otherwise happens at the first step."""

@@ -125,8 +125,11 @@ def spin_rotors(blocks: Records, count: int) -> None:
 
 
 @part
-def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None:
-    """Advance the bodies of `count` blocks by 1/240 s; `twisting`: True with interaction torque."""
+def integrate(blocks: Records, count: int, varied: bool | None = None) -> None:
+    """Advance the bodies of `count` blocks by 1/240 s.
+
+    `varied` is True if there may be an interaction torque, else None.
+    """
     dt = TIME_STEP
     for n in range(count):
         b = blocks[n]
@@ -139,7 +142,7 @@ def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None
             )
             gain = b.thrust_gain[lane]
             thrust, tx, ty, tz = gain * thrust, gain * tx, gain * ty, gain * tz
-            if twisting is not None:
+            if varied is not None:
                 x, y, z = three(b.interaction_torque, lane)
                 tx, ty, tz = tx + x, ty + y, tz + z
             # Euler's equations in the body frame

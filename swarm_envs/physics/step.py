@@ -180,8 +180,7 @@ def stop_tumbling(
     controlled: bool,
     adaptive: bool,
     team: bool,
-    hall: bool | None,
-    twisting: bool | None,
+    disturbed: bool | None,
     work: Work,
 ) -> None:
     """Stop drones that tumble, or their teams, at this physics step.
@@ -197,9 +196,7 @@ def stop_tumbling(
         for other in range(place, place + drones):
             if (team or other == slot) and not work.stopped[other]:
                 store_tile(columns, other, other + 1, controlled, adaptive, work)
-                if hall is not None:  # noqa: SIM114  # Numba removes branches of None, not of `or`
-                    store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
-                elif twisting is not None:
+                if disturbed:
                     store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
                 work.stopped[other] = True
                 b = work.blocks[other // LANES]
@@ -272,7 +269,6 @@ def control(
     full: int,
     flight: Flight,
     varied: bool | None,
-    adaptive: bool | None,
     hall: bool | None,
     feedforward: Forces,
     work: Work,
@@ -287,9 +283,9 @@ def control(
     if settings[0].level == SETPOINTS:
         if varied is not None and settings[0].compensates:
             predict(count, flight.drones.shape[1], hall, feedforward, work)
-        if adaptive is not None:
+        if varied is not None and settings[0].adaptation != 0:
             adapt(work.blocks, full, settings, hall)
-        track(work.blocks, full, settings, adaptive, hall)
+        track(work.blocks, full, settings, varied, hall)
     hold_rates(work.blocks, full, settings, hall)
 
 
@@ -301,7 +297,6 @@ def push(
     flight: Flight,
     varied: bool | None,
     hall: bool | None,
-    twisting: bool | None,
     acting: Forces,
     work: Work,
 ) -> None:
@@ -318,7 +313,7 @@ def push(
         spread(due, size, environments, work, acting.scratch)
         if hall is not None:
             mark_near(due, size, work.due, work.blocks, acting.scratch)
-        if twisting is not None:
+        if varied is not None and settings[0].twists:
             twist(acting, due, size, environments, work)
     if varied is not None and settings[0].gusty and phases & CONTROL:
         for place in range(count):
@@ -355,7 +350,7 @@ def find_contacts(
 
 
 @kernel
-def fly(  # noqa: C901  # one step, on one screen
+def fly(
     first: int,
     last: int,
     phases: int,
@@ -363,9 +358,7 @@ def fly(  # noqa: C901  # one step, on one screen
     flown: BoolArray,
     flight: Flight,
     varied: bool | None,
-    adaptive: bool | None,
     hall: bool | None,
-    twisting: bool | None,
     acting: Forces,
     feedforward: Forces,
     work: Work,
@@ -377,14 +370,16 @@ def fly(  # noqa: C901  # one step, on one screen
     `ends_team`, with its team. `acting` are the forces on the drones, `feedforward` those that
     their controllers compensate.
 
-    Flags are True or None. Numba leaves out branches of flags that are None, which saves about a
-    fifth of the time. `varied` is one flag for obstacles, batteries, gusts, bounces, a force that
-    is fed forward, and large teams, so that few combinations are compiled.
+    Flags are True or None. Numba leaves out the branches of a flag that is None, which saves a
+    fifth of the time and half of the compilation. `hall` is that of the world "hall". `varied` is
+    one flag for it and all else beyond a plain flight (see `Physics`), so that few combinations
+    are compiled.
     """
     drones, columns, environments = flight.drones, flight.columns, flight.environments
     s, size, members = flight.settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & INTEGRATE != 0
-    adapts, team = adaptive is not None and controlled, s.ends_team
+    adapts = controlled and s.adaptation != 0
+    disturbed = None if varied is None else hall is not None or s.twists
     e = first
     while e < last:
         count = 0
@@ -397,30 +392,26 @@ def fly(  # noqa: C901  # one step, on one screen
             continue
         full = (count * size + LANES - 1) // LANES
         load_tile(columns, count, controlled, adapts, phases & BEGIN != 0, work)
-        if hall is not None:  # noqa: SIM114  # Numba removes branches of None, not of `or`
-            load_hall(columns, environments, members, count, work.blocks, work.tile)
-        elif twisting is not None:
+        if varied is not None and disturbed:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         if phases & CONTACTS and phases & BEGIN == 0:  # drones may have tumbled in earlier steps
-            stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
+            stop_tumbling(columns, count, controlled, adapts, s.ends_team, disturbed, work)
         for k in range(steps + 1):
             if phases & CONTACTS and (k > 0) == moves:
                 find_contacts(count, full, flight, varied, hall, work)
-                stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
+                stop_tumbling(columns, count, controlled, adapts, s.ends_team, disturbed, work)
             if k == steps:
                 break
             if phases & CONTROL and controlled:
-                control(count, full, flight, varied, adaptive, hall, feedforward, work)
+                control(count, full, flight, varied, hall, feedforward, work)
             if phases & FORCES:
-                push(phases, count, full, flight, varied, hall, twisting, acting, work)
+                push(phases, count, full, flight, varied, hall, acting, work)
             if phases & INTEGRATE:
-                integrate(work.blocks, full, twisting)
+                integrate(work.blocks, full, varied)
             elif phases & FORCES:
-                write_wrenches(count, drones, work, twisting)
+                write_wrenches(count, drones, varied, work)
         store_tile(columns, 0, count * size, controlled, adapts, work)
-        if hall is not None:  # noqa: SIM114  # as above
-            store_hall(columns, members, 0, count * size, work.tile, work.stopped)
-        elif twisting is not None:
+        if varied is not None and disturbed:
             store_hall(columns, members, 0, count * size, work.tile, work.stopped)
 
 
@@ -475,7 +466,7 @@ def empty_batteries(
 
 
 @part
-def write_wrenches(count: int, drones: Records, work: Work, twisting: bool | None) -> None:
+def write_wrenches(count: int, drones: Records, varied: bool | None, work: Work) -> None:
     """Write the force (N) and torque (N m) on each body, in the body frame, for Bullet."""
     size = drones.shape[1]
     for slot in range(count * size):
@@ -490,7 +481,7 @@ def write_wrenches(count: int, drones: Records, work: Work, twisting: bool | Non
         x, y, z = x + ex, y + ey, z + ez
         gain = b.thrust_gain[lane]
         thrust, out[3], out[4], out[5] = gain * thrust, gain * out[3], gain * out[4], gain * out[5]
-        if twisting is not None:
+        if varied is not None:
             for k in range(3):
                 out[3 + k] += b.interaction_torque[k, lane]
         out[0] = r[0] * x + r[3] * y + r[6] * z
