@@ -116,7 +116,7 @@ def test_the_residual_pushes_and_grows_with_the_modelled_force():
     np.testing.assert_allclose(pushed[..., 0], 0.5 * size * residual[0, ..., 0], atol=1e-10)
 
 
-@pytest.mark.parametrize("drones", [4, 30])
+@pytest.mark.parametrize("drones", [4, pytest.param(30, marks=pytest.mark.slow)])
 def test_company_is_whoever_is_in_the_interaction_volume(drones, engine):
     """For few drones and for many, also where forces are evaluated every fifth step only."""
     made = (BulletPhysics if engine == "bullet" else BatchPhysics)(

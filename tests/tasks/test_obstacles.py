@@ -168,11 +168,12 @@ def test_what_is_drawn_is_free(task, options):
     ("task", "options", "message"),
     [
         ("swap_v1", {"layout": "stacked", "team": "LS"}, r"the reference of drone \d is 0.\d+ m"),
-        ("ring_v1", {}, r"found no ring_v1 free of the obstacles within 200 draws"),
+        ("ring_v1", {}, r"found no ring_v1 free of the obstacles within 20 draws"),
         ("formation_v1", {}, r"the start of drone \d is .* from obstacle 0, but must keep 0.21"),
     ],
 )  # fmt: skip
-def test_searches_that_fail_say_why(task, options, message):
+def test_searches_that_fail_say_why(task, options, message, monkeypatch):
+    monkeypatch.setattr("swarm_envs.tasks.base._DRAWS", 20)
     env = swarm_envs.make(task, physics="batch", obstacles=(Column((0, 0), 0.2),), **options)
     with pytest.raises(RuntimeError, match=message):
         env.reset(seed=0)

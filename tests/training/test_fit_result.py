@@ -124,7 +124,7 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
     rows = rows_of_types(("S", "S*", "XL"))
     length: dict[str, Any] = {"steps": 250}
     if model == "composed":  # it begins with a wake of 20 g, narrow and steep
-        length = {"steps": 600, "learning_rate": 3e-3}
+        length = {"steps": 300, "learning_rate": 6e-3}
     report = fit(config_of(rows, tmp_path, model=model, **QUICK | length))
     assert report.notes == []
     assert report.findings.errors.overall < 0.6 * report.findings.errors.zero

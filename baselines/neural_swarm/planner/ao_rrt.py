@@ -25,7 +25,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
 )
-from swarm_envs.compiled import announce_compilation
+from swarm_envs.compiled import entry_point
 from swarm_envs.errors import check_integer, check_number, check_type
 from swarm_envs.state import FloatArray
 
@@ -131,7 +131,6 @@ def search(
         raise ValueError(
             f"edge is {options.edge} steps, but max_duration allows {problem.steps}; shorten it"
         )
-    announce_compilation(grow_tree)
     return _Search(problem, options, np.random.default_rng(seed)).run()
 
 
@@ -204,7 +203,7 @@ class _Search:
         if self.stop() is not None:
             return INVALID, path
         scene = make_scene(self.problem, robot, states, planned, options.edge)
-        cost, used, _ = grow_tree(
+        given = (
             scene,
             self.tree,
             working_state(scene),
@@ -214,5 +213,6 @@ class _Search:
             self.rng,
             path,
         )
+        cost, used, _ = entry_point(grow_tree, *given)(*given)
         self.iterations += max(used, 1)  # A robot that cannot begin would never end the search
         return cost, path
