@@ -175,7 +175,7 @@ def run_fly(options: FlyOptions) -> None:
             raise ValueError(cannot_fly(name, error)) from error
     with closing(env):
         recording = _fly(env, agent, name, options)
-    _print_summary(recording)
+    _print_summary(recording, blueprint.config.hall is not None)
     if agent.privileged:
         limited = blueprint.config.communicates
         more = "; limits of communication hold for observations only" if limited else ""
@@ -241,6 +241,8 @@ def find_task(name: str) -> str:
     if ".py:" in name:  # a task of one's own
         task_class(name)
         return name
+    if name.endswith(".py"):
+        raise ValueError(f"--task is {name!r}, but must name a class too: {name}:ClassName")
     families = _newest()
     return families.get(name) or check_name("task", name, (*families, *TASKS))
 
@@ -347,11 +349,12 @@ def team_text(team: Team) -> str:
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
-def _print_summary(recording: Recording) -> None:
+def _print_summary(recording: Recording, in_hall: bool) -> None:
     from swarm_envs.viewing.summary import outcome
 
     about, metrics = recording.about, recording.about.metrics
-    print(f"{about.task}, {team_text(recording.team)}, agent {about.agent}, seed {about.seed}")
+    task = f"{about.task} in the hall" if in_hall else about.task
+    print(f"{task}, {team_text(recording.team)}, agent {about.agent}, seed {about.seed}")
     print(outcome(recording))
     if goals := _goals_text(metrics, len(recording.team)):
         print(f"  Goals     {goals}")

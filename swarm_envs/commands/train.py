@@ -94,6 +94,8 @@ def setting(config: RlConfig) -> list[str]:
             words += [f"--{name.replace('_', '-')}", str(value)]
     if config.interactions != "learned":
         words += ["--interactions", config.interactions]
+    if not config.teams:
+        return words
     largest = max(config.team_sizes)
     if config.team:
         return [*words, "--team", config.team[config.team_sizes.index(largest)]]
@@ -108,7 +110,7 @@ def _summary(report: dict[str, Any]) -> str:
     ]
     for name, value in chosen.items():
         shown = f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.4g}"
-        if name.endswith(("_success", "_collision")):
+        if name.endswith(("_success", "_crash", "_collision")):
             shown = f"{value:.1%}"
         lines.append(f"  {name}: {shown}")
     if suggested := report.get("next"):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from swarm_envs.tasks.base import Task
 
-__all__ = ["ALL", "Learning", "in_time", "metric", "scored"]
+__all__ = ["ALL", "Learning", "collision", "crash", "in_time", "metric", "scored"]
 
 Metrics = Mapping[str, Any]
 """The `episode_metrics` of an episode."""
@@ -33,8 +33,14 @@ def success(metrics: Metrics) -> float:
     return float(metrics["success"])
 
 
+def crash(metrics: Metrics) -> float:
+    """Return 1 if any drone hit a drone, the floor, a wall or an obstacle, or tumbled, else 0."""
+    hits = (count for name, count in metrics.items() if name.startswith("collided_"))
+    return float(metrics["tumbled"] > 0 or any(hits))
+
+
 def collision(metrics: Metrics) -> float:
-    """Return 1 if drones collided, else 0."""
+    """Return 1 if drones collided with each other, else 0."""
     return float(metrics["collided_drones"] > 0)
 
 
@@ -48,8 +54,10 @@ def metric(name: str) -> Measure:
     return lambda metrics: float(metrics[name])
 
 
-RATES: Mapping[str, Measure] = MappingProxyType({"success": success, "collision": collision})
-"""The measures of every task."""
+RATES: Mapping[str, Measure] = MappingProxyType(
+    {"success": success, "crash": crash, "collision": collision}
+)
+"""The measures of every task. `crash` is the `collision_rate` of `swarm-envs evaluate`."""
 
 
 @dataclass(frozen=True, kw_only=True)

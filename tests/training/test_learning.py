@@ -17,7 +17,7 @@ from swarm_envs.envs.options import blueprint_of
 from swarm_envs.swap_v1 import blueprint
 from swarm_envs.tasks import formation
 from swarm_envs.tasks.formation import LAYOUTS, FormationCurriculum, FormationTask
-from swarm_envs.tasks.learning import ALL
+from swarm_envs.tasks.learning import ALL, collision, crash
 from swarm_envs.tasks.ring import LOST_M
 from swarm_envs.tasks.swap import SwapCurriculum
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -42,6 +42,18 @@ def test_what_is_not_given_is_the_tasks():
     given = with_defaults(options(layout="tour", horizon_s=9.0), "formation_v1")
     assert (given.layout, given.horizon_s) == ("tour", 9.0)
     assert with_defaults(given, "formation_v1") == given
+    assert (swap.drones, swap.team) == (4, ()) and (ring.drones, ring.team) == (None, ("S*S*S*LL",))
+    assert with_defaults(options(drones=(2, 3)), "ring_v1").team_sizes == (2, 3)
+
+
+def test_a_crash_is_any_contact_and_a_collision_is_between_drones():
+    metrics = {f"collided_{name}": 0 for name in ("drones", "floor", "wall", "obstacle")}
+    metrics["tumbled"] = 0
+    assert (crash(metrics), collision(metrics)) == (0.0, 0.0)
+    for name in ("collided_floor", "collided_wall", "collided_obstacle", "tumbled"):
+        assert (crash(metrics | {name: 2}), collision(metrics | {name: 2})) == (1.0, 0.0)
+    hit = metrics | {"collided_drones": 2}
+    assert (crash(hit), collision(hit)) == (1.0, 1.0)
 
 
 def test_obstacles_are_observed_wherever_there_are_any():

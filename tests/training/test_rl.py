@@ -110,16 +110,16 @@ def test_an_interrupted_run_of_stable_baselines3_goes_on(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({}, "--task swap --drones 4"),
+        ({}, "--task swap"),
         ({"layout": "circle", "drones": (2, 4)}, "--task swap --layout circle --drones 4"),
         ({"team": ("SL", "SSLL"), "environments": 64}, "--task swap --team SSLL"),
         (
-            {"obstacles": "column=1:1:0.1", "world": "hall"},
+            {"obstacles": "column=1:1:0.1", "world": "hall", "drones": 4},
             "--task swap --world hall --obstacles column=1:1:0.1 --drones 4",
         ),
         (
             {"observe_delay_s": 0.1, "observe_loss": 0.2, "randomization": "mass=0.9:1.1"},
-            "--task swap --observe-delay-s 0.1 --observe-loss 0.2 --drones 4",
+            "--task swap --observe-delay-s 0.1 --observe-loss 0.2",
         ),
     ],
 )
@@ -136,6 +136,17 @@ def test_a_finished_run_stays_as_it_is(algo, whole, capsys):
     assert main(command(algo, out, "--seed", "6")) == 1
     assert "seed is 5 there, 6 here" in capsys.readouterr().err
     assert {f.name: f.read_bytes() for f in out.iterdir() if f.is_file()} == before
+
+
+def test_a_finished_run_of_stable_baselines3_continues_with_more_steps(tmp_path, capsys):
+    assert main(command("ppo", tmp_path)) == 0
+    assert main(command("ppo", tmp_path, "--steps", "3072")) == 0
+    assert "resuming at 2,048 steps" in capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["steps"] == report["config"]["steps"] == 3072
+    assert main(command("ppo", tmp_path)) == 1
+    assert "steps is 3072 there, 2048 here" in capsys.readouterr().err
+    assert main(command("ppo", tmp_path, "--steps", "4096", "--seed", "6")) == 1
 
 
 @pytest.mark.parametrize(("action", "width"), [("velocity", 3), ("ctbr", 4)])

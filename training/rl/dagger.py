@@ -36,6 +36,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import Blueprint
 from swarm_envs.files import claimed, write_json, write_table
+from swarm_envs.tasks.learning import RATES
 from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.provenance import check_same
 from swarm_envs.training.rl.advice import advice
@@ -201,7 +202,7 @@ class Dagger:
         for core in self.cores:
             core.reset([seed + e for e in range(core.num_envs)])
             seed += core.num_envs
-        self.ends: list[tuple[bool, bool]] = []  # success and collision of each episode
+        self.ends: list[list[float]] = []  # the measures of each episode
         guided = config.dagger.guided * config.rollouts
         while self.rollout < end:
             share = max(0.0, 1.0 - self.rollout / guided) if guided else 0.0
@@ -209,11 +210,14 @@ class Dagger:
                 self._decide(share)
             loss = self._learn()
             self.rollout += 1
-            success, collision = np.mean(self.ends or [(False, False)], axis=0)
+            means = np.mean(self.ends or [[0.0] * len(RATES)], axis=0)
+            rates = dict(zip(RATES, means.tolist(), strict=True))
             if bar is not None:
-                bar.set_postfix_str(f"success {success:.0%}, loss {loss:.3g}", refresh=False)
+                bar.set_postfix_str(
+                    f"success {rates['success']:.0%}, loss {loss:.3g}", refresh=False
+                )
                 bar.update()
-        return {"step": self.steps, "success": success, "collision": collision, "loss": loss}
+        return {"step": self.steps, **rates, "loss": loss}
 
     def _decide(self, guided: float) -> None:
         """Simulate one decision of every drone, and store the teacher's labels."""
@@ -228,7 +232,7 @@ class Dagger:
             ended = result.terminated | result.truncated
             if ended.any():
                 metrics = core.metrics_of(np.flatnonzero(ended).tolist())
-                self.ends += [(m["success"], m["collided_drones"] > 0) for m in metrics]
+                self.ends += [[measure(m) for measure in RATES.values()] for m in metrics]
                 core.reset(mask=ended)
 
     def _mixed(self, own: Float32Array, label: Float32Array, guided: float) -> Any:

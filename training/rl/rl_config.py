@@ -87,9 +87,10 @@ class RunOptions:
     start: str | None = None
     """Name, file or folder of the trained policy from which DAgger starts. If None, the initial
     weights are random."""
-    drones: int | tuple[int, ...] = 4
+    drones: int | tuple[int, ...] | None = None
     """Number of drones. With several numbers, such as `4 8`, each is used in an equal share of the
-    environments. The policy supports teams from the smallest to the largest number."""
+    environments. The policy supports teams from the smallest to the largest number. If None, the
+    task's default team."""
     fewest: int | None = None
     """Size of the smallest team that the policy supports. If None, the smallest in training."""
     most: int | None = None
@@ -110,7 +111,7 @@ class RlConfig(WorldOptions, RunOptions):
     """Train one policy for all drones with Stable-Baselines3, or with DAgger from a teacher.
 
     An interrupted or killed command resumes from the last checkpoint when it is run again. A
-    complete run is not overwritten.
+    complete run is not overwritten; with more --steps, one of Stable-Baselines3 continues.
     """
 
     set: tuple[str, ...] = ()
@@ -188,8 +189,9 @@ class RlConfig(WorldOptions, RunOptions):
         check_name("--encoder", self.encoder, get_args(Encoder))
 
     def _check_teams(self) -> None:
-        given = {*self._counts}
-        if self.team and given != {RunOptions.drones} and given != {*self.team_sizes}:
+        if self.drones is None and not self.team:
+            return  # checked with the task's default team
+        if self.team and self.drones is not None and {*self._counts} != {*self.team_sizes}:
             raise ValueError(
                 f"--drones is {self.drones}, but --team {' '.join(self.team)} has "
                 f"{', '.join(map(str, self.team_sizes))}; give one of them"
@@ -219,10 +221,13 @@ class RlConfig(WorldOptions, RunOptions):
         for option in fields(self):
             if option.name in foreign and getattr(self, option.name) != option.default:
                 name = "--dagger.*" if option.name == "dagger" else _option(option.name)
-                raise ValueError(f"{name} was given, but --algo {self.algo} has no such option")
+                needed = "one of Stable-Baselines3" if self.imitates else "--algo dagger"
+                raise ValueError(
+                    f"{name} was given, but --algo {self.algo} has no such option; use {needed}"
+                )
 
     def _check_sizes(self) -> None:
-        teams = len(self.team_sizes)
+        teams = max(len(self.team_sizes), 1)
         if self.environments % teams:
             raise ValueError(
                 f"--environments is {self.environments}, but must be a multiple of {teams}, the "
@@ -248,11 +253,13 @@ class RlConfig(WorldOptions, RunOptions):
 
     @property
     def team_sizes(self) -> tuple[int, ...]:
-        """The number of drones of every team."""
+        """The number of drones of every team; none if the team is the task's default."""
         return tuple(len(parse_team(team)) for team in self.team) or self._counts
 
     @property
     def _counts(self) -> tuple[int, ...]:
+        if self.drones is None:
+            return ()
         return self.drones if isinstance(self.drones, tuple) else (self.drones,)
 
     @property

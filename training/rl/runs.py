@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
@@ -164,6 +165,8 @@ def result_options(config: RlConfig, task: str) -> dict[str, Any]:
 def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
     """Return the report of the same run if it is complete, else None.
 
+    A run of Stable-Baselines3 is not complete if more steps are requested than it made.
+
     Raises:
         ValueError: the folder has the report of another run, or the report is damaged.
     """
@@ -177,7 +180,11 @@ def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
         raise ValueError(
             f"{str(path)!r} is no report of a training run ({error}); choose another folder"
         ) from error
-    check_same(path, made, result_options(config, task))
+    options = result_options(config, task)
+    if not config.imitates and options["steps"] > made.get("steps", math.inf):
+        check_same(path, made | {"steps": options["steps"]}, options)
+        return None  # Stable-Baselines3 goes on from the last model
+    check_same(path, made, options)
     return report
 
 

@@ -28,6 +28,7 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.agents.networks import Network
 from swarm_envs.files import claimed, write_json
+from swarm_envs.tasks.learning import RATES
 from swarm_envs.training.provenance import check_same
 from swarm_envs.training.rl.advice import advice
 from swarm_envs.training.rl.encoders import SetExtractor, linear_layers
@@ -191,7 +192,8 @@ def _begin(
     models = sorted((config.out / CHECKPOINTS).glob("*.zip"), key=_steps_of)
     if path.is_file() and models:
         content = json.loads(path.read_text(encoding="utf-8"))
-        check_same(path, content["config"], options)
+        steps = max(content["config"]["steps"], options["steps"])  # a run may be extended
+        check_same(path, content["config"] | {"steps": steps}, options)
         model = algorithm.load(models[-1], env=env, device="cpu")  # a pickle from this run
         tqdm.write(f"resuming at {model.num_timesteps:,} steps from {models[-1]}")
         kept = [e for e in content["evaluations"] if e["step"] <= model.num_timesteps]
@@ -209,7 +211,7 @@ def _steps_of(path: Path) -> int:
 
 
 class ProgressCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
-    """Callback that updates a progress bar, and logs success and collisions in training."""
+    """Callback that updates a progress bar, and logs successes and crashes in training."""
 
     def __init__(self, bar: Any) -> None:
         super().__init__()
@@ -218,8 +220,8 @@ class ProgressCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no
     def _on_step(self) -> bool:
         ends = [i["episode_metrics"] for i in self.locals["infos"] if "episode_metrics" in i]
         for metrics in ends:
-            self.logger.record_mean("rollout/success", float(metrics["success"]))
-            self.logger.record_mean("rollout/collision", float(metrics["collided_drones"] > 0))
+            for name, measure in RATES.items():
+                self.logger.record_mean(f"rollout/{name}", measure(metrics))
         self._bar.n = min(self.num_timesteps, self._bar.total)
         self._bar.update(0)
         return True

@@ -48,9 +48,14 @@ def with_defaults(config: RlConfig, task: str) -> RlConfig:
         "observe_load": learning.observe_load,
         "num_obstacles": 3 if learning.has_obstacles or config.obstacles else 0,
     }
-    missing = [name for name in defaults if getattr(config, name) is None]
-    whole = replace(config, **{name: defaults[name] for name in missing})
-    check_name("--layout", whole.layout, learning.layouts)
+    given = {name: value for name, value in defaults.items() if getattr(config, name) is None}
+    check_name("--layout", (config.layout or defaults["layout"]), learning.layouts)
+    if not config.teams:
+        options = learning.layouts[config.layout or defaults["layout"]]
+        tokens = [vehicle.token for vehicle in batch_of(task, **options).task.team]
+        small = {*tokens} == {"S"}
+        given |= {"drones": len(tokens)} if small else {"team": ("".join(tokens),)}
+    whole = replace(config, **given)
     if config.controller is not None:
         controller_of(config.controller)
     if whole.layout == ALL and not config.imitates:
