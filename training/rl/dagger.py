@@ -144,8 +144,8 @@ class Dagger:
             taught += [(part, len(task.team)) for part, (_, task) in found.items()]
         if min(counts) < 1:
             raise ValueError(
-                f"--environments is {self.config.environments}, but each of {len(counts)} parts of "
-                f"the training needs at least one; give at least {len(counts)}"
+                f"--environments is {self.config.environments}, which does not suffice for "
+                f"{len(counts)} parts of the training in their shares; give twice as many"
             )
         names = teachers_of(self.config.dagger.teacher, taught)
         self.teachers = [Teacher(n, b) for n, b in zip(names, parts, strict=True)]
