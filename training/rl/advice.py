@@ -7,6 +7,7 @@ from contextlib import closing
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 import swarm_envs
 from swarm_envs.agents import Agent, load, recommended
@@ -118,7 +119,9 @@ def _success(config: RlConfig, task: str, agent: Agent) -> float | None:
         with closing(swarm_envs.make(task, **{**given, **agent.requires})) as env:
             if not flies_batches(env, agent):
                 return None
-            flown = list(evaluate_agent(env, agent, validation_seeds(EPISODES), timed=1))
+            flights = evaluate_agent(env, agent, validation_seeds(EPISODES), timed=1)
+            bar = {"total": EPISODES, "leave": False, "delay": 2.0, "disable": not config.progress}
+            flown = list(tqdm(flights, "evaluating the teacher", unit="episode", **bar))
     except (AgentFailed, ValueError):
         return None
     return float(np.mean([episode["metrics"]["success"] for episode in flown]))

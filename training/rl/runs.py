@@ -135,6 +135,7 @@ class Evaluation:
                 **config.world_options(),
             },
             config.teams,
+            config.progress,
         )
         before = [learning.quality(result) for result in self.results]
         self.results.append({"step": float(steps), **rates})

@@ -8,6 +8,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.agents.protocol import AT_ONCE, fly_batch
@@ -83,6 +84,7 @@ def evaluate_policy(
     seeds: Sequence[int],
     options: Mapping[str, Any],
     teams: Sequence[Mapping[str, Any]] = (),
+    progress: bool = False,
 ) -> dict[str, float]:
     """Return means of the task's measures on each layout, such as `random_success`.
 
@@ -94,9 +96,12 @@ def evaluate_policy(
         options: options of the environments, besides those that the policy requires.
         teams: options of each team; several teams have separate means, such as `random_8_success`
             for eight drones. Without any, `options` define the team.
+        progress: True to show a progress bar if it takes more than two seconds.
     """
     agent, learning, found = PolicyAgent(policy), learning_of(task), {}
-    for team, layout in product(teams or ({},), layouts):
+    flights = [*product(teams or ({},), layouts)]
+    bar = tqdm(flights, "evaluating", leave=False, unit="layout", delay=2.0, disable=not progress)
+    for team, layout in bar:
         given = {"threads": 1, **options, **team, **learning.layouts[layout], **agent.requires}
         blueprint = batch_of(task, **given)
         core = SwarmCore(blueprint.task, blueprint.config, min(AT_ONCE, len(seeds)))
