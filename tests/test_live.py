@@ -106,11 +106,12 @@ def test_a_notebook_shows_the_page_in_its_output(env, monkeypatch, capsys):
 
 
 def test_idle_connections_leave_room_and_are_closed(env, monkeypatch):
-    monkeypatch.setattr(live._Handler, "timeout", 1.0)
+    monkeypatch.setattr(live._Handler, "timeout", 0.1)
     viewer = LiveViewer(env.core, wait_s=0.0)
     before = threading.active_count()
     address = urllib.parse.urlsplit(viewer.url)
-    idle = [socket.create_connection((address.hostname, address.port)) for _ in range(200)]
+    place, count = (address.hostname, address.port), 2 * live.MOST_CONNECTIONS
+    idle = [socket.create_connection(place) for _ in range(count)]
     assert threading.active_count() - before <= live.MOST_CONNECTIONS
     assert all(connection.recv(1) == b"" for connection in idle)  # closed by the server
     assert "swap_v1" in ask(viewer.url).decode()
