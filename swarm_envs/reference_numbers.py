@@ -13,7 +13,7 @@ import numpy as np
 
 from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.interactions.base import InteractionModel, load
-from swarm_envs.interactions.field import COMPOSED, DEEP_SET, NO_LIMIT, ForceField
+from swarm_envs.interactions.field import COMPOSED, DEEP_SET, NO_LIMIT, PAIRWISE, ForceField
 from swarm_envs.interactions.packed import layers_of
 from swarm_envs.state import FloatArray, IntArray, Parameters, parameters
 from swarm_envs.vehicles import Vehicle, parse_team
@@ -100,7 +100,7 @@ def aerodynamics_of(
     """
     found, drones = load(model), parse_team(team)
     field, own = found.field, found.type_indices(drones)
-    if found.function is not None or field.kind not in (0, 1, DEEP_SET, COMPOSED):
+    if found.function is not None or field.kind == PAIRWISE:
         raise ValueError(
             f"interaction model {found.name!r} has no equations in swarm_envs.reference; use "
             "'wake', 'learned', 'deep-set', or a file that was fitted as one of these"

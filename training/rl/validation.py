@@ -50,11 +50,12 @@ def with_defaults(config: RlConfig, task: str) -> RlConfig:
         "num_obstacles": 3 if learning.has_obstacles or config.obstacles else 0,
     }
     given = {name: value for name, value in defaults.items() if getattr(config, name) is None}
-    check_name("--layout", (config.layout or defaults["layout"]), learning.layouts)
+    layout = given.get("layout", config.layout)
+    check_name("--layout", layout, learning.layouts)
     if not config.teams:
-        options = learning.layouts[config.layout or defaults["layout"]]
-        tokens = [vehicle.token for vehicle in batch_of(task, **options).task.team]
-        small = {*tokens} == {"S"}
+        made = batch_of(task, **learning.layouts[str(layout)])
+        tokens = [vehicle.token for vehicle in made.task.team]
+        small = {*tokens} == {"S"}  # then it is the same run as with --drones
         given |= {"drones": len(tokens)} if small else {"team": ("".join(tokens),)}
     whole = replace(config, **given)
     if config.controller is not None:
