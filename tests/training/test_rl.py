@@ -144,8 +144,10 @@ def test_a_finished_run_of_stable_baselines3_continues_with_more_steps(tmp_path,
     assert "resuming at 2,048 steps" in capsys.readouterr().out
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["steps"] == report["config"]["steps"] == 3072
+    assert main(command("ppo", tmp_path, "--steps", "3200")) == 0
+    assert "resuming at 3,072 steps" in capsys.readouterr().out
     assert main(command("ppo", tmp_path)) == 1
-    assert "steps is 3072 there, 2048 here" in capsys.readouterr().err
+    assert "steps is 3200 there, 2048 here" in capsys.readouterr().err
     assert main(command("ppo", tmp_path, "--steps", "4096", "--seed", "6")) == 1
 
 

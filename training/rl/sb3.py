@@ -102,8 +102,11 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
                 model.logger.close()
                 env.close()
         evaluation.add(network_of(model), model.num_timesteps)
+        model.save(config.out / CHECKPOINTS / f"rl_model_{model.num_timesteps}_steps")  # to extend
+        options = result_options(config, task)
+        write_json(config.out / RUN, {"config": options, "evaluations": evaluation.results})
         report = {
-            "config": result_options(config, task),
+            "config": options,
             "steps": model.num_timesteps,
             "chosen": evaluation.best,
             "last": evaluation.results[-1],
