@@ -43,6 +43,7 @@ from swarm_envs.physics.step import (
     ROTORS,
     Flight,
     Forces,
+    Variations,
     fly,
     new_work,
 )
@@ -207,26 +208,32 @@ class Physics:
             columns=self._columns,
             environments=self.world.environments,
             settings=self.settings,
-            obstacles=self.obstacles,
-            open_circuit=self._open_circuit,
-            order=self.order,
         )
-        given = flight, self._varied or None, None if self.hall is None else True
-        size = len(work.members)
-        models = self.interactions.packed, self.feedforward.packed
-        self._given = [  # for each thread
-            (*given, *(Forces(m, scratch_for(m, size, drones)) for m in models), new_work(drones))
+        size, hall = len(work.members), None if self.hall is None else True
+
+        def forces(model: InteractionModel) -> Forces:
+            return Forces(model.packed, scratch_for(model.packed, size, drones))
+
+        self._given = [
+            (
+                flight,
+                self._variations(forces(self.feedforward)),
+                hall,
+                forces(self.interactions),
+                new_work(drones),
+            )
             for _ in range(self.workers.threads)
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
 
-    @property
-    def _varied(self) -> bool:
-        """True if `fly` needs one of the parts that are compiled with its flag `varied`."""
+    def _variations(self, feedforward: Forces) -> Variations | None:
+        """Return the memory of a flight beyond a plain one; None for a plain flight."""
         names = "drains", "gusty", "bounces", "compensates", "adaptation", "twists"
         options = any(bool(self.settings[name][0]) for name in names)
         large = len(self.team) > FEW
-        return options or large or self.hall is not None or len(self.obstacles) > 0
+        if not (options or large or self.hall is not None or len(self.obstacles) > 0):
+            return None
+        return Variations(self.obstacles, self._open_circuit, self.order, feedforward)
 
     def compile(self) -> None:
         """Compile `fly`, which otherwise happens at the first step."""

@@ -77,9 +77,6 @@ class Flight(NamedTuple):
     columns: FloatArray  # (E, N, columns) the memory of the drones as floats
     environments: Records  # (E,)
     settings: Records  # (1,)
-    obstacles: FloatArray  # (M, 7)
-    open_circuit: FloatArray  # (K,) voltages of `swarm_envs.motors.voltage`
-    order: IntArray  # (E, N) the drones as last sorted along x, in large teams
 
 
 class Forces(NamedTuple):
@@ -87,6 +84,15 @@ class Forces(NamedTuple):
 
     model: PackedField
     scratch: Scratch
+
+
+class Variations(NamedTuple):
+    """The memory that only flights beyond a plain one need; see `Physics`."""
+
+    obstacles: FloatArray  # (M, 7)
+    open_circuit: FloatArray  # (K,) voltages of `swarm_envs.motors.voltage`
+    order: IntArray  # (E, N) the drones as last sorted along x, in large teams
+    feedforward: Forces  # The forces that the controllers compensate
 
 
 class Work(NamedTuple):
@@ -196,7 +202,7 @@ def stop_tumbling(
         for other in range(place, place + drones):
             if (team or other == slot) and not work.stopped[other]:
                 store_tile(columns, other, other + 1, controlled, adaptive, work)
-                if disturbed:
+                if disturbed is not None and disturbed:
                     store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
                 work.stopped[other] = True
                 b = work.blocks[other // LANES]
@@ -268,9 +274,8 @@ def control(
     count: int,
     full: int,
     flight: Flight,
-    varied: bool | None,
+    varied: Variations | None,
     hall: bool | None,
-    feedforward: Forces,
     work: Work,
 ) -> None:
     """Compute rotor commands from set-points, or from thrust and body rates.
@@ -282,10 +287,10 @@ def control(
         see(work.blocks, full)
     if settings[0].level == SETPOINTS:
         if varied is not None and settings[0].compensates:
-            predict(count, flight.drones.shape[1], hall, feedforward, work)
+            predict(count, flight.drones.shape[1], hall, varied.feedforward, work)
         if varied is not None and settings[0].adaptation != 0:
             adapt(work.blocks, full, settings, hall)
-        track(work.blocks, full, settings, varied, hall)
+        track(work.blocks, full, settings, None if varied is None else True, hall)
     hold_rates(work.blocks, full, settings, hall)
 
 
@@ -295,7 +300,7 @@ def push(
     count: int,
     full: int,
     flight: Flight,
-    varied: bool | None,
+    varied: Variations | None,
     hall: bool | None,
     acting: Forces,
     work: Work,
@@ -324,29 +329,29 @@ def push(
         disturb(work.blocks, full, settings, adds)
     spin_rotors(work.blocks, full)
     if varied is not None and settings[0].drains:
-        empty_batteries(count, flight.drones, settings, flight.open_circuit, work)
+        empty_batteries(count, flight.drones, settings, varied.open_circuit, work)
 
 
 @equation
 def find_contacts(
-    count: int, full: int, flight: Flight, varied: bool | None, hall: bool | None, work: Work
+    count: int, full: int, flight: Flight, varied: Variations | None, hall: bool | None, work: Work
 ) -> None:
     """Update the contacts at the present positions. The arguments are those of `control`."""
-    settings, obstacles, size = flight.settings, flight.obstacles, flight.drones.shape[1]
+    settings, size = flight.settings, flight.drones.shape[1]
     if hall is not None:
         estimate(work.blocks, full, settings)
     touch(work.blocks, full, settings)
     if varied is not None and size > FEW:
         for place in range(count):
-            sorted_drones = flight.order[work.members[place]]
+            sorted_drones = varied.order[work.members[place]]
             find_pairs_sorted(work.blocks, place * size, work.position, sorted_drones)
     else:
         find_pairs(work.blocks, count, size, work.spots)
-    if varied is not None and len(obstacles) > 0:
-        touch_obstacles(work.blocks, count * size, obstacles)
+    if varied is not None and len(varied.obstacles) > 0:
+        touch_obstacles(work.blocks, count * size, varied.obstacles)
     if varied is not None and settings[0].bounces:
         for place in range(count):
-            bounce(work.blocks, place * size, size, settings, obstacles)
+            bounce(work.blocks, place * size, size, settings, varied.obstacles)
 
 
 @kernel
@@ -357,22 +362,20 @@ def fly(
     steps: int,
     flown: BoolArray,
     flight: Flight,
-    varied: bool | None,
+    varied: Variations | None,
     hall: bool | None,
     acting: Forces,
-    feedforward: Forces,
     work: Work,
 ) -> None:
     """Simulate the environments first to last - 1 in the mask `flown` (E,), a tile at a time.
 
     Each step has the given phases. Without INTEGRATE, CONTACTS is the first, since Bullet has moved
     the bodies after the last call. A drone that tumbles stops at that step, alone or, with
-    `ends_team`, with its team. `acting` are the forces on the drones, `feedforward` those that
-    their controllers compensate.
+    `ends_team`, with its team. `acting` are the forces on the drones.
 
-    Flags are True or None. Numba leaves out the branches of a flag that is None, which saves a
-    fifth of the time and half of the compilation. `hall` is that of the world "hall". `varied` is
-    one flag for it and all else beyond a plain flight (see `Physics`), so that few combinations
+    A plain flight has None for `varied`, and the ideal world for `hall`, which is True in the world
+    "hall". Numba leaves out the branches of what is None, which saves a fifth of the time and half
+    of the compilation. All else beyond a plain flight is in one record, so that few combinations
     are compiled.
     """
     drones, columns, environments = flight.drones, flight.columns, flight.environments
@@ -380,6 +383,7 @@ def fly(
     controlled, moves = s.level != ROTORS, phases & INTEGRATE != 0
     adapts = controlled and s.adaptation != 0
     disturbed = None if varied is None else hall is not None or s.twists
+    torques = None if varied is None else True
     e = first
     while e < last:
         count = 0
@@ -403,13 +407,13 @@ def fly(
             if k == steps:
                 break
             if phases & CONTROL and controlled:
-                control(count, full, flight, varied, hall, feedforward, work)
+                control(count, full, flight, varied, hall, work)
             if phases & FORCES:
                 push(phases, count, full, flight, varied, hall, acting, work)
             if phases & INTEGRATE:
-                integrate(work.blocks, full, varied)
+                integrate(work.blocks, full, torques)
             elif phases & FORCES:
-                write_wrenches(count, drones, varied, work)
+                write_wrenches(count, drones, torques, work)
         store_tile(columns, 0, count * size, controlled, adapts, work)
         if varied is not None and disturbed:
             store_hall(columns, members, 0, count * size, work.tile, work.stopped)
@@ -466,8 +470,11 @@ def empty_batteries(
 
 
 @part
-def write_wrenches(count: int, drones: Records, varied: bool | None, work: Work) -> None:
-    """Write the force (N) and torque (N m) on each body, in the body frame, for Bullet."""
+def write_wrenches(count: int, drones: Records, torques: bool | None, work: Work) -> None:
+    """Write the force (N) and torque (N m) on each body, in the body frame, for Bullet.
+
+    `torques` is True if there may be an interaction torque, else None.
+    """
     size = drones.shape[1]
     for slot in range(count * size):
         b, lane = work.blocks[slot // LANES], slot % LANES
@@ -481,7 +488,7 @@ def write_wrenches(count: int, drones: Records, varied: bool | None, work: Work)
         x, y, z = x + ex, y + ey, z + ez
         gain = b.thrust_gain[lane]
         thrust, out[3], out[4], out[5] = gain * thrust, gain * out[3], gain * out[4], gain * out[5]
-        if varied is not None:
+        if torques is not None:
             for k in range(3):
                 out[3 + k] += b.interaction_torque[k, lane]
         out[0] = r[0] * x + r[3] * y + r[6] * z
