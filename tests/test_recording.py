@@ -50,8 +50,9 @@ def test_a_recording_is_what_a_loop_of_env_step_sees(flight):
         for i, info in enumerate(infos.values()):
             kept = {name: term[k, i] for name, term in flight.reward_terms.items()}
             assert kept == info["reward_terms"]
-            assert flight.contact_floor[k, i] == info["contact"]["floor"]
-            assert flight.contact_wall[k, i] == info["contact"]["wall"]
+            contact = info["contact"] or {"floor": False, "wall": False}
+            assert flight.contact_floor[k, i] == contact["floor"]
+            assert flight.contact_wall[k, i] == contact["wall"]
     assert k == len(flight.time) - 1
     assert flight.about.metrics == infos["drone_0"]["episode_metrics"]
     np.testing.assert_array_equal(flight.goal[0], env.view.goals)

@@ -39,8 +39,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
     Agents are `drone_0` ... in the order of the team. Their episodes end together; with
     `on_contact="end_pair"`, drones that touch something leave `agents` before the others.
-    `infos[agent]` has `reward_terms` (without their weights), `contact` (what the drone touched in
-    this decision) and, on the last step, `episode_metrics`.
+    `infos[agent]` has `reward_terms` (without their weights), `contact` (None, or what the drone
+    touched in this decision) and, on the last step, `episode_metrics`.
     """
 
     def __init__(
@@ -278,7 +278,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         own: Any = rows[0].copy()
         if self.core.config.observation != "flat":
             own = map(self._shape, own)
-        return dict(zip(self.possible_agents, own, strict=True))
+        return dict(zip(self.possible_agents, own, strict=False))  # the end of an array is slow
 
 
 def warn_without_mode() -> None:
@@ -302,9 +302,6 @@ def _rebuilt(
     env.core.set_reward_weights(weights)
     env.set_state(snapshot)
     return env
-
-
-_NO_CONTACT: dict[str, Any] = {"drone": None, "floor": False, "wall": False, "obstacle": None}
 
 
 def join_actions(
@@ -363,7 +360,7 @@ def infos_by_agent(
     """
     named = map(zip, repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist())
     infos: dict[str, dict[str, Any]] = {
-        agent: {"reward_terms": terms, "contact": _NO_CONTACT.copy()}
+        agent: {"reward_terms": terms, "contact": None}
         for agent, terms in zip(agents, map(dict, named), strict=True)
     }
     if ended or core.config.on_contact != "end_team":  # else a contact ends the episode
@@ -374,19 +371,22 @@ def infos_by_agent(
     return infos
 
 
-def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the contacts of each drone in its last decision."""
+def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any] | None]:
+    """Return the contacts of each drone in its last decision, or None for a drone without any."""
     contacts = core.physics.contacts
-    touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
-    floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
+    columns = contacts.any(), contacts.drone, contacts.floor, contacts.wall, contacts.obstacle
     return [
         {
             "drone": None if other == NO_DRONE else agents[other],
-            "floor": on_floor,
-            "wall": at_wall,
-            "obstacle": None if hit == NO_OBSTACLE else hit,
+            "floor": floor,
+            "wall": wall,
+            "obstacle": None if obstacle == NO_OBSTACLE else obstacle,
         }
-        for other, on_floor, at_wall, hit in zip(touched, floor, wall, obstacle, strict=True)
+        if touched
+        else None
+        for touched, other, floor, wall, obstacle in zip(
+            *(column[0].tolist() for column in columns), strict=True
+        )
     ]
 
 

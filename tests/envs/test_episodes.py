@@ -41,15 +41,17 @@ def fly(
             return infos, rewards
 
 
-def contacts(infos: Infos) -> list[tuple[object, bool, bool]]:
-    rows = [tuple(info["contact"].values()) for info in infos.values()]
-    assert all(obstacle is None for *_, obstacle in rows)
-    return [row[:3] for row in rows]
+Contact = tuple[object, bool, bool] | None
+
+
+def contacts(infos: Infos) -> list[Contact]:
+    found = [info["contact"] for info in infos.values()]
+    assert all(contact is None or contact["obstacle"] is None for contact in found)
+    return [contact and tuple(contact.values())[:3] for contact in found]
 
 
 HOVER = [2 * SMALL.hover_rotor_thrust / SMALL.max_rotor_thrust - 1] * 4
-FREE = (None, False, False)
-CRASHES: list[tuple[str, list[list[float]], list[list[float]], tuple[object, bool, bool]]] = [
+CRASHES: list[tuple[str, list[list[float]], list[list[float]], Contact]] = [
     (
         "collided_drones",
         [[-0.2, 0, 1], [0.2, 0, 1]],
@@ -58,7 +60,7 @@ CRASHES: list[tuple[str, list[list[float]], list[list[float]], tuple[object, boo
     ),
     ("collided_floor", [[0, 0, 0.2], [-1, 1, 1]], [[0, 0, -1], [0, 0, 0]], (None, True, False)),
     ("collided_wall", [[1.8, 0, 1], [-1, 1, 1]], [[1, 0, 0], [0, 0, 0]], (None, False, True)),
-    ("tumbled", [[0, 0, 1], [-1, 1, 1]], [[1, 1, -1, -1], HOVER], FREE),
+    ("tumbled", [[0, 0, 1], [-1, 1, 1]], [[1, 1, -1, -1], HOVER], None),
 ]
 """What happens to the first of three drones: its metric, starts, actions, and what it touched."""
 
@@ -72,7 +74,7 @@ def test_crashes_end_the_episode(engine, metric, start, actions, contact):
     infos, rewards = fly(env, [*start, [1, 1, 1]], [*actions, still])
     together = metric == "collided_drones"
     hit = [True, together, False]
-    expected = [contact, ("drone_0" if together else None, False, False), FREE]
+    expected = [contact, ("drone_0", False, False) if together else None, None]
     assert contacts(infos) == expected
     for crashed, (agent, info) in zip(hit, infos.items(), strict=True):
         terms = info["reward_terms"]
