@@ -43,7 +43,7 @@ from swarm_envs.baselines.rth3d.pibt import (
     take,
 )
 from swarm_envs.baselines.rth3d.terrain import WALL, Terrain, neighbor, survey
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import entry_point, kernel
 
 _Longs = npt.NDArray[np.int64]
 
@@ -360,9 +360,14 @@ class Lacam:
         )
         self._nodes.at[0] = numbers(instance.starts, instance.shape)
         code = _hash(self._nodes.at[0])
-        _add_node(self._terrain, self._robots, self._nodes, self._pools, -1, code)
+        _add_node(*self._memory, -1, code)
+        self._search = entry_point(_search, *self._memory, 0)
         self.exhausted = False
         """True if all has been tried: the plan is the shortest, or none exists."""
+
+    @property
+    def _memory(self) -> tuple[Terrain, Robots, _Nodes, _Pools]:
+        return self._terrain, self._robots, self._nodes, self._pools
 
     @property
     def made(self) -> int:
@@ -378,7 +383,7 @@ class Lacam:
     def run(self, most: int) -> None:
         """Continue until `most` configurations have been made, or a first or shorter plan."""
         while True:
-            why = _search(self._terrain, self._robots, self._nodes, self._pools, most)
+            why = self._search(*self._memory, most)
             if why != _FULL:
                 break
             self._grow()

@@ -17,7 +17,7 @@ from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.baselines.rth3d.path_lengths import Ints
 from swarm_envs.baselines.rth3d.terrain import ANY, OPEN, Terrain, neighbor, survey
-from swarm_envs.compiled import equation, kernel
+from swarm_envs.compiled import entry_point, equation, kernel
 
 _ROBOT = np.dtype(
     [
@@ -385,6 +385,8 @@ class Pibt:
         self.paths: Paths = np.empty((most_steps + 1, len(instance.starts)), dtype=np.int32)
         self.paths[0] = numbers(instance.starts, instance.shape)
         self.robots = new_robots(instance, most_steps)
+        self._given = self.terrain, self.robots, self.paths
+        self._run = entry_point(_run_pibt, *self._given, 0, 0, 0, 0, False)
 
     def reseed(self, generator: np.random.Generator) -> None:
         """Draw another order and other random choices from here on."""
@@ -393,7 +395,7 @@ class Pibt:
 
     def run(self, begin: int, end: int, limit: int, left: int, lost: bool) -> tuple[int, int]:
         """Continue from step `begin`; see `_run_pibt`."""
-        last, left = _run_pibt(self.terrain, self.robots, self.paths, begin, end, limit, left, lost)
+        last, left = self._run(*self._given, begin, end, limit, left, lost)
         return int(last), int(left)
 
     def rewind(self, begin: int) -> None:
