@@ -180,7 +180,7 @@ SOLIDS = (
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32), st.floats(-180, 180), st.floats(0, 60))
 def test_obstacles_tint_the_drones_behind_them_alone(seed, azimuth, elevation):
     place = np.random.default_rng(seed).uniform([-1, -1, 0.2], [1, 1, 1.9])

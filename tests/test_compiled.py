@@ -182,8 +182,7 @@ def test_without_any_folder_for_a_cache_the_message_says_what_to_set(package, tm
     assert run(package, **user) == ("8 8 1", "")
 
 
-@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
-@pytest.mark.parametrize("zeros", [False, True])
+@pytest.mark.parametrize(("suffix", "zeros"), [("nbc", False), ("nbi", True)])
 def test_files_that_were_cut_short_are_compiled_again(package, suffix, zeros):
     """As by a loss of power: a file may be shorter than was written, or hold zeros."""
     run(package)

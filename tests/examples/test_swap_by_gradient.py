@@ -12,7 +12,7 @@ from examples import swap_by_gradient as example
 
 
 def test_gradients_are_finite_differences() -> None:
-    rng, dt, h = np.random.default_rng(0), 1.0 / 60.0, 1e-7
+    rng, dt, h = np.random.default_rng(0), 1.0 / 30.0, 1e-7
     sizes = torch.tensor(rng.normal(0.0, 0.02, example.BUMPS), requires_grad=True)
 
     def loss(sizes: torch.Tensor) -> torch.Tensor:

@@ -74,7 +74,7 @@ def test_forces_turn_with_the_swarm(
     model: str, team: str, lowest: float, least_g: float, most_g: float, mirror: bool
 ) -> None:
     """Those of `learned` do; by how much others do not, docs/forces.md says."""
-    position, velocity = swarm(len(team), lowest, 0.3, 40_000 // len(team))
+    position, velocity = swarm(len(team), lowest, 0.3, 10_000 // len(team))
     for forces in ways(model, team):
         force, worst = forces(position, velocity), 0.0
         assert np.abs(force[..., :2]).max() > 1e-3

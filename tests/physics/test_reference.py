@@ -32,7 +32,7 @@ from swarm_envs.vehicles import parse_team
 from tests.helpers.frozen import pairwise_model
 
 ENGINES = (BatchPhysics, BulletPhysics) if bullet_available() else (BatchPhysics,)
-SECONDS = 5.0
+SECONDS = 2.5
 MODELS: dict[str, Any] = {
     "none": None,
     "wake": reference.wake,

@@ -252,6 +252,7 @@ def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered(
     assert np.array_equal(buffer.parts[0][last], flat)
 
 
+@pytest.mark.slow
 def test_a_short_training_imitates_where_the_straight_line_collides():
     """Four drones on a circle: without others in view all meet in the middle."""
     made = learner(layout="circle", drones=4, environments=32, steps=100_000, horizon_s=5.0)

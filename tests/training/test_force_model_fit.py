@@ -127,8 +127,8 @@ def fit_options(**given):
 
 
 def test_planted_wake_is_recovered():
-    spec, config = planted_wake().spec, fit_options(steps=2000, learning_rate=1e-2)
-    found = train(planted_rows(12_000), spec, config).network
+    spec, config = planted_wake().spec, fit_options(steps=1500, learning_rate=1e-2)
+    found = train(planted_rows(6_000), spec, config).network
     assert isinstance(found, Wake)
     for name, truth in TRUTH.items():
         assert found.value(name).detach().numpy() == pytest.approx(truth, rel=0.05), name
@@ -146,7 +146,7 @@ def test_the_wake_in_torch_is_the_compiled_one(tmp_path):
 
 def test_network_learns_the_planted_wake_and_keeps_its_clip():
     rows = planted_rows(12_000)
-    config = fit_options(steps=700, batch_size=512)
+    config = fit_options(steps=450, batch_size=512)
     trained = train(rows, SPEC, config)
     held_out = rows.select(rows.validation)
     error = predict(trained.network, to_batch(held_out)).numpy() - held_out.force_g[:, 2]

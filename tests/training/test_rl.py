@@ -273,6 +273,7 @@ def test_a_drone_that_waits_for_its_team_is_not_imitated(monkeypatch):
     made.close()
 
 
+@pytest.mark.slow
 def test_two_drones_learn_to_swap(tmp_path):
     """By PPO in 200,000 decisions."""
     config = RlConfig(
