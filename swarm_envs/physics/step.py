@@ -179,6 +179,15 @@ def store_tile(
             row[c] = block[c, lane]
 
 
+@equation
+def any_tumbling(count: int, work: Work) -> bool:
+    """Return True if one of the first `count` drones tumbles, which is rare."""
+    for slot in range(count):
+        if work.blocks[slot // LANES].tumbling[slot % LANES] != 0.0:
+            return True
+    return False
+
+
 @part
 def stop_tumbling(
     columns: FloatArray,
@@ -403,7 +412,8 @@ def fly(
         for k in range(steps + 1):
             if phases & CONTACTS and (k > 0) == moves:
                 find_contacts(count, full, flight, varied, hall, work)
-                stop_tumbling(columns, count, controlled, adapts, s.ends_team, disturbed, work)
+                if any_tumbling(count * size, work):
+                    stop_tumbling(columns, count, controlled, adapts, s.ends_team, disturbed, work)
             if k == steps:
                 break
             if phases & CONTROL and controlled:
