@@ -1,4 +1,4 @@
-"""What the tests of environments share: `face`, every interface."""
+"""The fixture `face` of the tests of environments: every interface."""
 
 from __future__ import annotations
 

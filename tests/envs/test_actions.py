@@ -1,4 +1,4 @@
-"""What actions do, and every field of an observation against numbers computed in another way."""
+"""Actions, and every field of an observation against numbers computed in another way."""
 
 from __future__ import annotations
 
@@ -109,7 +109,6 @@ def test_setpoint_extrapolates_with_its_jerk():
 
 @pytest.mark.parametrize("rate", [10, 48])
 def test_random_accelerations_are_followed(rate):
-    """Exploration: the drone stays near the set-point that its actions move."""
     task = SwapTask(team=parse_team("SL"))
     config = EnvConfig(physics="batch", interactions="none", decision_rate=rate, horizon_s=1e3)
     core = SwarmCore(task, config, num_envs=16)
@@ -262,7 +261,6 @@ def test_the_scale_of_noise_is_drawn_for_each_environment():
         rows[scale] = np.stack([*env.reset(seed=3)[0].values()]).astype(float)
         if scale == "0:0":
             assert np.array_equal(rows[scale], env.core.true_rows(*env.core.form[1:])[0])
-        env.close()
     own = np.s_[:, :6]  # position and velocity of the drone itself
     full, half = (rows[s][own] - rows["0:0"][own] for s in ("1:1", "0.5:0.5"))
     assert (np.abs(full) > 1e-5).all()
@@ -272,7 +270,6 @@ def test_the_scale_of_noise_is_drawn_for_each_environment():
     core.reset(list(range(64)))
     drawn = core.world.environments["noise_scale"]
     assert 0.0 <= drawn.min() < 0.1 < 0.9 < drawn.max() <= 1.0
-    core.close()
 
 
 def test_bad_noise_is_refused():

@@ -12,7 +12,7 @@ from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.randomization import Randomization
 from tests.helpers.living import living
 
-SEEDS = (3, 14, 15, 92)
+SEEDS = (3, 15, 92)
 STEPS = 120
 
 
@@ -39,13 +39,6 @@ def cores(
     return SwarmCore(*blueprint_of(task, physics=engine, **options)[:2], num_envs)
 
 
-def check_same(one: SwarmCore, many: SwarmCore, e: int) -> None:
-    batch = living(many)
-    for name, single in living(one).items():
-        if single[0].tobytes() != batch[name][e].tobytes():  # equal bytes are found sooner
-            np.testing.assert_array_equal(single[0], batch[name][e], name)
-
-
 def check_results(one: StepResult, many: StepResult, e: int) -> None:
     np.testing.assert_array_equal(one.observations[0], many.observations[e])
     np.testing.assert_array_equal(one.rewards[0], many.rewards[e])
@@ -66,10 +59,12 @@ def test_each_environment_of_a_batch_is_the_single_one(engine, task, options):
     for _ in range(STEPS):
         actions = rng.uniform(-1, 1, (len(SEEDS), many.num_drones, many.mode.width))
         result = many.step(actions)
-        singles = [one.step(actions[e : e + 1]) for e, one in enumerate(ones)]
-        for e, single in enumerate(singles):
-            check_results(single, result, e)
-            check_same(ones[e], many, e)
+        batch = living(many)
+        for e, one in enumerate(ones):
+            check_results(one.step(actions[e : e + 1]), result, e)
+            for name, single in living(one).items():
+                if single[0].tobytes() != batch[name][e].tobytes():  # equal bytes are found sooner
+                    np.testing.assert_array_equal(single[0], batch[name][e], name)
         over = result.terminated | result.truncated
         np.testing.assert_array_equal(over, ~many.running)
         if over.any():
@@ -88,7 +83,6 @@ def test_each_environment_of_a_batch_is_the_single_one(engine, task, options):
 
 @pytest.mark.parametrize("action", ["velocity", "ctbr"])
 def test_an_environment_begins_as_one_that_never_flew(engine, action):
-    """Whatever was flown before: nothing of it is left anywhere."""
     options: dict[str, Any] = {"action": action, "randomization": Randomization()}
     used, fresh = (cores(engine, 2, "SS", **options) for _ in range(2))
     used.reset([1, 2])
@@ -132,10 +126,9 @@ def test_layout_of_memory_does_not_matter():
     for given in (actions, np.asfortranarray(actions), frozen, actions.tolist()):
         core = cores("batch", 2)
         core.reset([1, 2])
-        results.append(core.step(given).observations.copy())
-        results.append(core.step(given).observations.copy())
-    for k in range(2, len(results)):
-        np.testing.assert_array_equal(results[k], results[k % 2])
+        results.append([core.step(given).observations.copy() for _ in range(2)])
+    for result in results[1:]:
+        np.testing.assert_array_equal(result, results[0])
 
 
 @pytest.mark.parametrize("force_rate", [120, 48, 24])

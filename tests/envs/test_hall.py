@@ -1,4 +1,4 @@
-"""The hall: what it adds, and who feels it; randomised episodes: what is drawn acts, in range."""
+"""Imperfections of the hall and their effects; randomization within its ranges, and its effects."""
 
 from __future__ import annotations
 
@@ -212,13 +212,8 @@ def reference_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (K, R) of a filter in plain numpy that keeps the state, not its error, on one axis.
 
-    The frames are those of a camera: taken at their own times, of the position then.
-
-    Args:
-        numbers: of the hall.
-        position: (K, R) the truth of R drones at each physics step.
-        velocity: (K, R)
-        rng: draws the noise.
+    Position and velocity (K, R) are the truth of R drones at each physics step. The frames are
+    those of a camera: taken at their own times, of the position then.
     """
     count, runs = position.shape
     kp, kv, _ = numbers.filter_gains()
@@ -305,7 +300,7 @@ def test_contacts_are_those_of_the_truth():
 
 
 def flight(made: SwarmCore, decisions: int = 30) -> bytes:
-    """What was flown and seen under actions of a generator of its own."""
+    """Return states and observations under actions of a generator of its own."""
     rng, seen = np.random.default_rng(3), []
     shape = (made.num_drones, made.mode.width)
     for _ in range(decisions):
@@ -347,9 +342,8 @@ def test_engines_fly_the_same_hall(gusts):
             made.step(actions)
         assert not batch.physics.contact.any()
     for name in ("position", "quaternion", "position_error", "attitude_error", "residual_process"):
-        np.testing.assert_allclose(
-            batch.world.drones[name], bullet.world.drones[name], rtol=0, atol=1e-9
-        )
+        ours, theirs = batch.world.drones[name], bullet.world.drones[name]
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
     np.testing.assert_allclose(batch.rows, bullet.rows, rtol=0, atol=1e-6)  # float32
 
 
@@ -358,7 +352,6 @@ def test_the_option_is_read_by_name_and_by_numbers():
     for world, expected in worlds:
         env = swap_v1.parallel_env(world=world, physics="batch", interactions="none")
         assert env.core.physics.hall == expected
-        env.close()
     with pytest.raises(ValueError, match="world"):
         swap_v1.parallel_env(world="attic")
     with pytest.raises(ValueError, match="but the hall has its own noise"):
@@ -380,14 +373,13 @@ def randomized(ranges: Randomization | None, num_envs: int = MANY, **options: An
 def test_factors_fill_their_range_and_nothing_else_moves(option, field):
     ranges = Randomization(**{option: (0.8, 1.3)})  # type: ignore[arg-type]  # by name
     made, usual = randomized(ranges), randomized(None)
-    factor = getattr(made.physics.parameters, field) / getattr(usual.physics.parameters, field)
+    mine, theirs = made.physics.parameters, usual.physics.parameters
+    factor = getattr(mine, field) / getattr(theirs, field)
     assert 0.8 <= factor.min() < 0.81 and 1.29 < factor.max() <= 1.3
     assert abs(np.corrcoef(factor.T)[0, 1]) < 0.2  # drones differ within an environment
-    for name, mine, theirs in zip(
-        made.physics.parameters._fields, made.physics.parameters, usual.physics.parameters
-    ):
-        assert name == field or np.array_equal(mine, theirs)
-    assert np.array_equal(made.world.drones["nominal_mass"], usual.physics.parameters.mass)
+    for name in mine._fields:
+        assert name == field or np.array_equal(getattr(mine, name), getattr(theirs, name))
+    assert np.array_equal(made.world.drones["nominal_mass"], theirs.mass)
     assert np.array_equal(made.world.drones["start"], usual.world.drones["start"])
 
 

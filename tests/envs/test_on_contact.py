@@ -1,4 +1,4 @@
-"""What a contact does: it ends the team's episode, that of those who touch, or they bounce."""
+"""Contacts end the team's episode or that of those who touch, or drones bounce."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from swarm_envs.viewing.record import Recorder
 
 START = np.array([[-0.3, 0.0, 1.0], [0.3, 0.0, 1.0], [0.0, -1.5, 1.0]])
 GOAL = np.array([[1.5, 0.0, 1.0], [-1.5, 0.0, 1.0], [0.0, 1.2, 1.0]])
+PLACED = {"start": START, "goal": GOAL}
 MEET = np.array([[0.5, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.0, 0.0, 0.0]], np.float32)
-"""Velocities with which the first two meet, while the third waits."""
+"""Velocities with which the first two collide, while the third waits."""
 GO = np.array([0.0, 0.6, 0.0], np.float32)
 """With this the third flies through the place where they met."""
 
@@ -32,8 +33,8 @@ def make(on_contact="end_pair", **options):
 
 
 def meet(env):
-    """Fly until two have met; what the step in which they did gave."""
-    env.reset(seed=0, options={"start": START, "goal": GOAL})
+    """Fly until two have come into contact; the results of the step in which they did."""
+    env.reset(seed=0, options=PLACED)
     for _ in range(60):
         given = env.step(dict(zip(env.agents, MEET, strict=True)))
         if len(env.agents) < 3:
@@ -103,7 +104,7 @@ def test_pettingzoo_accepts_it(on_contact):
 
 def test_bouncing_drones_fly_on_hurt():
     env = make("bounce", physics="batch", horizon_s=2.0)
-    env.reset(seed=0, options={"start": START, "goal": GOAL})
+    env.reset(seed=0, options=PLACED)
     crashes, speeds = [], []
     while env.agents:
         speeds.append(env.view.state.velocity[:2, 0].copy())
@@ -115,7 +116,6 @@ def test_bouncing_drones_fly_on_hurt():
     assert speeds[first][0] > 0.5 > -0.2 > speeds[first + 1][0]  # it went back
     metrics = infos["drone_0"]["episode_metrics"]
     assert (metrics["collided_drones"], metrics["success"]) == (2, False)
-    env.close()
 
 
 def test_actions_of_those_who_have_left_are_not_used():
@@ -130,11 +130,9 @@ def test_actions_of_those_who_have_left_are_not_used():
     assert list(rows) == ["drone_2"]
     env.set_state(kept)
     np.testing.assert_array_equal(env.step({"drone_2": GO})[0]["drone_2"], rows["drone_2"])
-    env.close()
 
 
 OPTIONS: dict[str, Any] = {"num_drones": 3, "action": "velocity", "on_contact": "end_pair"}
-PLACED = {"start": START, "goal": GOAL}
 
 
 def test_teams_in_one_row_mask_who_has_ended():
@@ -162,8 +160,22 @@ def test_teams_in_one_row_mask_who_has_ended():
     assert ended is not None and truncated.all()
     assert infos["episode_metrics"]["collided_drones"].tolist() == [2, 2]
     assert info["episode_metrics"]["collided_drones"] == 2
-    envs.close()
-    one.close()
+
+
+def test_a_row_that_ended_waits_for_its_team():
+    envs = make_vector("swap_v1", 2, "SameStep", per_agent=True, horizon_s=1.0, **OPTIONS)
+    envs.reset(seed=0, options={"start": START, "goal": START[::-1]})
+    ends, waited = np.zeros(6, int), 0
+    for _ in range(48):
+        rows, rewards, ended, cut, infos = envs.step(np.tile(MEET, (2, 1)))
+        assert not rewards[~infos["active"]].any()
+        waited += int((~infos["active"]).sum())
+        ends += ended | cut
+    assert waited > 4
+    assert ends.tolist() == [2, 2, 1] * 2  # once by contact, once with the team
+    assert ended.tolist() == [True, True, False] * 2 and cut.tolist() == [False, False, True] * 2
+    assert infos["final_info"]["episode_metrics"]["collided_drones"].tolist() == [2] * 6
+    assert rows.any(axis=1).all()
 
 
 def test_the_shared_policy_waits_for_its_team():
@@ -185,7 +197,6 @@ def test_the_shared_policy_waits_for_its_team():
     assert all(last[1]) and last[3][0]["episode_metrics"]["collided_drones"] == 2
     assert [info["TimeLimit.truncated"] for info in last[3]] == [False, False, True] * 2
     assert last[4].any(axis=1).all()  # everybody has begun again
-    env.close()
 
 
 def test_solo_ends_with_its_drone():
@@ -198,7 +209,6 @@ def test_solo_ends_with_its_drone():
     assert info["contact"]["floor"] and info["episode_metrics"]["collided_floor"] == 1
     with pytest.raises(RuntimeError, match="ended"):
         env.step(GO)
-    env.close()
 
 
 def test_agents_fly_it_alone_and_at_once():
@@ -213,7 +223,6 @@ def test_agents_fly_it_alone_and_at_once():
     core = SwarmCore(env.core.task, env.core.config, len(seeds))
     if hasattr(agent, "act_batch"):
         assert fly_batch(core, agent.act_batch, seeds) == alone
-    env.close()
 
 
 @pytest.mark.parametrize("world", ["ideal", "hall"])
@@ -228,11 +237,10 @@ def test_who_has_ended_pushes_nobody_in_the_observed_force(world):
     rng, beneath = np.random.default_rng(0), 0
     for _ in range(60):
         free = np.concatenate([rng.uniform(-1, 1, (2, 3)), np.zeros((1, 3))]).astype(np.float32)
-        rows = [
-            env.step({agent: (MEET if len(env.agents) == 3 else given)[int(agent[-1])]
-                      for agent in env.agents})[0]
-            for env, given in zip(envs, (MEET, free), strict=True)
-        ]  # fmt: skip
+        rows = []
+        for env, given in zip(envs, (MEET, free), strict=True):
+            actions = MEET if len(env.agents) == 3 else given
+            rows.append(env.step({agent: actions[int(agent[-1])] for agent in env.agents})[0])
         if envs[0].agents == ["drone_2"]:
             view, row = envs[0].view, rows[0]["drone_2"]
             own = (view.state.position[None, 2:], view.state.velocity[None, 2:])

@@ -72,12 +72,8 @@ def test_pettingzoos_test_of_every_action(engine, action):
 def test_pettingzoos_render_test(task, monkeypatch):
     """In pictures alone: a window needs a display."""
     monkeypatch.setattr("swarm_envs.envs.parallel.RENDER_MODES", ("rgb_array",))
-
-    def make(render_mode: str) -> Any:
-        return task_of(task).env(render_mode="rgb_array")
-
     assert RENDER_MODES[0] == "rgb_array"
-    render_test(make)
+    render_test(lambda render_mode: task_of(task).env(render_mode="rgb_array"))
 
 
 def test_reset_without_a_seed_goes_on_with_the_generator():

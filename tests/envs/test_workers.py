@@ -6,8 +6,7 @@ import functools
 import multiprocessing
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 
 import gymnasium
 import numpy as np
@@ -18,15 +17,6 @@ from hypothesis import strategies as st
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.workers import Workers, parts
 from swarm_envs.training import SharedPolicyVecEnv
-
-
-@contextmanager
-def working(num_envs: int, threads: int, together: int = 1) -> Iterator[Workers]:
-    workers = Workers(num_envs, threads, together)
-    try:
-        yield workers
-    finally:
-        workers.close()
 
 
 @given(st.integers(1, 200), st.integers(1, 40))
@@ -40,7 +30,7 @@ def test_parts_are_everything_once_and_as_equal_as_can_be(num_envs: int, count: 
 
 @pytest.mark.parametrize(("num_envs", "threads", "together"), [(1, 2, 1), (5, 2, 32), (64, 3, 8)])
 def test_every_environment_is_seen_once_and_no_memory_is_shared(num_envs, threads, together):
-    with working(num_envs, threads, together) as workers:
+    with closing(Workers(num_envs, threads, together)) as workers:
         assert workers.threads == min(num_envs, threads)
         seen: list[int] = []
         users: dict[int, set[int]] = {k: set() for k in range(workers.threads)}
@@ -61,7 +51,7 @@ def test_what_fails_on_a_thread_is_raised():
         done.wait(5.0)
 
     done = threading.Event()
-    with working(64, 2) as workers, pytest.raises(ValueError, match="no"):
+    with closing(Workers(64, 2, 1)) as workers, pytest.raises(ValueError, match="no"):
         threading.Timer(0.05, done.set).start()
         workers.share(call)
 

@@ -1,4 +1,4 @@
-"""Columns, delivery and gates: what is drawn, what counts as done, and that the air decides."""
+"""Columns, delivery and gates: draws, success, and that aerodynamics decide."""
 
 from __future__ import annotations
 
@@ -103,11 +103,10 @@ def test_payloads_are_flown_and_leave_with_their_episode():
 def stand(env: SwarmParallelEnv, places: np.ndarray, steps: int) -> dict[str, Any]:
     """Hold drones at places (N, 3) without any flight; return the infos of the last step."""
     infos: dict[str, Any] = {}
+    rows = np.pad(places, ((0, 0), (0, 11)))
     for _ in range(steps):
         env.core.world.drones["position"][0] = places
         env.core.world.drones["velocity"][0] = 0.0
-        rows = np.zeros((8, 14))
-        rows[:, :3] = places
         infos = env.step({a: rows[int(a[6:])] for a in env.agents})[4]
         if not env.agents:
             break
@@ -175,9 +174,7 @@ def test_a_drone_that_stands_at_its_goal_keeps_it():
 
 def test_the_heavy_go_on_top():
     places = np.array([[0, 0, z] for z in (0.4, 0.8, 1.2)] + [[1, 0, z] for z in (0.8, 0.4)])
-    chosen = place_heavy_on_top(
-        places.astype(float), parse_team("LSS*SS*")
-    )  # spare 78 31 54 31 54 g
+    chosen = place_heavy_on_top(places, parse_team("LSS*SS*"))  # spare 78 31 54 31 54 g
     assert chosen[:, 2].tolist() == [0.4, 1.2, 0.8, 0.8, 0.4]
     assert chosen[:, 0].tolist() == [0, 0, 0, 1, 1]
 
@@ -207,12 +204,12 @@ def test_teams_of_one_fly_in_every_interface():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["air-stack-8-v3", "air-sprint-8-v3", "air-delivery-7-v2"])
-def test_the_air_decides(name):
-    """Of 8 episodes each; docs/tasks/columns.md has those of many more."""
+def test_aerodynamics_decide(name):
+    """Of 8 episodes each; docs/tasks/columns.md has the results of many more."""
 
-    def rate(agent: str, air: str) -> float:
+    def rate(agent: str, interactions: str) -> float:
         task, flown = TASKS[name], load(agent)
-        setting = {**task.setting, "interactions": air, **flown.requires}
+        setting = {**task.setting, "interactions": interactions, **flown.requires}
         env = make_scored(task.environment, setting)
         return float(np.mean([fly_episode(env, flown, seed)["success"] for seed in range(8)]))
 
@@ -277,15 +274,15 @@ def test_a_gate_counts_when_all_are_in_it_at_once():
 
 
 def test_unfinished_slaloms_are_scored_by_the_clock():
+    positions: list[np.ndarray] = []
     env = gates(horizon_s=5.0)
-    observations, _ = env.reset(seed=3)
-    AGENT.reset(env, 3)
-    places, passed = env.core.world.goals[0].copy(), 0
-    while env.agents:
-        observations, *_, infos = env.step(AGENT.act(observations, None))
-        away = np.linalg.norm(env.view.state.position - places[passed], axis=1)
+    metrics = fly_episode(
+        env, AGENT, 3, lambda env: positions.append(env.view.state.position.copy())
+    )
+    passed = 0
+    for position in positions[1:]:
+        away = np.linalg.norm(position - env.core.world.goals[0, passed], axis=1)
         passed += bool((away < 0.05).all())
-    metrics = infos["drone_0"]["episode_metrics"]
     assert not metrics["success"] and 1 <= passed < 8
     assert metrics["gates_per_min"] == pytest.approx(passed / (5.0 / 60.0))
 

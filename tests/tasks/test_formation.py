@@ -1,4 +1,4 @@
-"""Formations and rings: stages by the clock, who goes where, and that nobody can collide."""
+"""Formations and rings: stages by the clock, assignments, and that nobody can collide."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def drawn(task: FormationTask, seed: int = 0) -> Placement:
     return task.place(np.random.default_rng(seed))
 
 
-def same_points(a: np.ndarray, b: np.ndarray) -> bool:
+def same_points(a: np.ndarray, b: np.ndarray, within: float = 1e-9) -> bool:
     distance = np.linalg.norm(a[:, None] - b[None], axis=-1)
-    return bool((distance.min(axis=1) < 1e-9).all() and (distance.min(axis=0) < 1e-9).all())
+    return bool((distance.min(axis=1) < within).all() and (distance.min(axis=0) < within).all())
 
 
 @pytest.mark.parametrize("labels", ["nearest", "random", "mirror"])
@@ -50,17 +50,15 @@ def test_every_stage_is_its_shape_turned(labels):
     assert placement.goals.shape == (5, 10, 3)
     corner = placement.start - task.arena.mean(axis=0)
     flat = shape_points("plane", 10, task.spacing)
-    angle = min(
-        np.linspace(0.0, 2 * np.pi, 20_001),
-        key=lambda a: (
-            np.linalg.norm(corner[:, None] - turned(flat, a)[None], axis=-1).min(axis=1).max()
-        ),
-    )
+
+    def off(angle: float) -> float:
+        apart = np.linalg.norm(corner[:, None] - turned(flat, angle)[None], axis=-1)
+        return float(apart.min(axis=1).max())
+
+    angle = min(np.linspace(0.0, 2 * np.pi, 20_001), key=off)
     for name, points in zip(shapes, [placement.start, *placement.goals], strict=True):
         expected = turned(shape_points(name, 10, task.spacing), angle) + task.arena.mean(axis=0)
-        distance = np.linalg.norm(points[:, None] - expected[None], axis=-1)
-        assert distance.min(axis=1).max() < 1e-3
-        assert distance.min(axis=0).max() < 1e-3
+        assert same_points(points, expected, within=1e-3)
 
 
 def turned(points: np.ndarray, angle: float) -> np.ndarray:
@@ -100,12 +98,10 @@ def test_blocks_go_to_other_blocks_as_a_whole():
         assert same_points(here, there)
         move = there - here
         assert np.linalg.norm(move, axis=1).min() > 0.5
-        pairs = [
-            (i, j) for i in range(18) for j in range(i) if np.linalg.norm(here[i] - here[j]) < 0.6
-        ]
-        assert len(pairs) == 9  # the two of each block
-        for i, j in pairs:
-            np.testing.assert_allclose(move[i], move[j], atol=1e-9)
+        apart = np.linalg.norm(here[:, None] - here, axis=-1)
+        first, second = np.nonzero(np.triu(apart < 0.6, 1))
+        assert len(first) == 9  # the two of each block
+        np.testing.assert_allclose(move[first], move[second], atol=1e-9)
     assert block_of(18).tolist() == [k // 2 for k in range(18)]
 
 
@@ -167,8 +163,7 @@ def test_a_missed_shape_is_no_success():
     task = task_of(4, shapes=("plane", "letter:I", "letter:I"), shape_s=1.0, travel_s=1.0)
     env = SwarmParallelEnv(task, EnvConfig(physics="batch", **agent.requires))
     metrics = fly_episode(env, agent, 0)
-    assert metrics["stages_reached"] == 1
-    assert not metrics["success"]
+    assert metrics["stages_reached"] == 1 and not metrics["success"]
     assert metrics["length_s"] == pytest.approx(2.0)
 
 
@@ -222,7 +217,7 @@ def test_references_never_come_close(team):
         assert (position < task.arena[1] - task.radius[:, None]).all()
 
 
-@pytest.mark.parametrize("n", [*range(1, 50), 64, 128, 256])
+@pytest.mark.parametrize("n", [*range(1, 34), 49, 64, 128, 256])
 def test_any_number_of_drones_flies_around_the_ring(n):
     task = RingTask(ring_team(n))
     assert task.orbit.center.shape == (n, 3)
@@ -248,10 +243,8 @@ def test_the_five_of_the_paper():
     assert np.ptp(small[..., 1]) == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(np.linalg.norm(velocity, axis=-1), 0.65)
     lowest = np.argmin(small[..., 2], axis=0)
-    below = [
-        np.linalg.norm(large[t, :, :2] - small[t, i, :2], axis=-1) for i, t in enumerate(lowest)
-    ]
-    assert min(d.min() for d in below) < 0.01
+    below = small[lowest, range(3), :2]
+    assert np.linalg.norm(large[lowest, :, :2] - below[:, None], axis=-1).min() < 0.01
     assert small[..., 2].min() == pytest.approx(1.2 - 0.55, abs=1e-3)
 
 
@@ -336,12 +329,10 @@ def test_success_comes_with_the_clock_and_needs_the_tracking():
         agent.reset(env, 1)
         given = 0.0
         while env.agents:
-            observations, _, terminated, truncated, infos = env.step(
-                agent.act(observations, env.view)
-            )
+            actions = agent.act(observations, env.view)
+            observations, _, terminated, truncated, infos = env.step(actions)
             given += infos["drone_0"]["reward_terms"]["success"]
-        assert all(truncated.values())
-        assert not any(terminated.values())
+        assert all(truncated.values()) and not any(terminated.values())
         assert infos["drone_0"]["episode_metrics"]["success"] == expected
         assert infos["drone_0"]["episode_metrics"]["length_s"] == pytest.approx(1.5)
         assert given == float(expected)
@@ -350,11 +341,7 @@ def test_success_comes_with_the_clock_and_needs_the_tracking():
 @pytest.mark.parametrize(
     ("team", "layout", "message"),
     [
-        (
-            "SSSSSSSS",
-            RingLayout((0.05, 0.05), 0.5, 0.5),
-            r"drones \d and \d of a group come within",
-        ),
+        ("S" * 8, RingLayout((0.05, 0.05), 0.5, 0.5), r"drones \d and \d of a group come within"),
         ("SSSSS", RingLayout((0.6, 0.6), 0.3, 0.5, height_m=0.3), r"leave the arena"),
         ("SSSSS", RingLayout((0.6, 0.6), 0.6, 3.0), r"drone 0 would accelerate at 15.00"),
         ("S" * 200, RingLayout((1.5, 1.5), 0.5, 0.5), r"13 groups of up to 16 drones do not fit"),

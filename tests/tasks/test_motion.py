@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from swarm_envs import trajectories
@@ -17,27 +16,17 @@ _RAMP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 2.5, -3.0, 1.0])
 """Time since rest over the ramp's duration: its slope is a quintic step from 0 to 1."""
 
 
-def ellipse(
-    center: npt.ArrayLike,
-    first: npt.ArrayLike,
-    second: npt.ArrayLike,
-    rate: npt.ArrayLike,
-    phase: npt.ArrayLike,
-    t: npt.ArrayLike,
-    *,
-    ramp_time: float,
-) -> Reference:
+def ellipse(orbit: Orbit, t: FloatArray, ramp_time: float) -> Reference:
     """center + first cos(angle) + second sin(angle), the rate growing from rest within the ramp."""
-    x = np.clip(np.asarray(t) / ramp_time, 0.0, 1.0)
-    after = np.maximum(np.asarray(t) - ramp_time, 0.0)
-    warp = ramp_time * _RAMP(x) + after
+    x = np.clip(t / ramp_time, 0.0, 1.0)
+    warp = ramp_time * _RAMP(x) + np.maximum(t - ramp_time, 0.0)
     speeds = [_RAMP.deriv(k)(x) / ramp_time ** (k - 1) for k in (1, 2, 3)]
-    angle = (np.asarray(phase) + np.asarray(rate) * warp)[..., None]
-    w, dw, ddw = ((np.asarray(rate) * speed)[..., None] for speed in speeds)
-    radial = np.asarray(first) * np.cos(angle) + np.asarray(second) * np.sin(angle)
-    tangent = np.asarray(second) * np.cos(angle) - np.asarray(first) * np.sin(angle)
+    angle = (orbit.phase + orbit.rate * warp)[..., None]
+    w, dw, ddw = ((orbit.rate * speed)[..., None] for speed in speeds)
+    radial = orbit.first * np.cos(angle) + orbit.second * np.sin(angle)
+    tangent = orbit.second * np.cos(angle) - orbit.first * np.sin(angle)
     return Reference(
-        center + radial,
+        orbit.center + radial,
         tangent * w,
         tangent * dw - radial * w**2,
         tangent * (ddw - w**3) - 3.0 * radial * w * dw,
@@ -107,7 +96,7 @@ def test_orbits():
     rate, phase = rng.normal(size=(2, N))
     orbit = Orbit(center, first, second, rate, phase)
     world = world_of(Placement(center + first, center[None], 0.0, orbit))
-    theirs = ellipse(center, first, second, rate, phase, TIMES[:, None], ramp_time=2.0)
+    theirs = ellipse(orbit, TIMES[:, None], ramp_time=2.0)
     check_close(written(world, Motion(ORBITS, 2.0)), theirs)
 
 

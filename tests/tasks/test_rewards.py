@@ -21,7 +21,7 @@ number = st.floats(-1e6, 1e6)
 
 
 def written(**fields: float) -> dict[str, float]:
-    """The terms of a drone of whom this is known, 25 times a second on a clock of 10 s."""
+    """The terms of a drone with these records, at 25 decisions a second and a horizon of 10 s."""
     world, settings = new_world(1, 1), np.zeros(1, SETTINGS_TYPE)
     settings["decision_s"], settings["horizon_s"] = 0.04, 10.0
     world.drones["active"] = 1.0
@@ -46,15 +46,11 @@ def test_proximity(x):
         assert 0.0 <= written(**{name: x})["proximity"] <= 0.04
     nearest = written(clearance=2.0, obstacle_clearance=x)["proximity"]
     assert nearest == written(clearance=min(2.0, x))["proximity"]
-
-
-def test_proximity_of_a_lone_drone_is_nothing():
-    assert written()["proximity"] == 0.0
+    assert written()["proximity"] == 0.0  # of a lone drone
 
 
 @given(number, number)
 def test_progress(before, now):
-    """Seconds at the speed limit."""
     seconds = written(last_distance=before, distance=now)["progress"]
     assert seconds == pytest.approx((before - now) / SPEED_LIMIT, abs=1e-9)
 
@@ -98,7 +94,7 @@ def test_weighted_sum():
 
 
 def hovering(success: Success, start: list[list[float]], steps: int) -> list[bool]:
-    """Whether a hovering team has succeeded after each decision; its goals are at z = 1."""
+    """Return the success of a hovering team after each decision; its goals are at z = 1."""
     task = SwapTask(team=parse_team("SS"), success=success)
     core = SwarmCore(task, EnvConfig(physics="batch", interactions="none", end_on_success=False))
     goal = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
@@ -114,26 +110,23 @@ def hovering(success: Success, start: list[list[float]], steps: int) -> list[boo
 def test_success_needs_the_hold(hold_s):
     near = [[0.09, 0.0, 1.0], [1.0, 0.0, 0.91]]
     succeeded = hovering(Success(hold_s=hold_s), near, 60)
-    first = round(hold_s * 48)
-    assert succeeded == [k >= first for k in range(1, 61)]
+    assert succeeded == [k >= round(hold_s * 48) for k in range(1, 61)]
 
 
 def test_success_needs_every_drone():
-    assert not any(hovering(Success(), [[0.0, 0.0, 1.0], [1.0, 0.11, 1.0]], 60))
-    assert any(hovering(Success(radius=0.12), [[0.0, 0.0, 1.0], [1.0, 0.11, 1.0]], 60))
+    start = [[0.0, 0.0, 1.0], [1.0, 0.11, 1.0]]
+    assert not any(hovering(Success(), start, 60))
+    assert any(hovering(Success(radius=0.12), start, 60))
 
 
 def test_leaving_the_goal_starts_the_hold_anew():
-    task = SwapTask(team=parse_team("S"))
-    core = SwarmCore(task, EnvConfig(physics="batch", interactions="none"))
-    points = {"start": [[0.0, 0.0, 1.0]], "goal": [[0.0, 0.0, 1.0]]}
-    core.reset([0], options=points)
+    core = SwarmCore(SwapTask(parse_team("S")), EnvConfig(physics="batch", interactions="none"))
+    core.reset([0], options={"start": [[0.0, 0.0, 1.0]], "goal": [[0.0, 0.0, 1.0]]})
     inside = []
     for k in range(80):
         core.step(np.array([[[0.6 if k < 16 else -0.6 if k < 48 else 0.0, 0.0, 0.0]]]))
         distance = np.linalg.norm(core.physics.state.position[0, 0] - [0, 0, 1])
         inside.append(bool(distance < 0.10))
-    assert inside[0]
-    assert not all(inside)
+    assert inside[0] and not all(inside)
     assert sum(inside) > 24  # half a second in all, but not at a stretch
     assert not core.world.environments["succeeded"][0]
