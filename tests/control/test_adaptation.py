@@ -111,7 +111,6 @@ def test_the_bandwidth_ends_where_20_ms_of_delay_make_it_unstable():
     assert Loop(ControllerConfig(adaptation=MomentumObserver(3.0)), 1.0, 0.02).radius() < 1.0
     assert Loop(ControllerConfig(adaptation=MomentumObserver(20.0)), 1.0, 0.02).radius() > 1.0
     for kind, name in ((MomentumObserver, "bandwidth_hz"), (Indi, "cutoff_hz")):
-        with pytest.raises(
-            ValueError, match=rf"{name} is 21\.0, but must be a number in \(0, 20\]"
-        ):
+        said = rf"{name} is 21\.0, but must be a number in \(0, 20\]"
+        with pytest.raises(ValueError, match=said):
             kind(21.0)

@@ -60,9 +60,7 @@ def test_priorities(vehicle: Vehicle, share: tuple[float, float, float, float]) 
     thrust, torque = scaled_wrench(vehicle, share)
     rotors = mix(vehicle, thrust, torque)
     largest = vehicle.max_rotor_thrust
-    assert (rotors >= 0).all()
-    assert (rotors <= largest).all()
-
+    assert 0 <= rotors.min() <= rotors.max() <= largest
     given_torque = (wrench_of_rotors(vehicle) @ rotors)[1:]
     tilting = exact_rotors(vehicle, 0.0, np.array([torque[0], torque[1], 0.0]))
     turning = exact_rotors(vehicle, 0.0, np.array([0.0, 0.0, torque[2]]))

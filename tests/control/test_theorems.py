@@ -65,17 +65,22 @@ def test_example_2_tends_to_its_limit_as_fast_as_two_exponentials_part():
 # ---- Theorem 6: the attitude under torques that the model does not know
 
 
+def hovering(vehicle, config, flights):
+    """Return the physics and the controller of drones that hover, and their set-point."""
+    place = np.tile(PLACE, (flights, 1, 1))
+    physics = BatchPhysics((vehicle,), flights, "none")
+    physics.reset(hover_state((vehicle,), place))
+    return physics, TrackingController((vehicle,), flights, config), Setpoint.hold(place)
+
+
 def tilt_errors(vehicle, config, torques):
     """(E, T, 3) vector part of the attitude error under body torques (E, T, 3), N m."""
     flights, steps, _ = torques.shape
-    place = np.tile(PLACE, (flights, 1, 1))
-    physics = BatchPhysics((vehicle,), flights, "none")
-    controller = TrackingController((vehicle,), flights, config)
-    physics.reset(hover_state((vehicle,), place))
+    physics, controller, target = hovering(vehicle, config, flights)
     drones, memory = physics.world.drones, controller._loop.world.drones
     found = np.zeros((flights, steps, 3))
     for k in range(steps):
-        commands = controller.commands(physics.state, Setpoint.hold(place))
+        commands = controller.commands(physics.state, target)
         attitude = Rotation.from_quat(drones["quaternion"][:, 0])
         desired = Rotation.from_quat(memory["desired_attitude"][:, 0])
         found[:, k] = (desired.inv() * attitude).as_quat(canonical=True)[:, :3]
@@ -139,14 +144,11 @@ def test_theorem_7_the_augmented_state_decays_exponentially(name, vehicle):
 def augmented_errors(vehicle, config, flights, steps):
     """(E, T) norm of [p; v; q_v; omega; eta / weight] from random starts around hover."""
     rng = np.random.default_rng(1)
-    place = np.tile(PLACE, (flights, 1, 1))
-    physics = BatchPhysics((vehicle,), flights, "none")
-    controller = TrackingController((vehicle,), flights, config)
-    physics.reset(hover_state((vehicle,), place))
+    physics, controller, target = hovering(vehicle, config, flights)
     drones = physics.world.drones
     rest = drones["rotor_thrust"].copy()
-    drones["position"] += rng.uniform(-0.1, 0.1, drones["position"].shape)
-    drones["velocity"] += rng.uniform(-0.1, 0.1, drones["velocity"].shape)
+    for name in ("position", "velocity"):
+        drones[name] += rng.uniform(-0.1, 0.1, drones[name].shape)
     tilt = Rotation.from_rotvec(rng.uniform(-0.2, 0.2, (flights, 3)))
     drones["quaternion"][:, 0] = tilt.as_quat()
     drones["angular_velocity"] += rng.uniform(-0.5, 0.5, drones["angular_velocity"].shape)
@@ -158,5 +160,5 @@ def augmented_errors(vehicle, config, flights, steps):
         parts[1] = parts[1][:, :3]
         parts[4] = (parts[4] - rest[:, 0]) / rest[:, 0]
         found[:, k] = np.linalg.norm(np.concatenate(parts, axis=1), axis=1)
-        physics.step(controller.commands(physics.state, Setpoint.hold(place)))
+        physics.step(controller.commands(physics.state, target))
     return found

@@ -16,7 +16,7 @@ from swarm_envs.control.config import (
     low_pass_blend,
 )
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.reference import State, followed, held, hovering
+from swarm_envs.reference import State, followed, held, hovering, multiply
 from swarm_envs.reference_numbers import bodies_of, gains_of
 from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, Team, parse_team
@@ -31,7 +31,7 @@ MEMORY = (
     *("rate_error_rate", "desired_attitude", "desired_rate", "started"),
     *("adaptive_force", "adaptive_coefficients", "adaptive_covariance", "last_velocity"),
 )
-"""What the loop remembers from step to step."""
+"""Memory of the loop from step to step."""
 
 
 class RandomFlight:
@@ -54,7 +54,7 @@ class RandomFlight:
         s.position[...] += s.velocity / 240
         s.angular_velocity[...] = 2 * wild * rng.normal(size=self.walk.shape)
         step = np.concatenate([s.angular_velocity / 480, np.ones((*shape, 1))], axis=-1)
-        s.quaternion[...] = _multiply(step, s.quaternion)
+        s.quaternion[...] = multiply(step, s.quaternion)
         s.quaternion[...] /= np.linalg.norm(s.quaternion, axis=-1, keepdims=True)
         s.quaternion[...] *= rng.choice([-1.0, 1.0], size=(*shape, 1))
         sp.velocity[...] = 0.1 * wild * rng.normal(size=self.walk.shape)
@@ -62,13 +62,6 @@ class RandomFlight:
         sp.yaw_rate[...] = wild * rng.normal(size=shape)
         sp.yaw[...] += sp.yaw_rate / 240 + (rng.uniform(size=shape) < 0.01) * rng.normal(size=shape)
         return s, sp, 0.03 * wild * rng.normal(size=self.walk.shape)
-
-
-def _multiply(a: FloatArray, b: FloatArray) -> FloatArray:
-    va, wa, vb, wb = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
-    vector = wa * vb + wb * va + np.cross(va, vb)
-    scalar = wa * wb - np.sum(va * vb, axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
 
 
 def memory(controller: TrackingController) -> dict[str, FloatArray]:

@@ -26,16 +26,11 @@ STRICT += ["-Wconversion", "-Wshadow", "-ffp-contract=off"]
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 
 
-def build(folder: Path, *sources: str) -> None:
-    """Compile sources in a folder into a program called `program`."""
-    command = [str(COMPILER), *STRICT, *sources, "-o", "program", "-lm"]
-    subprocess.run(command, cwd=folder, check=True)
-
-
 def run_program(folder: Path, source: str, rows: np.ndarray) -> np.ndarray:
     """Return what a program that includes a header writes for rows, as float32."""
     (folder / "program.c").write_text(source)
-    build(folder, "program.c")
+    command = [str(COMPILER), *STRICT, "program.c", "-o", "program", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
     done = subprocess.run([folder / "program"], input=rows.tobytes(), capture_output=True)
     assert done.returncode == 0, "the header's own test finds it wrong"
     return np.frombuffer(done.stdout, np.float32)

@@ -24,18 +24,12 @@ def wake(position, velocity, types):
     return out
 
 
-def flown(interactions, physics="batch", feedforward=None, **options):
+def flown(interactions, physics, feedforward=None, **options):
     """Positions (T, N, 3) of a stacked swap in which drones do not act."""
-    controller = None if feedforward is None else ControllerConfig(feedforward=feedforward)
-    env = swarm_envs.make(
-        "swap_v1",
-        team="LS",
-        layout="stacked",
-        physics=physics,
-        interactions=interactions,
-        controller=controller,
-        **options,
-    )
+    if feedforward is not None:
+        options["controller"] = ControllerConfig(feedforward=feedforward)
+    options |= {"physics": physics, "interactions": interactions}
+    env = swarm_envs.make("swap_v1", team="LS", layout="stacked", **options)
     env.reset(seed=3)
     path = []
     for k in range(40):
@@ -48,25 +42,19 @@ def flown(interactions, physics="batch", feedforward=None, **options):
     return np.array(path)
 
 
-@pytest.mark.parametrize("physics", ["batch", "bullet"])
 @pytest.mark.parametrize("force_rate", [240, 48])
-def test_the_wake_is_the_same_as_a_function(physics, force_rate):
-    if physics == "bullet":
-        pytest.importorskip("pybullet")
-    compiled = flown("wake", physics, force_rate=force_rate)
-    ours = flown(wake, physics, force_rate=force_rate)
+def test_the_wake_is_the_same_as_a_function(engine, force_rate):
+    compiled = flown("wake", engine, force_rate=force_rate)
+    ours = flown(wake, engine, force_rate=force_rate)
     assert len(ours) == len(compiled) > 20
     np.testing.assert_allclose(ours, compiled, rtol=0, atol=1e-12)
-    still = flown("none", physics)
+    still = flown("none", engine)
     assert np.abs(still[: len(ours)] - ours[: len(still)]).max() > 1e-3, "it acts"
 
 
-@pytest.mark.parametrize("physics", ["batch", "bullet"])
-def test_a_function_is_compensated_as_the_model(physics):
-    if physics == "bullet":
-        pytest.importorskip("pybullet")
-    compiled = flown("wake", physics, feedforward=WAKE)
-    np.testing.assert_allclose(flown("wake", physics, feedforward=wake), compiled, atol=1e-12)
+def test_a_function_is_compensated_as_the_model(engine):
+    compiled = flown("wake", engine, feedforward=WAKE)
+    np.testing.assert_allclose(flown("wake", engine, feedforward=wake), compiled, atol=1e-12)
 
 
 def test_a_function_sees_types_and_ended_drones_far_away_and_is_called_at_its_rate():
@@ -76,15 +64,8 @@ def test_a_function_sees_types_and_ended_drones_far_away_and_is_called_at_its_ra
         calls.append((position.copy(), types))
         return np.zeros_like(position)
 
-    env = swarm_envs.make(
-        "swap_v1",
-        team="LS",
-        physics="batch",
-        interactions=watched,
-        force_rate=48,
-        decision_rate=10,
-        on_contact="end_pair",
-    )
+    rates = {"force_rate": 48, "decision_rate": 10, "on_contact": "end_pair"}
+    env = swarm_envs.make("swap_v1", team="LS", physics="batch", interactions=watched, **rates)
     env.reset(seed=0, options={"start": np.array([[0, 0, 0.2], [1, 0, 1.0]])})
     down = {"drone_0": np.array([0, 0, -1], np.float32), "drone_1": np.zeros(3, np.float32)}
     for k in range(20):

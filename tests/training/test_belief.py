@@ -82,9 +82,8 @@ def test_compensation_leaves_a_tenth_of_the_error_and_harms_nobody(team):
 
 
 def test_a_model_of_a_force_that_is_not_there_is_found_out():
-    result = compare_compensation(
-        SwapTrial("L2S", PAPER_SWAP, 2), load("learned"), environment="none"
-    )
+    trial = SwapTrial("L2S", PAPER_SWAP, 2)
+    result = compare_compensation(trial, load("learned"), environment="none")
     assert result.worse == 2 and result.largest_ratio > 2.0
 
 
@@ -96,16 +95,9 @@ def test_compensation_in_every_layout_of_every_team():
         assert result.compensated_median_cm < 0.3 * result.uncompensated_median_cm, team
 
 
-TINY = FeedforwardConfig(
-    out=Path(),
-    seed=3,
-    steps=40,
-    collection=CollectionConfig(
-        teams=("S", "L", "SL"), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=4.0
-    ),
-    progress=False,
-    trials=(SwapTrial("L2S", PAPER_SWAP, 1),),
-)
+FEW = CollectionConfig(("S", "L", "SL"), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=4.0)
+TRIALS = (SwapTrial("L2S", PAPER_SWAP, 1),)
+TINY = FeedforwardConfig(Path(), seed=3, steps=40, collection=FEW, progress=False, trials=TRIALS)
 
 
 def test_a_belief_is_made_twice_the_same_and_says_from_what(tmp_path):

@@ -1,4 +1,4 @@
-"""DAgger: who teaches where, and what is imitated; networks in torch and numpy."""
+"""DAgger: choice of teachers, and what is imitated; networks in torch and numpy."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ OPTIONS: dict[str, Any] = {
     **{"out": Path("never"), "algo": "dagger", "encoder": "deep-set"},
     **{"decision_rate": 20, "threads": 1, "interactions": "none"},
 }
+WAY_FINDER = f"{teachers.__file__}:WayFinder"
 
 
 def learner(task: str = "swap_v1", **given: Any) -> Dagger:
@@ -104,15 +105,14 @@ def test_a_teacher_says_what_the_agent_does_of_the_neighbours_that_it_sees():
 
 
 def test_the_teacher_of_the_shipped_policy_swaps_without_near_misses():
-    name = str(Path(teachers.__file__)) + ":wide_roundabout"
-    agent = load(name)
+    agent = load(f"{teachers.__file__}:wide_roundabout")
     env = swap_v1.parallel_env(num_drones=12, physics="batch", **agent.requires)
     episodes = [episode["metrics"] for episode in evaluate_agent(env, agent, frozen_seeds(4, 12))]
     assert all(m["success"] and not m["near_misses"] for m in episodes)
 
 
 def test_the_teacher_of_circles_keeps_the_distances_at_the_start():
-    agent = load(str(Path(teachers.__file__)) + ":Carousel")
+    agent = load(f"{teachers.__file__}:Carousel")
     env = swap_v1.parallel_env(layout="circle", num_drones=32, physics="batch", **agent.requires)
     env.reset(seed=0)
     start = env.core.world.drones["start"][0]
@@ -124,22 +124,21 @@ def test_the_teacher_of_circles_keeps_the_distances_at_the_start():
 
 
 def test_the_teacher_of_crowds_reaches_more_goals_in_a_forest_than_scripts_and_hits_nothing():
-    name = str(Path(teachers.__file__)) + ":WayFinder"
     reached = {}
-    for each in (name, "fast-line"):
+    for each in (WAY_FINDER, "fast-line"):
         agent = load(each)
         env = crowd_v0.parallel_env(horizon_s=10.0, physics="batch", **agent.requires)
         flown = [found["metrics"] for found in evaluate_agent(env, agent, frozen_seeds(4, 4))]
         assert all(metrics["success"] for metrics in flown)
         reached[each] = np.mean([metrics["throughput_per_min"] for metrics in flown])
         env.close()
-    assert reached[name] > 1.1 * reached["fast-line"]
+    assert reached[WAY_FINDER] > 1.1 * reached["fast-line"]
 
 
 def test_all_layouts_of_crowd_are_learned_with_short_ways_between_buildings():
     given = {"layout": "all", "drones": 8, "environments": 6, "num_neighbors": 7}
-    teacher = str(Path(teachers.__file__)) + ":WayFinder"
-    made = learner("crowd_v0", **given, num_obstacles=3, dagger=DaggerConfig(teacher=(teacher,)))
+    dagger = DaggerConfig(teacher=(WAY_FINDER,))
+    made = learner("crowd_v0", **given, num_obstacles=3, dagger=dagger)
     tasks = [core.tasks[0] for core in made.cores]
     reach = {t.layout: t.reach_m for t in tasks if isinstance(t, CrowdTask)}
     assert reach == {"open": (1.0, 3.0), "forest": (1.0, 3.0), "buildings": (0.8, 2.2)}
@@ -234,9 +233,8 @@ def test_an_agent_may_label_all_environments_at_once():
 
 
 def test_every_part_has_its_share_of_environments_and_the_latest_are_remembered():
-    made = learner(
-        drones=(2, 4), environments=40, dagger=DaggerConfig(batch_size=64, buffer_size=700)
-    )
+    sizes = DaggerConfig(batch_size=64, buffer_size=700)
+    made = learner(drones=(2, 4), environments=40, dagger=sizes)
     assert [core.num_envs for core in made.cores] == [12, 5, 3] * 2
     assert [core.num_drones for core in made.cores] == [2] * 3 + [4] * 3
     for core in made.cores:
@@ -269,13 +267,13 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 def test_the_example_of_dagger_learns():
     main = runpy.run_path(str(EXAMPLES / "dagger.py"))["main"]
-    losses = main(["--steps", "12000", "--envs", "10", "--drones", "4", "--teacher", "fast-line"])
+    losses = main(["--steps", "6000", "--envs", "10", "--drones", "4", "--teacher", "fast-line"])
     assert np.mean(losses[-5:]) < 0.6 * losses[0]
 
 
 def test_the_example_of_ppo_learns():
     main = runpy.run_path(str(EXAMPLES / "ppo.py"))["main"]
-    rewards = main(["--steps", "60000", "--envs", "32", "--drones", "2"])
+    rewards = main(["--steps", "30000", "--envs", "32", "--drones", "2"])
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.01
 
 
@@ -283,8 +281,8 @@ SIZES = feature_sizes(4)
 NETWORKS = {"mlp": None, "deep-set": (8, 6)}
 
 
-def actor_of(kind: str, activation: str = "relu") -> Actor:
-    torch.manual_seed(1)
+def actor_of(kind: str, activation: str = "relu", seed: int = 1) -> Actor:
+    torch.manual_seed(seed)
     return Actor(SIZES, (9, 7), 3, NETWORKS[kind], activation)
 
 
@@ -331,8 +329,7 @@ def test_a_policy_of_other_observations_or_decisions_begins_no_training():
 @pytest.mark.parametrize("kind", NETWORKS)
 def test_training_begins_as_another_policy(kind):
     first: Network = actor_of(kind).network()
-    torch.manual_seed(2)
-    second = Actor(SIZES, (9, 7), 3, NETWORKS[kind], "relu")
+    second = actor_of(kind, seed=2)
     assert not np.array_equal(second.network().layers[0][0], first.layers[0][0])
     second.fill(first)
     assert np.array_equal(second.network()(values_of(), SIZES), first(values_of(), SIZES))

@@ -65,9 +65,8 @@ def planted_rows(count, seed=0):
     kind = rng.integers(-1, 2, (count, 2))
     neighbor[kind < 0] = 0.0
     position = rng.uniform(0, 1, (count, 3))
-    position[:, 2] = np.where(
-        rng.random(count) < 0.4, rng.uniform(0.07, 0.3, count), rng.uniform(0.3, 1.5, count)
-    )
+    low, high = (rng.uniform(*span, count) for span in ((0.07, 0.3), (0.3, 1.5)))
+    position[:, 2] = np.where(rng.random(count) < 0.4, low, high)
     rows = make_rows(
         count,
         ego_type=(vehicle > 100).astype(np.int64),
@@ -123,11 +122,11 @@ def test_planted_drag_is_recovered_and_never_negative():
 
 
 def fit_options(**given):
-    return FitConfig(data=Path(), out=Path(), progress=False, **given)
+    return FitConfig(**{"data": Path(), "out": Path(), "progress": False, **given})
 
 
 def test_planted_wake_is_recovered():
-    spec, config = planted_wake().spec, fit_options(steps=1500, learning_rate=1e-2)
+    spec, config = planted_wake().spec, fit_options(steps=700, learning_rate=4e-2, batch_size=384)
     found = train(planted_rows(6_000), spec, config).network
     assert isinstance(found, Wake)
     for name, truth in TRUTH.items():
@@ -146,7 +145,7 @@ def test_the_wake_in_torch_is_the_compiled_one(tmp_path):
 
 def test_network_learns_the_planted_wake_and_keeps_its_clip():
     rows = planted_rows(12_000)
-    config = fit_options(steps=450, batch_size=512)
+    config = fit_options(steps=300, learning_rate=1e-2, batch_size=256)
     trained = train(rows, SPEC, config)
     held_out = rows.select(rows.validation)
     error = predict(trained.network, to_batch(held_out)).numpy() - held_out.force_g[:, 2]
@@ -160,15 +159,11 @@ def test_network_learns_the_planted_wake_and_keeps_its_clip():
 def test_measured_fit_is_the_papers_form(tmp_path):
     rows = with_calibration_and_drag(planted_rows(2000), np.random.default_rng(1))
     save_rows(tmp_path / "rows.npz", rows)
-    out = tmp_path / "out"
-    config = FitConfig(data=tmp_path / "rows.npz", out=out, mode="measured", steps=20,
-                       progress=False)  # fmt: skip
-    report = fit(config)
-    network = load_network(out / "learned.safetensors")
-    assert network.spec.anchor_height_m is None
-    assert network.spec.input_range is None
-    assert not network.drag[:, 2].any()
-    assert not report.vehicle_offsets_g
+    report = fit(fit_options(data=tmp_path / "rows.npz", out=tmp_path, mode="measured", steps=20))
+    network = load_network(tmp_path / "learned.safetensors")
+    assert network.spec.anchor_height_m is None and network.spec.input_range is None
+    assert not network.drag[:, 2].any() and not report.vehicle_offsets_g
+    assert "calibration offsets are not subtracted from the labels" in report.lines()
     far = torch.tensor([[[0.0, 0.0, 1.0], [5.0, 0.0, 1.0]]], dtype=torch.float64)
     near = far * torch.tensor([0.01, 1.0, 1.0])
     still = torch.zeros_like(far)
@@ -247,14 +242,11 @@ STEEPEST = {"learned": 450, "deep-set": 1500}
 
 
 def test_gradients_of_the_shipped_weights(name, shipped, report):
-    most = STEEPEST[name]
     for neighbors in (1, 2):
         found = steepest(shipped, neighbors, np.random.default_rng(7))
-        assert found["position_gradient_g_per_m"] <= most
-        assert found["input_gradient_g_per_unit"] <= most
         stated = report["findings"]["lipschitz_measured"][str(neighbors)]
-        assert stated["position_gradient_g_per_m"] <= most
-        assert stated["input_gradient_g_per_unit"] <= most
+        for kind in ("position_gradient_g_per_m", "input_gradient_g_per_unit"):
+            assert max(found[kind], stated[kind]) <= STEEPEST[name]
 
 
 @pytest.mark.parametrize("drones", [2, 3, 16])
@@ -274,16 +266,11 @@ def test_model_card_is_what_the_reports_say(tmp_path):
     for name in REPORTS:
         shutil.copy(WEIGHTS / f"{name}.json", tmp_path)
     written = write_card(CardConfig(weights=tmp_path)).read_text()
-    assert written == (WEIGHTS / "MODEL_CARD.md").read_text()
-    assert "have no license" in written
+    assert written == (WEIGHTS / "MODEL_CARD.md").read_text() and "have no license" in written
 
 
 @pytest.mark.slow
 def test_measured_fit_reaches_the_reference(shared_data, tmp_path):
-    config = FitConfig(
-        data=shared_data / "data" / "neural_swarm_flights_33hz.npz",
-        out=tmp_path,
-        mode="measured",
-        progress=False,
-    )
-    assert fit(config).findings.errors.overall <= 6.5
+    data = shared_data / "data" / "neural_swarm_flights_33hz.npz"
+    report = fit(fit_options(data=data, out=tmp_path, mode="measured"))
+    assert report.findings.errors.overall <= 6.5

@@ -12,8 +12,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from swarm_envs import reference
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
+from swarm_envs.reference_numbers import aerodynamics_of
 from swarm_envs.state import FloatArray
 from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import turned_labels
@@ -43,18 +45,13 @@ SPEC = DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6)
 
 def random_network(spec: DeepSetSpec) -> ForceNetwork:
     """A float64 network with weights twice as large as at the start, so that clamps matter."""
-    torch.manual_seed(0)
-    made = build(spec, torch.float64)
-    with torch.no_grad():
-        for network in made.named_networks().values():
-            for parameter in network.parameters():
-                parameter.mul_(2.0)
-        made.drag[0], made.drag[-1] = torch.tensor([0.01, 0.01, 0.02]), torch.tensor([0.04] * 3)
+    made = scaled_network(spec, 2.0)
+    made.drag[0], made.drag[-1] = torch.tensor([0.01, 0.01, 0.02]), torch.tensor([0.04] * 3)
     return made
 
 
-def scaled_network(spec: DeepSetSpec, seed: int, scale: float) -> ForceNetwork:
-    torch.manual_seed(seed)
+def scaled_network(spec: DeepSetSpec, scale: float) -> ForceNetwork:
+    torch.manual_seed(0)
     made = build(spec, torch.float64)
     with torch.no_grad():
         for parameter in made.parameters():
@@ -92,50 +89,20 @@ def torch_force_g(
     network: ForceNetwork, position: FloatArray, velocity: FloatArray, team: Sequence[str]
 ) -> FloatArray:
     with torch.no_grad():
-        force = swarm_force_g(
-            network, torch.from_numpy(position), torch.from_numpy(velocity), list(team)
-        )
-    return np.asarray(force.numpy())
+        state = (torch.from_numpy(position), torch.from_numpy(velocity))
+        return np.asarray(swarm_force_g(network, *state, team).numpy())
 
 
-def written_out(made, position, velocity, types, i):
-    """Equation 10 for one drone of one swarm, with window, clamp, anchor and drag, in numpy."""
-
-    def perceptron(module, x):
-        chain = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in layers(module)]
-        for weight, bias in chain[:-1]:
-            x = np.maximum(weight @ x + bias, 0.0)
-        return chain[-1][0] @ x + chain[-1][1]
-
-    def step(r, a, b):
-        u = min(max((r - a) / (b - a), 0.0), 1.0)
-        return 1 - (6 * u**5 - 15 * u**4 + 10 * u**3)
-
-    z, v = min(position[i, 2], 0.6), velocity[i]
-    low, high = (np.array(side) for side in RANGE.environment)
-    e = perceptron(made.phi_environment, np.clip(-np.array([z, *v]), low, high))
-    reference = perceptron(made.phi_environment, np.clip(-np.array([0.6, *v]), low, high))
-    low, high = (np.array(side) for side in RANGE.pair)
-    h = e.copy()
-    for j in range(len(types)):
-        if j != i:
-            x = np.concatenate([position[j] - position[i], velocity[j] - velocity[i]])
-            ax, ay, az = np.abs(x[:3])
-            w = step(ax, 0.25, 0.35) * step(ay, 0.25, 0.35) * step(az, 0.8, 1.1)
-            h += w * perceptron(made.phi[types[j]], np.clip(x, low, high))
-    rho = made.rho[types[i]]
-    drag = made.drag.numpy()["SL".index(types[i]), 2] * v[2] / GRAM_FORCE
-    return (perceptron(rho, h) - perceptron(rho, reference))[0] - drag
+EQUATIONS = {"deep-set": reference.deep_set, "composed": reference.learned}
 
 
-def test_force_is_equation_10_written_out():
-    made, team = random_network(SPEC), ("S", "L", "L", "S")
-    position, velocity = swarm(0, 6, 4)
-    force = torch_force_g(made, position, velocity, team)
-    for e in range(6):
-        for i in range(4):
-            expected = written_out(made, position[e], velocity[e], team, i)
-            assert force[e, i] == pytest.approx(expected, abs=1e-11)
+def test_force_is_equation_10_written_out(
+    kind: NetworkKind, network: ForceNetwork, model: InteractionModel
+) -> None:
+    (position, velocity), team = swarm(0, 6, 4), "SLLS"
+    expected = EQUATIONS[kind](position, velocity, aerodynamics_of(model, team))[..., 2]
+    force = torch_force_g(network, position, velocity, team)
+    np.testing.assert_allclose(force, expected / GRAM_FORCE, rtol=0, atol=1e-11)
 
 
 def test_clip_scales_down_to_the_limit_and_never_up():
@@ -159,9 +126,7 @@ def test_file_gives_back_the_same_function(tmp_path):
         "paper": DeepSetSpec(("S", "L"), EVERYWHERE, None, None),
         "single": DeepSetSpec(("S", "L", "XL"), OUTER_FADE, None, None),
     }.items():
-        made = random_network(spec)
-        if name == "single":
-            made = build(spec, torch.float32)
+        made = build(spec, torch.float32) if name == "single" else random_network(spec)
         save_network(tmp_path / f"{name}.safetensors", made, {"seed": 7})
         loaded = load_network(tmp_path / f"{name}.safetensors")
         assert type(loaded) is type(made) and loaded.spec == made.spec
@@ -246,8 +211,8 @@ def planted_rows(count: int) -> InteractionRows:
 def test_a_planted_torque_is_learned_beside_the_force(tmp_path: Path) -> None:
     save_rows(tmp_path / "rows.npz", planted_rows(6000))
     config = FitConfig(
-        data=tmp_path / "rows.npz", out=tmp_path, torque=True, steps=1000, batch_size=128,
-        learning_rate=1e-2, offsets="none", progress=False,
+        data=tmp_path / "rows.npz", out=tmp_path, torque=True, steps=400, batch_size=96,
+        learning_rate=2.5e-2, offsets="none", progress=False,
     )  # fmt: skip
     report = fit(config)
     errors = report.torque_errors
@@ -266,26 +231,21 @@ def test_a_planted_torque_is_learned_beside_the_force(tmp_path: Path) -> None:
 
 
 def test_numpy_gives_the_torque_of_torch(tmp_path: Path) -> None:
-    made = scaled_network(dataclasses.replace(SPEC, torque=True), 0, 2.0)
+    made = scaled_network(dataclasses.replace(SPEC, torque=True), 2.0)
     save_network(tmp_path / "a.safetensors", made)
     again = load_network(tmp_path / "a.safetensors")
     assert again.spec == made.spec
-    rng = np.random.default_rng(0)
-    position = rng.uniform(0.05, 1.0, (40, 3, 3)) * [0.5, 0.5, 1.5]
-    velocity = rng.uniform(-1.0, 1.0, position.shape)
+    position, velocity = swarm(0, 40, 3)
     batch = swarm_batch(torch.from_numpy(position), torch.from_numpy(velocity), [0, 1, 0])
     with torch.no_grad():
         expected = again.heads(batch)
-    found = load_torque(tmp_path / "a.safetensors").torques(position, velocity, "SLS")
+    torques = load_torque(tmp_path / "a.safetensors").torques
     torque = expected[:, 1:].numpy().reshape(40, 3, 3) * GRAM_CENTIMETRE
     assert np.abs(torque).max() > 1e-6
-    np.testing.assert_allclose(found, torque, atol=1e-15)
+    np.testing.assert_allclose(torques(position, velocity, "SLS"), torque, atol=1e-15)
     force = load(tmp_path / "a.safetensors").forces(position, velocity, "SLS")[..., 2]
     np.testing.assert_allclose(force / GRAM_FORCE, expected[:, 0].reshape(40, 3), atol=1e-9)
-    lone = load_torque(tmp_path / "a.safetensors").torques(
-        position[:, :1] + 0.6, velocity[:, :1], "L"
-    )
-    assert not lone.any()
+    assert not torques(position[:, :1] + 0.6, velocity[:, :1], "L").any()
 
 
 def test_a_torque_turns_with_its_row_and_changes_sign_in_a_mirror() -> None:
@@ -310,9 +270,7 @@ def test_a_table_without_torque_is_refused_where_it_is_wanted(tmp_path: Path) ->
     save_rows(tmp_path / "with.npz", rows)
     assert np.array_equal(read_rows(tmp_path / "with.npz").torque, rows.torque)  # type: ignore[arg-type]
     save_rows(tmp_path / "without.npz", dataclasses.replace(rows, torque=None))
-    config = FitConfig(
-        data=tmp_path / "without.npz", out=tmp_path, torque=True, offsets="none", progress=False
-    )
+    config = FitConfig(data=tmp_path / "without.npz", out=tmp_path, torque=True, progress=False)
     with pytest.raises(ValueError, match=r"the rows have no torque.* `torque` \(R, 3\), N m in"):
         fit(config)
 
@@ -328,7 +286,7 @@ def test_what_gives_no_torque_says_so(tmp_path: Path) -> None:
 
 def test_a_network_keeps_to_the_product_of_its_spectral_norms() -> None:
     """Without window and anchor, eq. 12 bounds the slope by gamma = rho's times phi's norms."""
-    network = scaled_network(DeepSetSpec(("S",), EVERYWHERE, None, None), 0, 2.0)
+    network = scaled_network(DeepSetSpec(("S",), EVERYWHERE, None, None), 2.0)
     hold_spectral_norms(network.parameters(), 1.5, "exact")
     phi, _, rho = network.named_networks().values()
     bound = 1.5 ** (len(layers(phi)) + len(layers(rho)))
@@ -339,7 +297,7 @@ def test_a_network_keeps_to_the_product_of_its_spectral_norms() -> None:
 def test_a_constant_force_leaves_the_slope_of_the_window() -> None:
     """A perceptron that always says 4 g: all slope is the window's, 1.875 times 4 g over 0.1 m."""
     spec = DeepSetSpec(("S",), OUTER_FADE, RANGE, None, hidden=1, layers=2)
-    network = scaled_network(spec, 0, 0.0)
+    network = scaled_network(spec, 0.0)
     with torch.no_grad():
         layers(network.named_networks()["phi.S"])[-1].bias[0] = 4.0
         for layer in layers(network.named_networks()["rho.S"]):

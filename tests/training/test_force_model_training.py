@@ -101,9 +101,8 @@ def test_held_out_rows_teach_nothing() -> None:
 def test_labels_that_are_too_large_end_a_training_that_diverges() -> None:
     rows = rows_of(1000)
     far = rows.with_vertical_force(1e38 * rows.force_g[:, 2])
-    with pytest.raises(
-        ValueError, match=r"diverged: after step \d+ weights .* learning_rate 0\.003; give"
-    ):
+    said = r"diverged: after step \d+ weights .* learning_rate 0\.003; give"
+    with pytest.raises(ValueError, match=said):
         train(far, SPEC, dataclasses.replace(PLAIN, steps=400))
 
 

@@ -1,4 +1,4 @@
-"""How tasks are learned: curricula, layouts of evaluations, and defaults of options."""
+"""Learning of tasks: curricula, layouts of evaluations, and defaults of options."""
 
 from __future__ import annotations
 
@@ -138,11 +138,9 @@ def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypat
     shapes = [np.sort(_distances(points)) for points in task.places]
     for _ in range(60):
         drawn = task.draw(rng)
-        start, goals = drawn.start, drawn.goals
-        assert drawn.duration == 0.0
-        assert drawn.orbit is None
+        assert drawn.duration == 0.0 and drawn.orbit is None
         found = []
-        for points in (start, goals[0]):
+        for points in (drawn.start, drawn.goals[0]):
             ratios = [np.sort(_distances(points)) / shape for shape in shapes]
             (kind, *_) = (k for k, ratio in enumerate(ratios) if np.ptp(ratio) < 1e-9)
             found.append((kind, ratios[kind][0]))

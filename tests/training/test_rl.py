@@ -227,11 +227,8 @@ def test_the_network_that_flies_is_that_of_the_model(kind, encoder):
     config = RlConfig(out=Path("never"), algo=algo, encoder=encoder, environments=4, drones=3)
     made = make_setting(config, "swap_v1")
     env = SharedPolicyVecEnv(made.blueprints, 4, 0, features=True)
-    arguments = {
-        **sb3.arguments_of(made),
-        **({"batch_size": 96} if algo == "ppo" else {"buffer_size": 10}),
-    }
-    model: Any = kind("MlpPolicy", env, **arguments)
+    small = {"batch_size": 96} if algo == "ppo" else {"buffer_size": 10}
+    model: Any = kind("MlpPolicy", env, **(sb3.arguments_of(made) | small))
     seen = env.reset()
     for _ in range(5):
         seen = env.step(np.random.default_rng(0).uniform(-1, 1, (12, 3)))[0]
@@ -243,9 +240,7 @@ def test_the_network_that_flies_is_that_of_the_model(kind, encoder):
 
 def test_the_learning_rate_falls_in_both_stages():
     rates = [sb3.falling_rate(1.0 - done) for done in (0.0, 0.375, 0.74, 0.75, 0.875, 1.0)]
-    assert rates[0] == pytest.approx(1e-3)
-    assert rates[1] == pytest.approx(5e-4)
-    assert rates[3] == pytest.approx(7e-4)
+    assert [rates[k] for k in (0, 1, 3)] == pytest.approx([1e-3, 5e-4, 7e-4])
     assert rates[0] > rates[1] > rates[2] < rates[3] > rates[4] > rates[5]
 
 

@@ -42,7 +42,7 @@ def some_actions(rng: np.random.Generator, step: int) -> np.ndarray:
 
 
 def same(ours: Any, theirs: Any) -> bool:
-    """Whether two observations of a drone are the same."""
+    """Return True if two observations of a drone are the same."""
     if isinstance(theirs, dict):
         return all(np.array_equal(ours[name], part) for name, part in theirs.items())
     return np.array_equal(ours, theirs)
@@ -154,10 +154,8 @@ def test_ppo_learns_a_little(observation, policy, tmp_path):
     assert model.ep_info_buffer is not None and model.ep_info_buffer[0]["l"] <= 24
     model.save(tmp_path / "policy.zip")
     loaded = PPO.load(tmp_path / "policy.zip", device="cpu")
-    judge = VecMonitor(quick(observation=observation))
-    returns, lengths = evaluate_policy(
-        loaded, judge, n_eval_episodes=4, return_episode_rewards=True
-    )
+    other = VecMonitor(quick(observation=observation))
+    returns, lengths = evaluate_policy(loaded, other, 4, return_episode_rewards=True)
     assert np.isfinite(returns).all() and max(lengths) <= 24
 
 
@@ -176,9 +174,7 @@ def test_teams_side_by_side_fly_as_they_would_alone():
     for _ in range(12):
         actions = rng.uniform(-1, 1, (both.num_envs, both.action_space.shape[0]))
         *arrays, infos = both.step(actions)
-        apart = [
-            env.step(part) for env, part in zip(alone, (actions[:6], actions[6:]), strict=True)
-        ]
+        apart = [alone[0].step(actions[:6]), alone[1].step(actions[6:])]
         for k, array in enumerate(arrays):
             assert np.array_equal(array, np.concatenate([one[k] for one in apart]))
         expected = [info for one in apart for info in one[3]]
@@ -212,9 +208,8 @@ def test_features_are_observed_in_place_of_rows():
         for info, other in zip(infos, expected, strict=True):
             if "terminal_observation" in info:
                 ends += 1
-                assert np.array_equal(
-                    info["terminal_observation"], features_of(other["terminal_observation"], 1)
-                )
+                last = features_of(other["terminal_observation"], 1)
+                assert np.array_equal(info["terminal_observation"], last)
     assert ends
 
 

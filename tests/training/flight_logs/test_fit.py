@@ -29,20 +29,6 @@ def logs(flown, as_table, tmp_path_factory):
     return folder
 
 
-def test_fit_reads_a_folder_of_logs_and_says_how_to_fly_the_result(logs, tmp_path, capsys):
-    out = tmp_path / "fit"
-    options = ["--model", "deep-set", *QUICK, "--logs.keep-every", "2", "--offsets", "none"]
-    assert main(["fit", "--data", str(logs), "--out", str(out), *options]) == 0
-    said = capsys.readouterr().out
-    assert "S.csv: " in said and "validation MSE" in said
-    assert f"fly it: swarm-envs fly --interactions {out / 'learned.safetensors'}" in said
-    report = json.loads((out / "learned.json").read_text())
-    assert [file["file"] for file in report["logs"]] == ["L.csv", "S.csv", "SL.csv"]
-    assert report["findings"]["rows"] > 1000
-    assert report["command"].endswith("--logs.keep-every 2")
-    assert report["data_sha256"] == data_sha256(logs)
-
-
 def test_flights_of_lone_drones_give_their_offsets_and_no_pairs_to_report(logs, tmp_path, capsys):
     alone = tmp_path / "alone"
     alone.mkdir()
@@ -70,9 +56,8 @@ def test_logs_that_cannot_be_fitted_are_explained_without_traceback(logs, tmp_pa
 def test_a_folder_that_collect_wrote_is_read(tmp_path):
     config = CollectionConfig(teams=("S", "SL"), walks=2, low_walks=0, swaps=0, duration_s=3.0)
     flights = collect(config, tmp_path, progress=False)
-    with pytest.raises(
-        FileNotFoundError, match=r"no rows\.npz, because the collection is incomplete"
-    ):
+    said = r"no rows\.npz, because the collection is incomplete"
+    with pytest.raises(FileNotFoundError, match=said):
         read_data(tmp_path)
     table = interaction_rows(flights)
     save_rows(tmp_path / "rows.npz", table)
@@ -92,12 +77,19 @@ def test_the_fingerprint_of_a_folder_depends_on_every_file(tmp_path):
 
 
 @pytest.mark.parametrize("model", ["deep-set", "composed", "wake"])
-def test_the_command_fits_every_model_and_reports_alike(model, logs, tmp_path, capsys):
+def test_the_command_fits_every_model_to_a_folder_of_logs(model, logs, tmp_path, capsys):
     out, copy = tmp_path / "out", tmp_path / "copy.json"
     command = ["fit", "--data", str(logs), "--out", str(out), "--json", str(copy), *QUICK]
-    assert main([*command, "--offsets", "none", "--model", model]) == 0
-    assert f"{model}: validation MSE" in capsys.readouterr().out
+    options = ["--offsets", "none", "--model", model, "--logs.keep-every", "2"]
+    assert main([*command, *options]) == 0
+    said = capsys.readouterr().out
+    assert "S.csv: " in said and f"{model}: validation MSE" in said
+    assert f"fly it: swarm-envs fly --interactions {out / WEIGHTS[model]}" in said
     report = json.loads(copy.read_text())
+    assert [file["file"] for file in report["logs"]] == ["L.csv", "S.csv", "SL.csv"]
+    assert report["findings"]["rows"] > 1000
+    assert report["command"].endswith("--logs.keep-every 2")
+    assert report["data_sha256"] == data_sha256(logs)
     assert report == json.loads((out / REPORTS[model]).read_text())
     assert report["model"] == model
     assert set(report["findings"]) >= {"errors", "axis_bins"}

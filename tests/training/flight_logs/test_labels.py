@@ -87,19 +87,16 @@ def test_only_common_time_counts(flown, as_table, tmp_path):
     assert report[0].seconds == pytest.approx(4.0, abs=0.05)
     late = dataclasses.replace(table, time=table.time + np.where(table.drone == "cf0", 50.0, 0.0))
     write_table(tmp_path / "b.csv", late)
-    with pytest.raises(
-        ValueError, match=r"b\.csv: .* have 0\.00 s in common .*one file per flight"
-    ):
+    said = r"b\.csv: .* have 0\.00 s in common .*one file per flight"
+    with pytest.raises(ValueError, match=said):
         read_data(tmp_path / "b.csv", EXACT)
 
 
 def test_a_vehicle_that_never_flew_quietly_is_named(flown, as_table, tmp_path):
     write_table(tmp_path / "a.csv", as_table(flown("S", "walk", 25.0), "S", names=["known"]))
     log = flown("S")
-    fast = log._replace(
-        position=log.position + np.arange(len(log.position))[:, None, None] / 120 * [1.0, 0.0, 0.0],
-        velocity=log.velocity + np.array([1.0, 0.0, 0.0]),
-    )
+    east, time = np.array([1.0, 0.0, 0.0]), np.arange(len(log.position))[:, None, None] / 120
+    fast = log._replace(position=log.position + east * time, velocity=log.velocity + east)
     write_table(tmp_path / "b.csv", as_table(fast, "S", names=["fast"]))
     rows, _ = read_data(tmp_path)
     with pytest.raises(ValueError, match=r"vehicle 'fast' has \d+ training rows aloft, .* have 30"):
@@ -129,19 +126,10 @@ def test_the_authors_filter():
     position[:, 1, 2] = np.array(heights) + [shift[2] for shift in shifts]
     none, known = np.zeros(position.shape), np.ones(count, dtype=np.bool_)
     flight = ClockedFlight(
-        names=("a", "b"),
-        team=parse_team("SS"),
-        rate_hz=100.0,
-        time=np.arange(count) / 100.0,
-        known=known,
-        running=known,
-        position=position,
-        velocity=none,
-        quaternion=none,
-        acceleration=None,
-        pwm=none,
-        voltage=none,
-    )
+        names=("a", "b"), team=parse_team("SS"), rate_hz=100.0, time=np.arange(count) / 100.0,
+        known=known, running=known, position=position, velocity=none, quaternion=none,
+        acceleration=None, pwm=none, voltage=none,
+    )  # fmt: skip
     force = np.stack([np.outer(forces, up), none[:, 1]], axis=1)
     keep, dropped = kept_entries(flight, force, 0, 1)
     assert np.flatnonzero(keep).tolist() == [k for k, why in enumerate(reasons) if why is None]

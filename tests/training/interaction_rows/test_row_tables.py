@@ -17,21 +17,20 @@ from swarm_envs.training.force_model.evaluate import mean_squared_errors
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.interaction_rows.drone_rows import join_rows, rows_of_drone
 from swarm_envs.training.interaction_rows.hold_out import hold_out_blocks
+from tests.helpers.tiny_fits import make_rows
 
-OPTIONS = LogOptions()
 Arrays = dict[str, Any]
 
 
-def some_rows(
-    count: int = 1200, seed: int = 0, types: tuple[str, ...] = ("S", "L")
-) -> InteractionRows:
+def some_rows(count: int = 1200, types: tuple[str, ...] = ("S", "L")) -> InteractionRows:
     """Rows of two flights of two vehicles aloft, each alone half of the time, forces of some g."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     ego = np.arange(count) % 2
     alone = np.arange(count) // 2 % 2 == 0
     neighbor = rng.uniform(-0.3, 0.3, (count, 1, 6))
     neighbor[alone] = 0.0
-    return InteractionRows(
+    return make_rows(
+        count,
         types=types,
         ego_type=ego,
         position=rng.uniform(0.4, 1.2, (count, 3)),
@@ -43,7 +42,6 @@ def some_rows(
         step=np.arange(count) // 2 * 3,
         vehicle=np.array([50, 101])[ego],
         scenario=np.where(alone, 0, 2) + ego,
-        validation=np.arange(count) // 100 % 5 == 0,
         scenario_names=("Ge2S", "Ge2L", "L2S", "S2L"),
     )
 
@@ -92,13 +90,13 @@ BAD: list[tuple[Callable[[Arrays], Arrays], str]] = [
 
 
 @pytest.mark.parametrize(("edit", "message"), BAD)
-def test_a_bad_table_alone_is_an_error_that_names_value_rule_and_fix(
+def test_a_bad_table_is_an_error_that_names_value_rule_and_fix(
     edit: Callable[[Arrays], Arrays], message: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "rows.npz"
     np.savez(path, allow_pickle=False, **edit(arrays_of(some_rows(), path)))
     with pytest.raises(ValueError, match=rf"^rows\.npz: .*{message}"):
-        read_data(path, OPTIONS)
+        read_data(path)
 
 
 def test_blocks_are_held_out_with_a_guard_where_nothing_is_marked(tmp_path: Path) -> None:
@@ -150,9 +148,8 @@ def test_rows_of_drones_are_joined_with_room_for_all_their_neighbours() -> None:
     assert rows.scenario_names == ("Ge2S", "SS2L") and rows.vehicle_names == {7: "cf7"}
     assert rows.neighbor_type.tolist() == [[-1, -1]] * 25 + [[0, 0]] * 25
     assert rows.step.tolist() == [*range(0, 50, 2), *range(1, 50, 2)]
-    np.testing.assert_array_equal(
-        rows.neighbor[25:, 1, :3], (position[:, 2] - position[:, 1])[1::2]
-    )
+    offset = (position[:, 2] - position[:, 1])[1::2]
+    np.testing.assert_array_equal(rows.neighbor[25:, 1, :3], offset)
     np.testing.assert_array_equal(rows.force_g[25:], force[1::2, 1])
     assert rows.validation.tolist() == [True] * 25 + [False] * 25
 

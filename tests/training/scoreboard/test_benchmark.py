@@ -110,9 +110,8 @@ def test_the_file_has_every_episode_and_how_it_was_made(tmp_path):
     assert all(0.3 < row["score"] < 1.0 for row in flown if row["agent"] == "detour")
     assert about["seed"] == 2026 and about["versions"]["swarm_envs"]
     assert set(about["tasks"]) == {FOUR, "ring-5-v2"}
-    assert (
-        about["agents"]["detour"]["privileged"] and len(about["agents"]["detour"]["digest"]) == 64
-    )
+    detour = about["agents"]["detour"]
+    assert detour["privileged"] and len(detour["digest"]) == 64
 
 
 def test_a_killed_run_goes_on_with_the_episodes_that_it_flew(tmp_path):

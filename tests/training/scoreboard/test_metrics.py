@@ -41,10 +41,8 @@ def test_where_a_reference_moves_nobody_must_be_faster_than_it():
     env = swarm_envs.make(STACKED.environment, **STACKED.setting)
     env.reset(seed=11)
     (found,) = fastest_times(STACKED, [11]).values()
-    gap = [
-        np.linalg.norm(env.view.reference(t).position - env.view.goals, axis=1).max()
-        for t in (found - 0.03, found + 0.03, 4.0)
-    ]
+    places = [env.view.reference(t).position for t in (found - 0.03, found + 0.03, 4.0)]
+    gap = [np.linalg.norm(place - env.view.goals, axis=1).max() for place in places]
     env.close()
     assert gap[0] > 0.1 > gap[1] > gap[2]
     assert gap[2] == pytest.approx(0.0, abs=1e-9)

@@ -155,11 +155,8 @@ def test_the_tables_are_what_the_cells_say():
         ["a*", "0.50 [0.38, 0.50] (1 of 2)", "-"],  # 3 zeros of 8 in 7 % of resamples, 4 in 1 %
         ["b", "0.12 [0.12, 0.12]", "0.00 [0.00, 0.00]"],
     ]
-    assert success_rates(content, "swap") == [
-        ["agent", "circle 2", "circle 4"],
-        ["a*", "88", "-"],
-        ["b", "failed", "100"],
-    ]
+    rows = [["agent", "circle 2", "circle 4"], ["a*", "88", "-"], ["b", "failed", "100"]]
+    assert success_rates(content, "swap") == rows
     assert success_rates(content, "ring") == [["agent", "5"], ["b", "0"]]
     text = markdown(content)
     assert text.startswith("`swarm-envs benchmark --out board`: 13 episodes, 2 processors (A)")

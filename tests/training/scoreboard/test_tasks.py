@@ -157,14 +157,13 @@ def test_patterns_choose_in_the_table_s_order():
     assert names == [*wanted, "a/b.py:Mine", "detour+filter"]
 
 
-@pytest.mark.parametrize("choose", [choose_tasks, choose_agents])
-def test_what_is_no_name_is_refused_with_the_nearest(choose):
-    wrong, right = {
-        choose_tasks: ("swap-circle-4", "swap-circle-4-v2"),
-        choose_agents: ("swap-daggr", "swap-dagger"),
-    }[choose]
-    with pytest.raises(ValueError, match=f"did you mean '{right}'"):
-        choose(["*", wrong])
+WRONG = [(choose_tasks, "circle-4", "circle-4-v2"), (choose_agents, "daggr", "dagger")]
+
+
+@pytest.mark.parametrize(("choose", "wrong", "right"), WRONG)
+def test_what_is_no_name_is_refused_with_the_nearest(choose, wrong, right):
+    with pytest.raises(ValueError, match=f"did you mean 'swap-{right}'"):
+        choose(["*", f"swap-{wrong}"])
     with pytest.raises(ValueError, match="is empty"):
         choose([])
 
