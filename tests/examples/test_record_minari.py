@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,7 @@ pytestmark = pytest.mark.filterwarnings("default::UserWarning")
 
 
 @pytest.mark.parametrize("agent", ["roundabout", "tracking"])
-def test_the_recovered_environment_repeats_every_flight(
-    agent: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_recovered_environment_repeats_every_flight(agent, tmp_path, monkeypatch, capsys):
     from examples.record_minari import Options, main
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
@@ -57,8 +54,8 @@ def test_the_recovered_environment_repeats_every_flight(
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_anything_is_written(
-    wrong: dict[str, Any], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    wrong, said, tmp_path, monkeypatch
+):
     from examples.record_minari import Options, main
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))

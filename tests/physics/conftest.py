@@ -1,4 +1,4 @@
-"""What the tests of physics share: `engine`, the class of either engine."""
+"""The fixture `engine` of the tests of physics, the class of either engine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said, and what flies, where pybullet is missing or broken."""
+"""Without a working pybullet, messages say why, and the compiled engine flies."""
 
 from __future__ import annotations
 

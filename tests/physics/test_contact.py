@@ -1,4 +1,4 @@
-"""Who touches what, on both engines, and drones that bounce: momentum and restitution."""
+"""Contacts on both engines, and drones that bounce: momentum and restitution."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ ARENA = [[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]
 
 def flown(engine, team, positions, velocity=0.0, steps=1, **options):
     """The engine after some steps at the thrust of hover."""
-    physics = engine(team, interactions="none", arena=ARENA, **options)
-    state = hover_state(parse_team(team), positions)
+    physics = engine(team, interactions="none", **{"arena": ARENA, **options})
+    state = hover_state(physics.team, positions)
     state.velocity[0] = velocity
     physics.reset(state)
     for _ in range(steps):
@@ -88,14 +88,10 @@ def test_contacts_are_those_of_every_pair(drones: int, seed: int) -> None:
     if drones > 6:
         positions = positions * [3.0, 1.5, 1.5]
         positions[5] = [30.0, 0.0, 1.0]
-    physics = BatchPhysics(team, interactions="none")
-    state = hover_state(team, positions)
-    physics.reset(state)
-    physics.step(state.rotor_thrust)
+    seen = flown(BatchPhysics, team, positions, arena=None).contacts
     apart = np.linalg.norm(positions[:, None] - positions, axis=-1)
     np.fill_diagonal(apart, np.inf)
     ratio = apart / (radius[:, None] + radius)
-    seen = physics.contacts
     np.testing.assert_allclose(seen.separation[0], apart.min(axis=1), rtol=1e-12)
     np.testing.assert_allclose(seen.clearance[0], ratio.min(axis=1), rtol=1e-12)
     expected = np.where(ratio.min(axis=1) < 1.0, ratio.argmin(axis=1), -1)
@@ -108,21 +104,14 @@ def test_what_just_touches_is_no_collision() -> None:
     """Distances exactly equal to the radius of a drone, and to the sum of two."""
     r = SMALL.radius
     rows = obstacle_rows([Box((0.0, -0.5, 0.0), (0.4, 0.5, 1.5))])
-    team = parse_team("SSS")
-    physics = BatchPhysics(team, interactions="none", obstacles=rows)
-    state = hover_state(team, [[-r, 0.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0 + 2 * r, 1.0]])
-    physics.reset(state)
-    physics.step(state.rotor_thrust)
+    places = [[-r, 0.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0 + 2 * r, 1.0]]
+    physics = flown(BatchPhysics, "SSS", places, arena=None, obstacles=rows)
     assert physics.contacts.obstacle_clearance[0, 0] == 1.0
     assert physics.contacts.clearance[0, 1] == pytest.approx(1.0, abs=1e-15)
     assert not physics.contact[0, 0]
     x, y, z = 0.75, -0.5, 1.0
     walls = [[x - r, y - r, 0.0], [x + r, y + r, z + r]]
-    physics = BatchPhysics("S", interactions="none", arena=walls)
-    state = hover_state(parse_team("S"), [[x, y, z]])
-    physics.reset(state)
-    physics.step(state.rotor_thrust)
-    assert not physics.contacts.wall.any()
+    assert not flown(BatchPhysics, "S", [[x, y, z]], arena=walls).contacts.wall.any()
 
 
 @pytest.mark.parametrize("drones", [4, 28])
@@ -131,15 +120,9 @@ def test_of_those_that_are_equally_near_the_first_is_touched(drones: int) -> Non
     step, near = 1.5 * SMALL.radius, 0.09375
     positions = np.stack([np.arange(drones) * 4 * step, np.ones(drones), np.ones(drones)], axis=1)
     positions[[1, 2, 3]] = [[near, 1, 1], [0, 1 + near, 1], [-near, 1, 1]]
-    team = drones * "S"
-    for order in (slice(None), slice(None, None, -1)):
-        physics = BatchPhysics(team, interactions="none")
-        state = hover_state(parse_team(team), positions[order])
-        physics.reset(state)
-        physics.step(state.rotor_thrust)
-        seen = physics.contacts.drone[0]
-        centre = 0 if order.step is None else drones - 1
-        assert seen[centre] == (1 if centre == 0 else drones - 4)
+    for order, center, first in ((1, 0, 1), (-1, drones - 1, drones - 4)):
+        physics = flown(BatchPhysics, drones * "S", positions[::order], arena=None)
+        assert physics.contacts.drone[0, center] == first
 
 
 def test_two_drones_keep_their_momentum(engine):
@@ -167,7 +150,7 @@ def test_walls_floor_and_ceiling_give_back_a_part(engine):
 
 def test_what_lies_on_the_floor_stays_there(engine):
     physics = engine("S", interactions="none", arena=ARENA, on_contact="bounce")
-    physics.reset(hover_state(parse_team("S"), [[0.0, 0.0, 0.3]]))
+    physics.reset(hover_state(physics.team, [[0.0, 0.0, 0.3]]))
     for _ in range(600):
         physics.step(np.zeros((1, 1, 4)))
     assert physics.state.position[0, 0, 2] == pytest.approx(SMALL.radius, abs=1e-3)

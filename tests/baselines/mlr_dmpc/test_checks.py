@@ -1,4 +1,4 @@
-"""What MLR-DMPC refuses at the door, and what it just lets through."""
+"""Input that MLR-DMPC refuses, and input that it just accepts."""
 
 from __future__ import annotations
 

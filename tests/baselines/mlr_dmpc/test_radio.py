@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,21 +125,16 @@ def test_drones_states_take_32_bytes_and_no_two_have_the_same(seed, flags):
     round_ = int(rng.integers(60_000))
 
     def drawn(*said_so: bool) -> DroneStates:
-        resting, joining, gone, lost = (np.array([flag]) for flag in said_so)
         place = rng.uniform(lower, upper)
         still = np.stack([place.astype(np.float32).astype(float), np.zeros(3), np.zeros(3)])
         moving = codec.carried(np.stack([place, rng.uniform(-2, 2, 3), rng.uniform(-5, 5, 3)]))
+        identity = np.array([Identity(int(rng.integers(round_ + 1)), 2).number])
+        lock = np.array([ViewId(int(rng.integers(9)), 1).number])
+        target = codec.carried(rng.uniform(lower, upper, (1, 1, 3)))[:, 0]
+        kinematics, heard = (still if said_so[0] else moving)[None], np.array([True])
+        resting, joining, gone, lost = (np.array([flag]) for flag in said_so)
         return DroneStates(
-            round_,
-            np.array([True]),
-            np.array([Identity(int(rng.integers(round_ + 1)), 2).number]),
-            np.array([ViewId(int(rng.integers(9)), 1).number]),
-            codec.carried(rng.uniform(lower, upper, (1, 1, 3)))[:, 0],
-            (still if said_so[0] else moving)[None],
-            resting,
-            joining,
-            gone,
-            lost,
+            round_, heard, identity, lock, target, kinematics, resting, joining, gone, lost
         )
 
     one, other = drawn(*flags), drawn(flags[0], *(not flag for flag in flags[1:]))
@@ -176,6 +172,7 @@ def test_the_papers_messages_fit_into_its_slots_and_no_two_have_the_same_bytes(k
         assert (mixed.pack() == one.pack()) == (content(mixed) == content(one)), field
 
 
+UNIT_2_JAMMED = LossModel(jams=(Jam(first_round=0, last_round=1, senders="unit 2"),))
 BURSTS = GilbertElliott(turns_bad=0.02, turns_good=0.2)  # five rounds on average
 
 
@@ -236,12 +233,7 @@ def test_bursts_last_as_long_as_their_model_says():
         (lambda: LossModel.of(float("nan")), "must be a share"),
         (lambda: Jam(first_round=5, last_round=4), "rounds must be in order"),
         (lambda: Jam(first_round=0, last_round=4, senders="uav"), "names no drone"),
-        (
-            lambda: LossProcess(
-                LossModel(jams=(Jam(first_round=0, last_round=1, senders="unit 2"),)), 3, 2, 0
-            ),
-            "there are 3 drones and 2 units",
-        ),
+        (lambda: LossProcess(UNIT_2_JAMMED, 3, 2, 0), "there are 3 drones and 2 units"),
     ],
 )
 def test_bad_models_are_refused_with_the_reason(make, reason):
@@ -277,19 +269,25 @@ def test_two_head_on_are_in_a_deadlock_and_two_back_to_back_are_not():
     assert not deadlocked(ends, still, near, CONFIG).any(), "they have all but arrived"
 
 
-def test_a_drone_under_another_touches_as_far_as_theta_says():
-    ends = np.array([[0.0, 0.0, 0.6], [0.0, 0.0, 2.1]])
-    assert deadlocked(ends, np.zeros(2), ends[::-1], CONFIG).all()
+@pytest.mark.parametrize(
+    ("ends", "targets"),
+    [
+        ([[0.0, 0.0, 0.6], [0.0, 0.0, 2.1]], [[0.0, 0.0, 2.1], [0.0, 0.0, 0.6]]),
+        ([[2.0, 0.0, 1.0]], [[3.0, 0.0, 1.0]]),
+    ],
+)
+def test_drones_under_others_touch_as_far_as_theta_says_and_walls_push_too(ends, targets):
+    assert deadlocked(np.array(ends), np.zeros(len(ends)), np.array(targets), CONFIG).all()
 
 
-def test_walls_push_too():
-    ends, target = np.array([[2.0, 0.0, 1.0]]), np.array([[3.0, 0.0, 1.0]])
-    assert deadlocked(ends, np.zeros(1), target, CONFIG).all()
+def begun(targets: list[list[float]]) -> tuple[SwarmSnapshot, Any, np.random.Generator]:
+    """Two drones head-on after round 20, when detours have begun."""
+    swarm, rng = snapshot(HEAD_ON[0], targets), np.random.default_rng(0)
+    return swarm, next_detours(no_detours(2), swarm, 20, CONFIG, rng), rng
 
 
 def test_the_nearer_to_its_target_makes_room_sideways():
-    swarm = snapshot(HEAD_ON[0], [[1.0, 0.0, 1.0], [-0.5, 0.0, 1.0]])
-    detours = next_detours(no_detours(2), swarm, 20, CONFIG, np.random.default_rng(0))
+    swarm, detours, _ = begun([[1.0, 0.0, 1.0], [-0.5, 0.0, 1.0]])
     assert detours.for_whom.tolist() == [1, NOBODY] or detours.for_whom.tolist() == [NOBODY, 0]
     left = np.linalg.norm(swarm.targets - swarm.positions, axis=1)
     who = int(np.flatnonzero(detours.for_whom != NOBODY)[0])
@@ -301,14 +299,12 @@ def test_the_nearer_to_its_target_makes_room_sideways():
 
 
 def test_whoever_rests_at_its_target_stays_and_the_other_steps_aside():
-    swarm = snapshot(HEAD_ON[0], [[1.0, 0.0, 1.0], [0.25, 0.0, 1.0]])
-    detours = next_detours(no_detours(2), swarm, 20, CONFIG, np.random.default_rng(0))
+    _, detours, _ = begun([[1.0, 0.0, 1.0], [0.25, 0.0, 1.0]])
     assert detours.for_whom.tolist() == [0, NOBODY]
 
 
 def test_detours_last_their_rounds_then_pause():
-    swarm, rng = snapshot(*HEAD_ON), np.random.default_rng(0)
-    detours = next_detours(no_detours(2), swarm, 20, CONFIG, rng)
+    swarm, detours, rng = begun(HEAD_ON[1])
     began = detours.since.max()
     busy = []
     for k in range(21, 40):
@@ -318,8 +314,7 @@ def test_detours_last_their_rounds_then_pause():
 
 
 def test_a_detour_ends_when_the_plan_that_it_was_for_ends_at_its_target():
-    swarm, rng = snapshot(*HEAD_ON), np.random.default_rng(0)
-    detours = next_detours(no_detours(2), swarm, 20, CONFIG, rng)
+    swarm, detours, rng = begun(HEAD_ON[1])
     stuck = int(detours.for_whom.max())
     ends = swarm.ends.copy()
     ends[stuck] = swarm.targets[stuck]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from swarm_envs.baselines.mlr_dmpc.formations import circle_swap
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -69,16 +70,8 @@ def test_units_that_forget_everything_in_mid_flight_ask_and_go_on():
 
 def test_drones_join_and_leave():
     starts, targets = circle_swap(5, 1.0, 1.0)  # nobody rests where another waits to join
-    flown = simulate(
-        starts,
-        targets,
-        compute_units=2,
-        joins={4: 10},
-        leaves={0: 20},
-        loss=0.05,
-        duration_s=15.0,
-        stop_on_arrival=False,
-    )
+    options: dict[str, Any] = {"joins": {4: 10}, "leaves": {0: 20}, "loss": 0.05}
+    flown = simulate(starts, targets, 2, duration_s=15.0, stop_on_arrival=False, **options)
     in_air = ~np.isnan(flown.reference_positions[:, :, 0])
     assert not in_air[: 10 * 20, 4].any() and in_air[-1, 4]
     assert in_air[: 20 * 20, 0].all() and not in_air[-1, 0]
@@ -90,11 +83,7 @@ def test_moving_targets_are_followed():
     points, _ = circle_swap(3, 0.8, 1.0)
 
     def targets(time: float) -> np.ndarray:
-        turn = 0.1 * time
-        turned = np.array(
-            [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
-        )
-        return points @ turned.T
+        return Rotation.from_euler("z", 0.1 * time).apply(points)
 
     flown = simulate(points, targets, compute_units=3, duration_s=12.0)
     late = flown.reference_positions[-1] - targets(12.0)
@@ -185,9 +174,8 @@ def test_what_messages_cannot_name_is_refused_at_once():
 
     with pytest.raises(ValueError, match=r"compute_units is 30, .* drones of more than 16: use"):
         swarm(16, 30)
-    with pytest.raises(
-        ValueError, match=r"there are 512 drones, but 132 bytes .* than 4.. members: use"
-    ):
+    too_many = r"there are 512 drones, but 132 bytes .* than 4.. members: use"
+    with pytest.raises(ValueError, match=too_many):
         swarm(32, 3)
     most = swarm(16, 16)
     most.run_round()  # says who is planned for

@@ -1,4 +1,4 @@
-"""What a unit may believe of a drone, message by message, against hand-worked cases of Sec. 4."""
+"""Beliefs of a unit about a drone, message by message, against hand-worked cases of Sec. 4."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def planned(start_round: int, unit: int = 0) -> Trajectory:
 
 
 class Tracker:
-    """What a unit knows of drone 1 of three; drone 0 is spoken of alike, of drone 2 nothing."""
+    """Knowledge of drone 1 of three; of drone 0 the same is reported, of drone 2 nothing."""
 
     def __init__(self) -> None:
         self.all = InformationTrackers(3)
@@ -110,17 +110,14 @@ def test_what_it_says_it_flies_is_all_it_flies(heard: Tracker) -> None:
     assert [heard.up_to_date(round_) for round_ in (4, 5, 6)] == [False, True, False]
 
 
-def test_a_plan_sent_to_it_is_a_second_candidate(heard: Tracker) -> None:
+def test_a_plan_sent_to_it_is_a_second_candidate_that_unsettles_when_it_begins(
+    heard: Tracker,
+) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
     assert heard.covering and heard.sole is None
     assert heard.candidates == [REST, plan]
     assert heard.newest() is plan
-
-
-def test_settled_is_the_newest_while_one_alone_can_have_begun(heard: Tracker) -> None:
-    plan = planned(6)
-    heard.add(plan.identity, plan)
     assert heard.settled(6)  # only the first began before round 6
     assert not heard.settled(7)  # now it may fly either
 
@@ -133,9 +130,8 @@ def test_a_plan_of_unknown_contents_leaves_a_promise(heard: Tracker) -> None:
     assert heard.missing == [unknown]
     assert not heard.covering and not heard.settled(0) and not heard.up_to_date(5)
     assert heard.newest() is late
-    assert heard.guarantee(unknown) == SeparationGuarantee(
-        5, (REST, earlier)
-    )  # `late` begins after round 5
+    # `late` begins after round 5.
+    assert heard.guarantee(unknown) == SeparationGuarantee(5, (REST, earlier))
 
 
 def test_what_follows_an_unknown_plan_promises_nothing(heard: Tracker) -> None:
@@ -229,7 +225,7 @@ def announced(id_: ViewId, drones: set[int], gone: Set[int] = frozenset()) -> Un
 
 
 def heard_states(*joining: int) -> DroneStates:
-    """What was heard in round 9 of three drones: some say that they are about to join."""
+    """Messages of three drones in round 9; some of them are about to join."""
     said, no = np.isin(np.arange(3), joining), np.zeros(3, dtype=bool)
     numbers = np.full(3, REST.identity.number), np.full(3, ViewId(0, 0).number)
     places = np.zeros((3, 3)), np.zeros((3, 3, 3))
@@ -237,10 +233,9 @@ def heard_states(*joining: int) -> DroneStates:
 
 
 def locked(*messages: UnitMessage) -> ViewId:
-    """What a drone is locked to that hears these, one a round; deployed were drones 0 and 1."""
+    """The view of a drone after these messages, one a round; deployed were drones 0 and 1."""
     view = MembershipView(ViewId(0, 0), (0, 1), frozenset({0, 1}))
-    config = MlrDmpcConfig()
-    drone = Drone(0, REST, view, config)
+    drone = Drone(0, REST, view, MlrDmpcConfig())
     for round_, message in enumerate(messages):
         drone.receive(Inbox(round_, heard_states(), {message.unit: message}))
     return drone.view.id

@@ -1,4 +1,4 @@
-"""What the tests of RTH3D share: random instances, and the checker beside the checkout."""
+"""Random instances for the tests of RTH3D, and the checker beside the checkout."""
 
 from __future__ import annotations
 

@@ -35,14 +35,8 @@ def test_flights_go_around_buildings():
 @pytest.mark.slow
 def test_a_hundred_drones_fly_between_rings_and_blocks():
     agent = GridAgent.compensated()
-    env = formation_v1.parallel_env(
-        num_drones=100,
-        shapes=("rings", "blocks"),
-        labels="random",
-        physics="batch",
-        interactions="learned",
-        **agent.requires,
-    )
+    options = {"shapes": ("rings", "blocks"), "labels": "random", "interactions": "learned"}
+    env = formation_v1.parallel_env(num_drones=100, physics="batch", **options, **agent.requires)
     metrics = fly_episode(env, agent, 0)
     assert metrics["success"], metrics
     assert metrics["near_misses"] == 0

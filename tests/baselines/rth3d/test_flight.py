@@ -51,20 +51,7 @@ def on_grid(
 ) -> SplineFlight:
     """Return the flight along paths (T + 1, n, 3) on a grid, whose steps last `step`, s."""
     points = origin + spacing * paths
-    return SplineFlight(
-        np.concatenate([points[:1], points[:1], points, points[-1:], points[-1:]]), step
-    )
-
-
-def pair(differences: list[tuple[int, int, int]]) -> np.ndarray:
-    """Paths (T + 1, 2, 3) of two robots with such differences, moving by turns along one axis."""
-    first, second = [np.zeros(3, int)], [np.array(differences[0])]
-    for before, after in itertools.pairwise(differences):
-        change = np.subtract(after, before)
-        move = next(m for m in MOVES if any(((change - m) == k).all() for k in MOVES))
-        second.append(second[-1] + move)
-        first.append(first[-1] - (change - move))
-    return np.stack([first, second], axis=1)
+    return SplineFlight(np.concatenate([points[:1]] * 2 + [points] + [points[-1:]] * 2), step)
 
 
 def test_derivatives_are_those_of_the_position_and_the_ends_rest():
@@ -89,10 +76,12 @@ def test_derivatives_are_those_of_the_position_and_the_ends_rest():
 def test_the_worst_clearance_is_attained_and_never_undercut():
     bound = worst_clearance()
     assert 0.6 < bound < 1.0 / math.sqrt(2.0)
-    worst = pair([(-2, -1, 0), (0, -1, 0), (1, 0, 0), (0, 1, 0)])
+    first = np.array([[0, 0, 0], [-1, 0, 0], [-1, -1, 0], [0, -1, 0]])
+    second = np.array([[-2, -1, 0], [-1, -1, 0], [0, -1, 0], [0, 0, 0]])
+    worst = np.stack([first, second], axis=1)
     attained = smallest_distance(on_grid(worst, UNIT, 0 * UNIT, 1.0), samples=200)
     assert bound <= attained < bound + 2e-3
-    for seed in range(20):
+    for seed in range(10):
         flight = on_grid(wandering_paths(20, 4, 30, seed), UNIT, 0 * UNIT, 1.0)
         assert smallest_distance(flight, samples=10) >= bound
 
@@ -101,18 +90,16 @@ def test_steps_keep_the_bounds():
     spacing = np.array([0.5, 0.4, 0.7])
     step = shortest_step(spacing, 2.0, 5.0)
     for seed in range(5):
-        speed, acceleration, _ = on_grid(
-            wandering_paths(8, 3, 30, seed), spacing, UNIT, step
-        ).largest()
+        flight = on_grid(wandering_paths(8, 3, 30, seed), spacing, UNIT, step)
+        speed, acceleration, _ = flight.largest()
         assert speed <= 2.0 + 1e-12
         assert acceleration <= 5.0 + 1e-12
 
 
 @pytest.mark.parametrize("rounds", [1, 2, 3])
 def test_smoothing_is_faster_and_no_less_safe(rounds):
-    flight = on_grid(
-        wandering_paths(14, 4, 12, 2), 0.5 * UNIT, 0 * UNIT, shortest_step(0.5 * UNIT, 2, 5)
-    )
+    paths, step = wandering_paths(14, 4, 12, 2), shortest_step(0.5 * UNIT, 2, 5)
+    flight = on_grid(paths, 0.5 * UNIT, 0 * UNIT, step)
     house = ((0.55, 0.55, -1.0), (0.95, 0.95, 9.0))
     config = SmoothingConfig(
         distance=0.33, box=((0, 0, 0), (1.5, 1.5, 1.5)), rounds=rounds, obstacles=(house,)
@@ -193,17 +180,9 @@ def test_a_robot_s_program_is_solved_to_its_optimum():
         assert (rows @ found.ravel() >= least - 2e-6).all()
         assert (rows @ found.ravel() <= most + 2e-6).all()
         program = osqp.OSQP()
-        program.setup(
-            sparse.csc_matrix(hessian),
-            np.zeros(3 * count),
-            sparse.csc_matrix(rows),
-            least,
-            most,
-            eps_abs=1e-7,
-            eps_rel=1e-7,
-            max_iter=200_000,
-            verbose=False,
-        )
+        matrices = sparse.csc_matrix(hessian), np.zeros(3 * count), sparse.csc_matrix(rows)
+        options = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 200_000, "verbose": False}
+        program.setup(*matrices, least, most, **options)
         best = program.solve(raise_error=False).x
         cost, reference = (x @ hessian @ x for x in (found.ravel(), best))
         assert cost == pytest.approx(reference, rel=1e-3)

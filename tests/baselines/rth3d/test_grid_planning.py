@@ -184,7 +184,7 @@ STARTS, GOALS = [[0, 0, 0], [1, 0, 0]], [[2, 0, 0], [2, 1, 0]]
         ({"goals": [[2, 0, 0]]}, "2 starts, but 1 goals"),
         ({"starts": [[0.0, 0, 0], [1, 0, 0]]}, "must be integers"),
         ({"starts": np.zeros((0, 3), int)}, "at least one robot"),
-        ({"shape": (6, 6)}, "outside the grid|must be"),
+        ({"shape": (6, 6), "goals": [[2, 0, 1], [2, 1, 1]]}, "outside the grid|must be"),
         ({"shape": (6, 0, 6)}, "shape is"),
         ({"shape": (2, 3, 1), "goals": [[1, 1, 0], [1, 2, 0]]}, "too thin"),
         ({"method": "rthd"}, "did you mean 'rth3d'"),
@@ -197,8 +197,6 @@ STARTS, GOALS = [[0, 0, 0], [1, 0, 0]], [[2, 0, 0], [2, 1, 0]]
 )
 def test_bad_input_is_refused_with_the_reason(given, said):
     full = {"starts": STARTS, "goals": GOALS, "shape": (6, 6, 6), "method": "rth3d-lba"} | given
-    if full["shape"] == (6, 6):
-        full["goals"] = [[2, 0, 1], [2, 1, 1]]
     with pytest.raises(ValueError, match=said):
         plan(**full)
 
@@ -227,9 +225,7 @@ def test_a_time_limit_gives_a_valid_plan_or_an_exception():
             except PlanTimeout as error:
                 assert "time limit" in str(error)
             else:
-                assert validate(found.paths, instance.starts, instance.goals, instance.shape)
-    with pytest.raises(PlanTimeout):
-        plan(**instance.fields(), method="rth3d-lba", time_limit=1e-9)
+                assert validate(found.paths, **instance.fields()) and limit > 1e-9
 
 
 def test_pibt_goes_around_any_obstacle():

@@ -26,15 +26,11 @@ def write_log(path: Path, records: list[dict[str, int]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     header = bytes([len(FORMAT)]) + "".join(f"{n}({c})," for n, c in FORMAT.items()).encode()
     blocks = [records[k : k + 2] for k in range(0, len(records), 2)]
-    packed = [
-        bytes([len(block)])
-        + b"".join(
-            struct.pack("<" + "".join(FORMAT.values()), *(r[n] for n in FORMAT)) for r in block
-        )
-        + bytes(4)
-        for block in blocks
-    ]
-    path.write_bytes(header + bytes(4) + b"".join(packed))
+    layout, content = struct.Struct("<" + "".join(FORMAT.values())), header + bytes(4)
+    for block in blocks:
+        packed = [layout.pack(*(record[name] for name in FORMAT)) for record in block]
+        content += bytes([len(block)]) + b"".join(packed) + bytes(4)
+    path.write_bytes(content)
 
 
 def hovering(steps: int, height_mm: int, signal: int) -> list[dict[str, int]]:
@@ -105,14 +101,11 @@ def test_rows_are_the_weight_less_the_thrust(tmp_path, monkeypatch):
 
 def test_other_commits_and_logs_are_refused(tmp_path, monkeypatch, capsys):
     clone = small_clone(tmp_path, monkeypatch)
-    monkeypatch.setattr(logs, "LOGS_SHA256", 64 * "0")
-    with pytest.raises(SystemExit):
-        main(["import", str(clone), "--out", str(tmp_path / "out")])
-    assert "were changed" in capsys.readouterr().err
-    monkeypatch.setattr(logs, "COMMIT", 40 * "0")
-    with pytest.raises(SystemExit):
-        main(["import", str(clone), "--out", str(tmp_path / "out")])
-    assert "check out 0000" in capsys.readouterr().err
+    for name, digits, said in (("LOGS_SHA256", 64, "changed"), ("COMMIT", 40, "check out 0000")):
+        monkeypatch.setattr(logs, name, digits * "0")
+        with pytest.raises(SystemExit):
+            main(["import", str(clone), "--out", str(tmp_path / "out")])
+        assert said in capsys.readouterr().err
 
 
 @pytest.mark.slow

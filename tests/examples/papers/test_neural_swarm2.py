@@ -88,22 +88,9 @@ TINY = {
     "ball": "--episodes 1",
     "adaptation": "--episodes 1",
 }
-SLOW = {
-    "figure-1",
-    "as-flown",
-    "figure-6",
-    "figure-7",
-    "table-2",
-    "ball",
-    "adaptation",
-}
-PICTURES = {
-    "figure-5": 2,
-    "figure-7": 3,
-    "table-2": 0,
-    "as-flown": 0,
-    "adaptation": 0,
-}  # others have one
+SLOW = {"figure-1", "as-flown", "figure-6", "figure-7", "table-2", "ball", "adaptation"}
+# Others have one.
+PICTURES = {"figure-5": 2, "figure-7": 3, "table-2": 0, "as-flown": 0, "adaptation": 0}
 AT_A_TIME = [
     pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW), id=name) for name in TINY
 ]
@@ -177,13 +164,8 @@ def check_table_1(found, said):
     assert "differs, unexplained" not in said
 
 
-CHECKS = {
-    "figure-5": check_figure_5,
-    "figure-6": check_figure_6,
-    "figure-8": check_figure_8,
-    "figure-9": check_figure_9,
-    "table-1": check_table_1,
-}
+CHECKS = {"figure-5": check_figure_5, "figure-6": check_figure_6, "figure-8": check_figure_8}
+CHECKS |= {"figure-9": check_figure_9, "table-1": check_table_1}
 
 
 @pytest.mark.parametrize(
@@ -422,23 +404,21 @@ def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
 DT = 0.1
 
 
-def plan_of(controls, starts, forces_by_mass=0.0):
-    """Exact motion of double integrators under held controls and forces."""
+def plan_of(controls, starts):
+    """Exact motion of double integrators under held controls."""
     steps, count = controls.shape[:2]
     states = np.zeros((steps + 1, count, 6))
     states[0, :, :3] = starts
-    acceleration = controls + forces_by_mass
     for k in range(steps):
         p, v = states[k, :, :3], states[k, :, 3:]
-        states[k + 1, :, :3] = p + DT * v + 0.5 * DT**2 * acceleration[k]
-        states[k + 1, :, 3:] = v + DT * acceleration[k]
+        states[k + 1, :, :3] = p + DT * v + 0.5 * DT**2 * controls[k]
+        states[k + 1, :, 3:] = v + DT * controls[k]
     return Trajectories(states, controls, np.zeros((steps + 1, count, 3)), DT)
 
 
-def wavy_plan(steps=30, count=2):
-    rng = np.random.default_rng(2)
-    starts = np.array([[0.0, -3.0, 1.0], [0.0, 3.0, 1.0]])[:count]
-    return plan_of(rng.uniform(-1.0, 1.0, (steps, count, 3)), starts)
+def wavy_plan():
+    controls = np.random.default_rng(2).uniform(-1.0, 1.0, (30, 2, 3))
+    return plan_of(controls, np.array([[0.0, -3.0, 1.0], [0.0, 3.0, 1.0]]))
 
 
 def pushing(name, drag):
@@ -529,9 +509,8 @@ def test_swaps_are_random_seeded_and_in_the_plane(team):
 def test_a_plan_that_knows_the_forces_is_tracked_and_keeps_its_bounds():
     model, swap = load_belief(), draw_swap("SL", 1)
     plans = {p: plan_swap(swap, model, p, 1) for p in ("unaware", "aware")}
-    trials = {
-        p: fly_trial(swap, plan, p, 1, model, "learned", "batch") for p, plan in plans.items()
-    }
+    flights = (fly_trial(swap, plan, p, 1, model, "learned", "batch") for p, plan in plans.items())
+    trials = dict(zip(plans, flights, strict=True))
     aware, unaware = trials["aware"], trials["unaware"]
     assert aware["plan"]["status"] == unaware["plan"]["status"] == "converged"
     errors = [max(trial["model_plant"]["error_cm"]) for trial in (aware, unaware)]
@@ -569,10 +548,8 @@ def test_without_noise_it_is_the_environments_loop(feedforward):
 
 def test_the_error_grows_with_the_noise_of_velocities():
     controller = ControllerConfig(feedforward=load("learned"))
-    perfect, small, large = (
-        np.median(fly_noisily(TEST, controller, SEEDS, noise)[0][:, -1])
-        for noise in (0.0, 0.015, 0.03)
-    )
+    errors = [fly_noisily(TEST, controller, SEEDS, noise)[0] for noise in (0.0, 0.015, 0.03)]
+    perfect, small, large = (np.median(worst[:, -1]) for worst in errors)
     assert large > 1.5 * small > 2.0 * perfect
 
 
@@ -584,10 +561,10 @@ CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
 def tiny_curriculum(out) -> CurriculumOptions:
     return CurriculumOptions(
         out=out,
-        flights=2,
+        flights=1,
         duration_s=3.0,
-        steps=30,
-        last_steps=40,
+        steps=10,
+        last_steps=15,
         episodes=1,
         stages=(
             Stage("alone and in pairs", ("S", "L", "SL"), False),
@@ -638,9 +615,7 @@ def test_closeness_is_measured_where_drones_pass():
     assert found.least_clearance_m == pytest.approx(0.25 - 2 * SMALL.radius)
     assert found.least_distance_ratio == pytest.approx(0.20 / (2 * SMALL.radius), abs=1e-3)
     assert (found.cut_swaps, found.cut_walks, found.flights) == (0, 1, 2)
-
-
-def test_gap_errors_are_a_quantile_of_the_swaps():
+    # Gap errors are a quantile of the swaps.
     flights = [
         synthetic(f"SS-swap-{k:03d}", np.full(120, 0.3 - 0.001 * k), 0.3, 0.0) for k in range(21)
     ]

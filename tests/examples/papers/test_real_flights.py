@@ -32,9 +32,9 @@ def test_what_was_planted_in_a_csv_is_found(tmp_path):
     rng, steps = np.random.default_rng(0), 1500
     signals = np.repeat(rng.uniform(0.75, 0.95, steps // 10), 10)
     speed = np.cumsum(rng.standard_normal((steps, 2)), axis=0) * 0.03
-    columns = {"t": np.arange(steps) / 100.0, "pz": np.ones(steps), "vz": np.zeros(steps)}
-    columns |= {"qx": np.zeros(steps), "qy": np.zeros(steps), "qz": np.zeros(steps)}
-    columns |= {"qw": np.ones(steps), "pwr_pm_vbat": np.full(steps, 3.78)}
+    columns = {"t": np.arange(steps) / 100.0, "pwr_pm_vbat": np.full(steps, 3.78)}
+    columns |= dict.fromkeys(("pz", "qw"), np.ones(steps))
+    columns |= dict.fromkeys(("vz", "qx", "qy", "qz"), np.zeros(steps))
     columns |= {f"motor_motor_m{k}": 65536.0 * signals for k in (1, 2, 3, 4)}
     columns |= {"vx": speed[:, 0], "vy": speed[:, 1]}
     columns |= {f"imu_acc_{axis}": -DRAG / 9.81 * columns[f"v{axis}"] for axis in "xy"}
@@ -42,13 +42,11 @@ def test_what_was_planted_in_a_csv_is_found(tmp_path):
     folder = tmp_path / "nanobench" / "datasets" / "dataset"
     folder.mkdir(parents=True)
     table = np.stack(list(columns.values()), axis=1)
-    for name in ("B1_rep1", "B1_rep2"):  # the same flight twice counts once
-        np.savetxt(
-            folder / f"{name}.csv", table, delimiter=",", header=",".join(columns), comments=""
-        )
+    header = ",".join(columns)
+    for name in ("B1_rep1.csv", "B1_rep2.csv"):  # the same flight twice counts once
+        np.savetxt(folder / name, table, delimiter=",", header=header, comments="")
     main(["real-flights", "--nanobench", str(tmp_path / "nanobench"), "--out", str(tmp_path)])
-    found = json.loads((tmp_path / "real_flights.json").read_text())
-    (flight,) = found["flights"]
+    (flight,) = json.loads((tmp_path / "real_flights.json").read_text())["flights"]
     assert flight["motor_rate"] == pytest.approx(RATE, abs=0.5)
     assert flight["mass_g"] == pytest.approx(MASS_G, rel=0.005)
     assert [flight["drag_x"], flight["drag_y"]] == pytest.approx([DRAG, DRAG], rel=0.01)

@@ -69,11 +69,8 @@ def test_the_envelope_solves_the_equations_of_the_proof():
 
     def flow(t, x):
         p, first, second = x
-        return [
-            first - MID.position * p,
-            second / mass - MID.velocity * first,
-            RATE - MID.integral * second,
-        ]
+        slopes = first - MID.position * p, second / mass - MID.velocity * first
+        return [*slopes, RATE - MID.integral * second]
 
     first = 0.1 + MID.position * 0.3
     second = push - mass * MID.integral * first
@@ -100,12 +97,8 @@ def test_a_clamped_integral_voids_the_ball():
 
 def test_the_quadrotor_ends_in_the_same_ball():
     steps = round(12.0 / DT)
-    planted = np.concatenate(
-        [
-            growing_error(steps, RATE)[None],
-            random_errors(np.random.default_rng(0), 4, steps, 5.0 * GRAM_FORCE, RATE),
-        ]
-    )
+    random = random_errors(np.random.default_rng(0), 4, steps, 5.0 * GRAM_FORCE, RATE)
+    planted = np.concatenate([growing_error(steps, RATE)[None], random])
     config = without_clamp(ControllerConfig(GAINS["stiff"]))
     found = norms(fly_quadrotors(SMALL, config, planted))
     radius = error_ball(GAINS["stiff"], SMALL.mass, RATE).radius

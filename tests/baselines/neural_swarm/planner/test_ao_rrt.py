@@ -148,12 +148,10 @@ def test_the_clock_ends_a_search_with_the_best_so_far():
 
 
 def test_bad_options_are_refused():
-    for changes, message in (
-        ({"edge": 1.5}, "edge is 1.5"),
-        ({"chances": Chances(goal=1.5)}, "goal is 1.5"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            SearchConfig(**changes)
+    with pytest.raises(ValueError, match=r"edge is 1\.5"):
+        SearchConfig(edge=1.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"goal is 1\.5"):
+        SearchConfig(chances=Chances(goal=1.5))
     with pytest.raises(ValueError, match="edge is 40 steps, but max_duration allows 30"):
         search(crossing(max_duration=3.0), SearchConfig(edge=40))
 
@@ -194,7 +192,7 @@ def test_a_lone_robot_flies_nearly_the_optimum(air):
 
 def test_without_flights_straight_to_the_goal_the_tree_alone_gets_there():
     """Sampled edges and the goal's epsilon alone, as in Algorithm 1."""
-    config = SearchConfig(iterations=100_000, chances=Chances(goal=0.0))
+    config = SearchConfig(iterations=40_000, chances=Chances(goal=0.0))
     costs = [search(alone("none", PlanningBounds()), config, s).cost for s in range(3)]
     assert np.median(costs) <= lone_optimum("none")  # as it may end a little before the goal
 
@@ -221,7 +219,7 @@ def test_round_a_robot_that_hovers_it_flies_nearly_the_optimum():
     r = problem.bounds.clearances(problem.team)[0, 1]
     optimum = 2.0 * WAY / np.sqrt(1.0 - r * r) / TIME * (1.0 + r)
     costs = []
-    for seed in range(5):
+    for seed in range(3):
         states = np.zeros((problem.steps + 1, 2, 6))
         states[:, 1, :3] = MIDDLE
         costs.append(cheapest(problem, states, 40_000, np.random.default_rng(seed)))

@@ -14,8 +14,8 @@ from swarm_envs.vehicles import parse_team
 PAIR = np.array([[0.0, -0.6, 1.0], [0.0, 0.6, 1.0]])
 
 
-def pair_guess(team: str = "SL") -> Trajectories:
-    problem = PlanningProblem(PAIR, PAIR[::-1], parse_team(team), max_duration=3.0)
+def pair_guess() -> Trajectories:
+    problem = PlanningProblem(PAIR, PAIR[::-1], parse_team("SL"), max_duration=3.0)
     return straight_lines(problem, bend=[[0.0, 0.0, 0.2], [0.0, 0.0, -0.2]])
 
 

@@ -1,4 +1,4 @@
-"""The judge of plans, on motions worked out by hand."""
+"""The check of plans, on motions worked out by hand."""
 
 from __future__ import annotations
 
