@@ -61,6 +61,7 @@ def test_rays_lead_back_to_their_pixels():
     np.testing.assert_allclose(lens.project(lens.eye + 3.0 * lens.rays()), pixels)
 
 
+@settings(max_examples=40)
 @given(
     st.floats(-180, 180), st.floats(0, 80), st.floats(10, 90), st.integers(0, 2**32), st.booleans()
 )
@@ -112,7 +113,7 @@ def rotors(state: SwarmState, drone: int, share: float = 1.0) -> np.ndarray:
     return np.array([state.position[drone] + turned(state.quaternion[drone], v) for v in own])
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6)
 @given(st.integers(0, 2**32))
 def test_rotors_stand_where_the_attitude_says(seed):
     rng = np.random.default_rng(seed)
@@ -180,7 +181,7 @@ SOLIDS = (
 )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32), st.floats(-180, 180), st.floats(0, 60))
 def test_obstacles_tint_the_drones_behind_them_alone(seed, azimuth, elevation):
     place = np.random.default_rng(seed).uniform([-1, -1, 0.2], [1, 1, 1.9])

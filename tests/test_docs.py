@@ -118,7 +118,7 @@ def test_the_page_of_a_task_says_what_the_task_does(task: str) -> None:
 
 
 def words(page: Path) -> list[str]:
-    """What stands in backticks on a page, outside blocks of code."""
+    """Return the texts in backticks on a page, outside blocks of code."""
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     return re.findall(r"`([^`\n]+)`", text)
 
@@ -185,7 +185,7 @@ def test_docstrings_become_what_sphinx_reads():
 
 
 _LOADED = re.compile(r'<(?:script|img|iframe|source|link)\b[^>]*?\b(?:src|href)="([^"]*)"')
-"""What a built page loads when it is opened."""
+"""The addresses that a built page loads when it is opened."""
 
 
 @pytest.fixture(scope="module")

@@ -233,14 +233,8 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     [
         ("Late", r"seed \d+, decision \d+: ZeroDivisionError"),
         ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, but act does not: Ze"),
-        (
-            "Several",
-            r"act returns \[0.0, .* for drone_0, but act_batch \[1.0, .* both must return",
-        ),
-        (
-            "Differs",
-            r"act returns \[0.5, .* for drone_0, but act_batch \[0.0, .* both must return",
-        ),
+        ("Several", r"act returns \[0.0, .* for drone_0, but act_batch \[1.0, .* both must return"),
+        ("Differs", r"act returns \[0.5, .* for drone_0, but act_batch \[0.0, .* both must return"),
         (
             "Spread",
             r"but act does not: .* shape \(3,\) for rows of shape .* must return \(4, 2, 3\)",

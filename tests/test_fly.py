@@ -48,11 +48,7 @@ def test_a_flight_is_printed_and_written(capsys, tmp_path):
     assert "100%" in said.err
     written, recording = json.loads(numbers.read_text()), read_trajectory(path)
     assert written["metrics"] == recording.about.metrics
-    assert (written["team"], written["agent"], written["seed"]) == (
-        "LS",
-        "tracking+compensated",
-        1,
-    )
+    assert (written["team"], written["agent"], written["seed"]) == ("LS", "tracking+compensated", 1)
     assert recording.about.seed == 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.json", "a.npz"]
 

@@ -107,6 +107,7 @@ def test_a_notebook_shows_the_page_in_its_output(env, monkeypatch, capsys):
 
 def test_idle_connections_leave_room_and_are_closed(env, monkeypatch):
     monkeypatch.setattr(live._Handler, "timeout", 0.1)
+    monkeypatch.setattr(live, "MOST_CONNECTIONS", 4)
     viewer = LiveViewer(env.core, wait_s=0.0)
     before = threading.active_count()
     address = urllib.parse.urlsplit(viewer.url)

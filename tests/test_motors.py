@@ -36,7 +36,7 @@ Battery = tuple[np.void, np.void, FloatArray]
 
 
 def batteries(team, model=None, max_thrust=None) -> list[Battery]:
-    """What the equations take of each vehicle's battery, as the engine keeps it.
+    """Return the arguments that the equations take of each vehicle's battery, from the engine.
 
     `max_thrust` stands in place of the vehicle's own, N.
     """

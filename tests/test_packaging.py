@@ -1,4 +1,4 @@
-"""What is published works away from here, and what only some systems have is missed nowhere."""
+"""The published package works elsewhere, and on systems that lack parts of Linux."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run(*command: str | Path, cwd: Path, **environment: str) -> str:
 
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory):
-    """A folder with the source archive, and the wheel that was built *from that archive*."""
+    """Return a folder with the source archive, and the wheel that was built *from that archive*."""
     checkout = tmp_path_factory.mktemp("checkout")
     for name in FILES:
         shutil.copy(ROOT / name, checkout)
@@ -76,7 +76,7 @@ def published(name: str) -> bool:
 
 
 def checkout_files() -> set[str]:
-    """Every file of the four folders as it is named in the package."""
+    """Return every file of the four folders as it is named in the package."""
     found = set()
     for folder in SOURCES:
         home = ROOT if folder == "swarm_envs" else ROOT / "swarm_envs"

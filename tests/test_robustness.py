@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from swarm_envs.cli import main
 from tests.helpers.sources import ROOT
 from tests.helpers.tiny_fits import rows_of
 
@@ -58,7 +59,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
 
     folder = tmp_path_factory.mktemp("inputs")
     save_rows(folder / "rows.npz", rows_of())
-    subprocess.run(words("assignment start controller OUT", {"OUT": str(folder / "kit")}))
+    assert main(["assignment", "start", "controller", str(folder / "kit")]) == 0
     return {"KIT": str(folder / "kit"), "ROWS": str(folder / "rows.npz")}
 
 

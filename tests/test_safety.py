@@ -330,7 +330,7 @@ def test_the_roundabout_solves_the_circle(drones):
 
 @pytest.mark.parametrize("layout", ["forest", "buildings"])
 def test_they_fly_around_obstacles(layout):
-    """Who does not reaches three goals a minute, and none is left in the end: all are left here."""
+    """Without avoidance they reach three goals a minute, and none is left in the end."""
     options = {"num_drones": 16, "layout": layout}
     found = flown("roundabout", "crowd_v0", frozen_seeds(11, 4), timed=1, **options)
     assert np.mean([metrics["throughput_per_min"] for metrics in found]) > 16.0

@@ -35,7 +35,7 @@ class Feedforward:
         return np.clip([share, *rates], -1.0, 1.0).astype(np.float32)
 
     def force(self, name, velocity, rotors):
-        """What moves the drone beside its rotors and gravity, over its mass, m/s^2."""
+        """Return the force beside rotors and gravity, over the mass, m/s^2."""
         force, before = self.known[name]
         if before is not None:
             seen = (velocity - before) / STEP_S - rotors

@@ -44,7 +44,7 @@ class Obstacles(starter.MyAgent):
         return np.concatenate([np.zeros((1, 3)), 0.4 * ways, 0.9 * ways, 1.6 * ways, 2.4 * ways])
 
     def danger(self, offset, relative, there):
-        """How soon each neighbour is met, as a cost: the sooner the more."""
+        """Return a cost of each neighbor: the sooner it is met, the more."""
         squared = np.sum(relative**2, axis=-1) + 1e-9
         nearest_s = np.clip(np.sum(offset * relative, axis=-1) / squared, 0.0, self.soon_s)
         least = np.linalg.norm(offset - nearest_s[..., None] * relative, axis=-1)
