@@ -20,7 +20,7 @@ from swarm_envs.interactions.packed import (
     scratch_for,
 )
 from swarm_envs.interactions.wake import wake_forces
-from swarm_envs.neighbors import sort_along_x, within_box
+from swarm_envs.neighbors import FEW, sort_along_x, within_box
 from swarm_envs.state import FloatArray, IntArray
 
 __all__ = ["all_forces", "swarm_forces", "types_array"]
@@ -59,7 +59,7 @@ def find_pairs(
     """
     window, counters, pairs = field.constants[0]["window"], scratch.counters[0], scratch.pairs
     lateral, vertical, found = window[1], window[3], 0
-    if order is not None:
+    if order is not None and drones > FEW:
         for first in range(0, count * drones, drones):
             here, sorted_here = scratch.columns[first : first + drones], order[0, first:][:drones]
             sort_along_x(here, sorted_here)

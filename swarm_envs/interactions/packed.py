@@ -282,8 +282,8 @@ class Scratch(NamedTuple):
     columns: FloatArray
     """(M, 24) the memory of the drones as floats; the first three are the position."""
     order: IntArray | None
-    """(2, M) the drones of each environment as last sorted along x, and scratch; None in small
-    teams."""
+    """(2, M) the drones of each environment as last sorted along x, and scratch, for large teams;
+    None for kernels of small teams alone."""
     affected: IntArray
     """(M,) the drones with forces besides drag."""
     pairs: Records
@@ -296,8 +296,10 @@ class Scratch(NamedTuple):
     state and alone at the anchor height."""
 
 
-def scratch_for(field: PackedField, count: int, drones: int) -> Scratch:
+def scratch_for(field: PackedField, count: int, drones: int, any_team: bool = False) -> Scratch:
     """Return scratch memory to evaluate forces in up to `count` environments of `drones` at once.
+
+    With `any_team`, its type is the same for small and large teams, which then share kernels.
 
     Raises:
         ValueError: these are too many drones.
@@ -315,7 +317,7 @@ def scratch_for(field: PackedField, count: int, drones: int) -> Scratch:
     return Scratch(
         memory,
         memory.view(np.float64).reshape(total, -1),
-        order if drones > FEW else None,
+        order if any_team or drones > FEW else None,
         np.zeros(total, np.int64),
         np.zeros(max(1, total * (drones - 1)), PAIR),
         np.zeros(1, COUNTERS),

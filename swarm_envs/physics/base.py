@@ -211,13 +211,19 @@ class Physics:
         )
         size, hall = len(work.members), None if self.hall is None else True
 
+        varied = self._is_varied()
+
         def forces(model: InteractionModel) -> Forces:
-            return Forces(model.packed, scratch_for(model.packed, size, drones))
+            return Forces(model.packed, scratch_for(model.packed, size, drones, varied))
+
+        def variations() -> Variations:
+            memory = self.obstacles, self._open_circuit, self.order
+            return Variations(*memory, forces(self.feedforward))
 
         self._given = [
             (
                 flight,
-                self._variations(forces(self.feedforward)),
+                variations() if varied else None,
                 hall,
                 forces(self.interactions),
                 new_work(drones),
@@ -226,14 +232,12 @@ class Physics:
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
 
-    def _variations(self, feedforward: Forces) -> Variations | None:
-        """Return the memory of a flight beyond a plain one; None for a plain flight."""
+    def _is_varied(self) -> bool:
+        """Return True if `fly` needs `Variations`."""
         names = "drains", "gusty", "bounces", "compensates", "adaptation", "twists"
         options = any(bool(self.settings[name][0]) for name in names)
         large = len(self.team) > FEW
-        if not (options or large or self.hall is not None or len(self.obstacles) > 0):
-            return None
-        return Variations(self.obstacles, self._open_circuit, self.order, feedforward)
+        return options or large or self.hall is not None or len(self.obstacles) > 0
 
     def compile(self) -> None:
         """Compile `fly`, which otherwise happens at the first step."""
