@@ -179,16 +179,34 @@ def store_tile(
             row[c] = block[c, lane]
 
 
-@equation
-def any_tumbling(count: int, work: Work) -> bool:
-    """Return True if one of the first `count` drones tumbles, which is rare."""
-    for slot in range(count):
-        if work.blocks[slot // LANES].tumbling[slot % LANES] != 0.0:
-            return True
-    return False
-
-
 @part
+def stop(
+    columns: FloatArray,
+    slot: int,
+    controlled: bool,
+    adaptive: bool,
+    team: bool,
+    disturbed: bool | None,
+    work: Work,
+) -> None:
+    """Stop a drone, or its team, at this physics step.
+
+    They are copied back now, for the last time in this decision, and are moved far away, as in
+    `load_tile`.
+    """
+    drones = columns.shape[1]
+    place = slot - slot % drones
+    for other in range(place, place + drones):
+        if (team or other == slot) and not work.stopped[other]:
+            store_tile(columns, other, other + 1, controlled, adaptive, work)
+            if disturbed is not None and disturbed:
+                store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
+            work.stopped[other] = True
+            b = work.blocks[other // LANES]
+            b.position[0, other % LANES] = FAR * (other - place + 1)
+
+
+@equation
 def stop_tumbling(
     columns: FloatArray,
     count: int,
@@ -198,24 +216,10 @@ def stop_tumbling(
     disturbed: bool | None,
     work: Work,
 ) -> None:
-    """Stop drones that tumble, or their teams, at this physics step.
-
-    They are copied back now, for the last time in this decision, and are moved far away, as in
-    `load_tile`.
-    """
-    drones = columns.shape[1]
-    for slot in range(count * drones):
-        if work.blocks[slot // LANES].tumbling[slot % LANES] == 0.0:
-            continue
-        place = slot - slot % drones
-        for other in range(place, place + drones):
-            if (team or other == slot) and not work.stopped[other]:
-                store_tile(columns, other, other + 1, controlled, adaptive, work)
-                if disturbed is not None and disturbed:
-                    store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
-                work.stopped[other] = True
-                b = work.blocks[other // LANES]
-                b.position[0, other % LANES] = FAR * (other - place + 1)
+    """Stop those of the first `count` drones that tumble, or their teams; see `stop`."""
+    for slot in range(count):
+        if work.blocks[slot // LANES].tumbling[slot % LANES] != 0.0:
+            stop(columns, slot, controlled, adaptive, team, disturbed, work)
 
 
 @part
@@ -403,17 +407,17 @@ def fly(
             e += 1
         if count == 0:
             continue
-        full = (count * size + LANES - 1) // LANES
+        used = count * size
+        full = (used + LANES - 1) // LANES
         load_tile(columns, count, controlled, adapts, phases & BEGIN != 0, work)
         if varied is not None and disturbed:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         if phases & CONTACTS and phases & BEGIN == 0:  # drones may have tumbled in earlier steps
-            stop_tumbling(columns, count, controlled, adapts, s.ends_team, disturbed, work)
+            stop_tumbling(columns, used, controlled, adapts, s.ends_team, disturbed, work)
         for k in range(steps + 1):
             if phases & CONTACTS and (k > 0) == moves:
                 find_contacts(count, full, flight, varied, hall, work)
-                if any_tumbling(count * size, work):
-                    stop_tumbling(columns, count, controlled, adapts, s.ends_team, disturbed, work)
+                stop_tumbling(columns, used, controlled, adapts, s.ends_team, disturbed, work)
             if k == steps:
                 break
             if phases & CONTROL and controlled:
@@ -424,9 +428,9 @@ def fly(
                 integrate(work.blocks, full, torques)
             elif phases & FORCES:
                 write_wrenches(count, drones, torques, work)
-        store_tile(columns, 0, count * size, controlled, adapts, work)
+        store_tile(columns, 0, used, controlled, adapts, work)
         if varied is not None and disturbed:
-            store_hall(columns, members, 0, count * size, work.tile, work.stopped)
+            store_hall(columns, members, 0, used, work.tile, work.stopped)
 
 
 @part
