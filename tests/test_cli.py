@@ -144,6 +144,7 @@ def test_a_help_ends_in_a_window_of_any_width(columns, monkeypatch, capsys):
             "fly --drones 0",
             "--drones is 0, but must be an integer of at least 1 and at most 100,000",
         ),
+        ("fly --drones 4 --team SS", "error: --drones is 4, but --team SS has 2; give one of them"),
         ("fly --horizon-s nan", "error: --horizon-s is nan, but must be positive and finite"),
         ("fly --agent swap-dagger orca", "Unrecognized options: orca"),
         ("evaluate --workers -1", "error: --workers is -1, but must be an integer of at least 1"),

@@ -536,6 +536,7 @@ def test_assignments_are_listed_and_begun(tmp_path, capsys):
     listed = capsys.readouterr().out
     assert all(f"\n{name} " in f"\n{listed}" for name in ASSIGNMENTS)
     for name, assignment in ASSIGNMENTS.items():
+        assignment.check()  # also makes its environment
         folder = tmp_path / name
         assert main(["assignment", "start", name, str(folder)]) == 0
         file = assignment.work.split(":")[0]

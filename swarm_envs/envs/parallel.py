@@ -26,7 +26,7 @@ from swarm_envs.envs.observation import (
 )
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_name, unknown_name
-from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
+from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.tasks.base import Task
 
 __all__ = ["SwarmParallelEnv"]
@@ -39,8 +39,9 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
     Agents are `drone_0` ... in the order of the team. Their episodes end together; with
     `on_contact="end_pair"`, drones that touch something leave `agents` before the others.
-    `infos[agent]` has `reward_terms` (without their weights), `contact` (None, or what the drone
-    touched in this decision) and, on the last step, `episode_metrics`.
+    `infos[agent]` has `reward_terms` (without their weights), on the last step `episode_metrics`,
+    and `contact` if the drone touched something in this decision: its `drone` (a name), `floor` and
+    `wall` (True) and `obstacle` (an index), as far as they were touched.
     """
 
     def __init__(
@@ -360,34 +361,31 @@ def infos_by_agent(
     """
     named = map(zip, repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist())
     infos: dict[str, dict[str, Any]] = {
-        agent: {"reward_terms": terms, "contact": None}
+        agent: {"reward_terms": terms}
         for agent, terms in zip(agents, map(dict, named), strict=True)
     }
     if ended or core.config.on_contact != "end_team":  # else a contact ends the episode
-        for info, contact in zip(infos.values(), _contacts(core, agents), strict=True):
-            info["contact"] = contact
-            if ended:
-                info["episode_metrics"] = core.metrics()
+        contacts = core.physics.contacts
+        for i in contacts.any()[0].nonzero()[0].tolist():
+            infos[agents[i]]["contact"] = _contact(contacts, i, agents)
+    if ended:
+        for info in infos.values():
+            info["episode_metrics"] = core.metrics()
     return infos
 
 
-def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any] | None]:
-    """Return the contacts of each drone in its last decision, or None for a drone without any."""
-    contacts = core.physics.contacts
-    columns = contacts.any(), contacts.drone, contacts.floor, contacts.wall, contacts.obstacle
-    return [
-        {
-            "drone": None if other == NO_DRONE else agents[other],
-            "floor": floor,
-            "wall": wall,
-            "obstacle": None if obstacle == NO_OBSTACLE else obstacle,
-        }
-        if touched
-        else None
-        for touched, other, floor, wall, obstacle in zip(
-            *(column[0].tolist() for column in columns), strict=True
-        )
-    ]
+def _contact(contacts: Contacts, i: int, agents: Sequence[str]) -> dict[str, Any]:
+    """Return what drone `i` touched in its last decision."""
+    touched: dict[str, Any] = {}
+    if contacts.drone[0, i] != NO_DRONE:
+        touched["drone"] = agents[contacts.drone[0, i]]
+    if contacts.floor[0, i]:
+        touched["floor"] = True
+    if contacts.wall[0, i]:
+        touched["wall"] = True
+    if contacts.obstacle[0, i] != NO_OBSTACLE:
+        touched["obstacle"] = int(contacts.obstacle[0, i])
+    return touched
 
 
 class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):

@@ -41,25 +41,20 @@ def fly(
             return infos, rewards
 
 
-Contact = tuple[object, bool, bool] | None
-
-
-def contacts(infos: Infos) -> list[Contact]:
-    found = [info["contact"] for info in infos.values()]
-    assert all(contact is None or contact["obstacle"] is None for contact in found)
-    return [contact and tuple(contact.values())[:3] for contact in found]
+def contacts(infos: Infos) -> list[dict[str, Any] | None]:
+    return [info.get("contact") for info in infos.values()]
 
 
 HOVER = [2 * SMALL.hover_rotor_thrust / SMALL.max_rotor_thrust - 1] * 4
-CRASHES: list[tuple[str, list[list[float]], list[list[float]], Contact]] = [
+CRASHES: list[tuple[str, list[list[float]], list[list[float]], dict[str, Any] | None]] = [
     (
         "collided_drones",
         [[-0.2, 0, 1], [0.2, 0, 1]],
         [[1, 0, 0], [-1, 0, 0]],
-        ("drone_1", False, False),
+        {"drone": "drone_1"},
     ),
-    ("collided_floor", [[0, 0, 0.2], [-1, 1, 1]], [[0, 0, -1], [0, 0, 0]], (None, True, False)),
-    ("collided_wall", [[1.8, 0, 1], [-1, 1, 1]], [[1, 0, 0], [0, 0, 0]], (None, False, True)),
+    ("collided_floor", [[0, 0, 0.2], [-1, 1, 1]], [[0, 0, -1], [0, 0, 0]], {"floor": True}),
+    ("collided_wall", [[1.8, 0, 1], [-1, 1, 1]], [[1, 0, 0], [0, 0, 0]], {"wall": True}),
     ("tumbled", [[0, 0, 1], [-1, 1, 1]], [[1, 1, -1, -1], HOVER], None),
 ]
 """Crashes of the first of three drones: its metric, starts, actions, and what it touched."""
@@ -74,7 +69,7 @@ def test_crashes_end_the_episode(engine, metric, start, actions, contact):
     infos, rewards = fly(env, [*start, [1, 1, 1]], [*actions, still])
     together = metric == "collided_drones"
     hit = [True, together, False]
-    expected = [contact, ("drone_0", False, False) if together else None, None]
+    expected = [contact, {"drone": "drone_0"} if together else None, None]
     assert contacts(infos) == expected
     for crashed, (agent, info) in zip(hit, infos.items(), strict=True):
         terms = info["reward_terms"]

@@ -74,9 +74,24 @@ def test_a_solo_drone_flies_among_the_others():
         own = np.array([0.1, -0.1, 0.0])
         seen, reward, _, _, info = solo.step(own)
         rows, rewards, _, _, infos = parallel.step({"drone_0": np.full(3, 0.2), "drone_1": own})
-        assert reward == rewards["drone_1"] and info["contact"] == infos["drone_1"]["contact"]
+        assert reward == rewards["drone_1"] and info == infos["drone_1"]
     with pytest.raises(ValueError, match="drone is 2, but the team has drones 0 to 1"):
         make_solo("swap_v1", drone=2, **QUICK)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_gymnasium_joins_the_infos_of_a_crash_and_of_a_flight_without_contact(mode):
+    given: Any = {**QUICK, "horizon_s": 5.0}
+    vector: Any = {"autoreset_mode": mode}
+    name = gymnasium_name("swap_v1", "Solo")
+    env: Any = gymnasium.make_vec(name, 2, "sync", vector_kwargs=vector, **given)
+    env.reset(seed=[1, 2])
+    ended = np.zeros(2, np.bool_)
+    while not ended.any():
+        *_, ended, _, infos = env.step(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]], np.float32))
+    infos = infos.get("final_info", infos)
+    assert infos["_contact"].tolist() == infos["contact"]["floor"].tolist() == [False, True]
+    env.close()
 
 
 @pytest.mark.parametrize("most", [None, 5])
