@@ -1,4 +1,4 @@
-"""What all tests share: one thread, no display, examples that are the same in every run."""
+"""Settings and fixtures of all tests: one thread, no display, the same examples in every run."""
 
 from __future__ import annotations
 

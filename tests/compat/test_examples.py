@@ -29,7 +29,7 @@ def test_stable_baselines3():
 
 @pytest.fixture(params=["end_team", "end_pair"])
 def on_contact(request, monkeypatch):
-    """What examples fly; without touching them."""
+    """Let the examples fly with this effect of a contact, without an edit of them."""
     for module, name in ((swap_v1, "parallel_env"), (gymnasium, "make_vec")):
         made = partial(getattr(module, name), on_contact=request.param)
         monkeypatch.setattr(module, name, made)

@@ -29,7 +29,7 @@ def kept() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def same_machine(kept: dict[str, Any]) -> bool:
-    """Whether this machine's arithmetic is the one that the file was written with."""
+    """Return True if this machine's arithmetic is the one that the file was written with."""
     return fingerprint() == kept["fingerprint"]
 
 

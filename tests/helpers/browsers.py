@@ -41,7 +41,7 @@ def chromium() -> Iterator[Any]:
 
 
 def complaints(page: Any) -> list[str]:
-    """What goes wrong in a page from now on: errors, warnings, requests that fail."""
+    """Return the list of problems of a page from now on: errors, warnings, requests that fail."""
     said: list[str] = []
     page.on("console", lambda m: said.append(m.text) if _is_bad(m) else None)
     page.on("pageerror", lambda error: said.append(str(error)))

@@ -47,7 +47,7 @@ def turns(task: str, **options: Any) -> Any:
 
 
 def in_turns(env: Any, rows: list[Any]) -> Any:
-    """What all agents have been given, in the order of the parallel interface."""
+    """Return the observations of all agents, in the order of the parallel interface."""
     for row in rows:
         env.step(row)
     seen = {agent: env.observe(agent) for agent in env.possible_agents}
@@ -118,7 +118,7 @@ FACES = [
 
 
 def core_of(env: Any) -> SwarmCore:
-    """What flies beneath an interface."""
+    """Return the core beneath an interface."""
     core: SwarmCore = (
         getattr(env, "core", None) or getattr(env.unwrapped, "core", None) or env.parallel.core
     )

@@ -44,13 +44,13 @@ from swarm_envs.tasks.obstacles import Box, Column
 from swarm_envs.vehicles import parse_team
 
 FILE = Path(__file__).parent.parent / "envs" / "frozen.json"
-"""What the flights gave when they were frozen."""
+"""The results of the flights when they were frozen."""
 
 Array = npt.NDArray[np.float64]
 
 
 class Flown(NamedTuple):
-    """What a flight gave."""
+    """The results of a flight."""
 
     arrays: dict[str, Array]  # by part, with one row per decision
     metrics: list[str]
@@ -60,7 +60,7 @@ class Flown(NamedTuple):
 
 
 class Log:
-    """What a flight gives, row by row, as float64: integers and flags are exact in it."""
+    """Return the results of a flight, row by row, as float64, which keeps integers and flags."""
 
     def __init__(self) -> None:
         self._rows: dict[str, list[Array]] = {}
@@ -518,12 +518,12 @@ TWINS = {
 
 
 def can_fly(name: str) -> bool:
-    """Whether the flight's engine is there."""
+    """Return True if the flight's engine is installed."""
     return FLIGHTS[name].engine != "bullet" or bullet_available()
 
 
 def frozen(flown: Flown) -> dict[str, Any]:
-    """What the file keeps of a flight: a hash of each part, and numbers unless it touched."""
+    """Return a flight's entry in the file: a hash of each part, and numbers unless it touched."""
     hashes = {}
     for part, array in flown.arrays.items():
         clean = np.where(np.isnan(array), np.nan, array).astype("<f8")  # any NaN is the same
@@ -535,7 +535,7 @@ def frozen(flown: Flown) -> dict[str, Any]:
 
 
 def fingerprint() -> dict[str, str]:
-    """What the last bit of a flight depends on beside our sources.
+    """Return all that the last bit of a flight depends on beside our sources.
 
     Results of the mathematical functions that kernels and numpy call here, whether compiled code
     fuses a product with a sum, and the versions whose random numbers and compiler were used.
@@ -572,7 +572,7 @@ def _arithmetic(a: Array, b: Array, c: Array) -> Array:
 
 
 def differences(now: Mapping[str, Any], then: Mapping[str, Any], same_machine: bool) -> list[str]:
-    """What differs between a flight and what was frozen of it, in words; nothing if nothing does.
+    """Return the differences between a flight and its frozen entry, in words, or nothing.
 
     Args:
         now: as `frozen` gives it.

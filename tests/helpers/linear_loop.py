@@ -25,9 +25,9 @@ MEMORY = (
     *("velocity_integral", "rate_integral", "desired_thrust", "thrust_rate", "rate_error"),
     *("rate_error_rate", "desired_attitude", "desired_rate"),
 )
-"""What the controller remembers."""
+"""Fields of the controller's memory."""
 RESIDUAL = ("commands", "nominal_thrust", "last_thrust_axis", "last_velocity")
-"""What it remembers beside, if it adapts."""
+"""Further fields of its memory, if it adapts."""
 FILTER = ("filtered_residual", "filtered_residual_rate")  # the second-order low-pass
 ESTIMATE = {
     type(None): (),
@@ -35,7 +35,7 @@ ESTIMATE = {
     Indi: (*RESIDUAL, *FILTER),
     NeuralFly: (*RESIDUAL, *FILTER, "adaptive_coefficients"),
 }
-"""What an adaptation remembers, beside the covariance, which is at rest."""
+"""Fields of the memory of an adaptation, beside the covariance, which is at rest."""
 SETTLING = 480  # steps in hover after which filters and covariances are taken to rest
 
 
@@ -96,7 +96,7 @@ class Loop:
 
     @property
     def _late(self) -> int:
-        """How many states before the present one are needed."""
+        """The number of states before the present one that are needed."""
         return int(np.ceil(self.delay_s / STEP - 1e-9))
 
     def _tools(self, count: int) -> tuple[BatchPhysics, TrackingController]:
@@ -137,7 +137,7 @@ class Loop:
         return np.concatenate([_read(body, BODY), late, _read(loop, self._memory)], axis=1)
 
     def _known(self, state: SwarmState, ages: FloatArray) -> SwarmState:
-        """What the controller knows: between the last two of the (E, 13 (L + 1)) states."""
+        """Return the state that the controller knows, between the last two of (E, 13 (L + 1))."""
         rows = ages.reshape(len(ages), 1, -1, 13)
         share = self._late - self.delay_s / STEP
         row = (1.0 - share) * rows[:, :, -1] + share * rows[:, :, max(self._late - 1, 0)]

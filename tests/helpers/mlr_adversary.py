@@ -24,7 +24,7 @@ _FINE = 5  # parts of the time between two samples at whose ends distances are l
 _BEGINS, _ENDS = 0.08, 0.15
 """Chance by round that the radio begins a trick, and that it ends it: else nobody would plan."""
 TRICKS = ("none", "plans", "states", "views", "closest", "split", "deaf")
-"""What the radio singles out: see `_Radio`."""
+"""The messages that the radio singles out: see `_Radio`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +197,7 @@ class _Radio:
 
 @dataclass
 class Flight:
-    """What was seen in a flight."""
+    """The findings of a flight."""
 
     config: MlrDmpcConfig
     least_m: float = np.inf  # of all that any two may fly, at samples from t(k+1) on, scaled
@@ -276,7 +276,7 @@ class Flight:
 
 
 def same(known: Trajectory, flown: Trajectory, round_: int) -> bool:
-    """Whether a trajectory is the flown one, from a round on; at rest, its place is all of it."""
+    """Return True if a trajectory is the flown one from a round on; at rest, if its place is."""
     if known.identity != flown.identity:
         return False
     times = 0.2 * (np.arange(20.0) + round_ - flown.identity.start_round)

@@ -14,11 +14,11 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, sampled_positio
 from swarm_envs.state import FloatArray
 
 Situation = tuple[Trajectory, int, Neighbors, FloatArray]
-"""What a drone flies, the next round, what the others may fly from then on, its target."""
+"""The trajectory that a drone flies, the next round, those of others from then on, its target."""
 
 
 def neighbors_of(swarm: MlrDmpcSwarm, drone: int, chosen: Sequence[int]) -> Neighbors:
-    """What all others may fly from the next round on; who of them is chosen is planned, too."""
+    """Return the trajectories that all others may fly from the next round on."""
     known = [(i, one) for i, may in enumerate(swarm.may_fly) for one in may if i != drone]
     index = np.array([i for i, _ in known])
     paths = [sampled_positions(one, swarm.round + 1, swarm.config) for _, one in known]

@@ -35,7 +35,7 @@ def links(page: Path) -> Iterator[tuple[Path, str]]:
 
 @cache
 def anchors(page: Path) -> set[str]:
-    """What a link into a page may name: its headings, as GitHub and MyST write them."""
+    """Return the anchors of a page: its headings, as GitHub and MyST write them."""
     heads = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
     plain = [re.sub(r"[`*]|\[|\]\([^)]*\)", "", head).lower() for head in heads]
     slugs = {re.sub(r"[^\w\- ]", "", head).strip().replace(" ", "-") for head in plain}

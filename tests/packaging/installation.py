@@ -83,7 +83,7 @@ class Installation:
             raise Failed(f"{arguments} was done, but needs {says}")
 
     def packages(self) -> list[str]:
-        """What is installed, as `name==version`."""
+        """Return the installed packages, as `name==version`."""
         return self._run([self.bin / "python", "-m", "pip", "freeze"], own=True).split("\n")[:-1]
 
     def megabytes(self) -> float:
@@ -133,7 +133,7 @@ def ours() -> dict[str, str]:
 
 
 def _confinement() -> list[str]:
-    """What is put before a command so that it has no network and cannot write what is read-only."""
+    """Return the words before a command that keep it from the network and read-only folders."""
     if not sys.platform.startswith("linux") or not shutil.which("unshare"):
         raise Failed("a locked row needs Linux and util-linux (unshare, setpriv)")
     if os.geteuid():

@@ -1,4 +1,4 @@
-"""What the matrix installs, and what it tries in each installation."""
+"""The installations of the matrix, and the steps that it tries in each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OPTIONAL["all"] = tuple(sorted({p for e in OPTIONAL if e != "docs" for p in OPTI
 EVERY_OPTIONAL = frozenset(package for packages in OPTIONAL.values() for package in packages)
 
 BASE = ("modules", "first step", "agents", "demo", "fly", "evaluate", "README", "quickstart")
-"""What a base installation must do; see `tests.packaging.steps`."""
+"""The steps of a base installation; see `tests.packaging.steps`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class Row:
         return sorted(EVERY_OPTIONAL - present)
 
     def requirement(self, wheel: str) -> str:
-        """What pip is asked for."""
+        """The requirements for pip."""
         return f"{wheel}[{','.join(self.extras)}]" if self.extras else wheel
 
 

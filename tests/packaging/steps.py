@@ -1,4 +1,4 @@
-"""What is tried in an installation: each step is a few commands, run away from the checkout."""
+"""The steps tried in an installation: each is a few commands, run away from the checkout."""
 
 from __future__ import annotations
 
