@@ -358,10 +358,10 @@ class Lacam:
             table=np.full(_table_size(room), -1, dtype=np.int32),
             state=np.array([-1, 0, 0, 0, 0, -1, -1], dtype=np.int64),
         )
+        self._search = entry_point(_search, *self._memory, 0)  # with the kernels that it calls
         self._nodes.at[0] = numbers(instance.starts, instance.shape)
         code = _hash(self._nodes.at[0])
         _add_node(*self._memory, -1, code)
-        self._search = entry_point(_search, *self._memory, 0)
         self.exhausted = False
         """True if all has been tried: the plan is the shortest, or none exists."""
 
