@@ -279,7 +279,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         own: Any = rows[0].copy()
         if self.core.config.observation != "flat":
             own = map(self._shape, own)
-        return dict(zip(self.possible_agents, own, strict=False))  # the end of an array is slow
+        # Not strict: the iterator of an array ends by an exception, which takes as long as the rest
+        return dict(zip(self.possible_agents, own, strict=False))
 
 
 def warn_without_mode() -> None:

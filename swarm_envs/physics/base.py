@@ -210,7 +210,6 @@ class Physics:
             settings=self.settings,
         )
         size, hall = len(work.members), None if self.hall is None else True
-
         varied = self._is_varied()
 
         def forces(model: InteractionModel) -> Forces:
