@@ -33,7 +33,15 @@ try:
 except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["announce_compilation", "compilation", "equation", "kernel", "kernel_folder", "part"]
+__all__ = [
+    "announce_compilation",
+    "compilation",
+    "equation",
+    "inlined",
+    "kernel",
+    "kernel_folder",
+    "part",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -101,6 +109,19 @@ def equation(function: F) -> F:
     vectorization, and for functions with tuples of many arrays, which a call would copy.
     """
     return _within_kernels(function, forceinline=True)
+
+
+def inlined(function: F) -> F:
+    """Decorate a long function that kernels call in one place: Numba copies its statements there.
+
+    Numba optimizes a called function again with each of its callers, so that in a chain of calls
+    most of the compilation is spent on the same code. An argument that is None must be one of the
+    caller too: only then are the branches of what is None left out.
+    """
+    if numba.config.DISABLE_JIT:
+        return function
+    compiled: F = numba.njit(inline="always", error_model="numpy")(function)
+    return compiled
 
 
 def _within_kernels(function: F, **options: Any) -> F:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import announce_compilation, equation, kernel, part
+from swarm_envs.compiled import announce_compilation, equation, inlined, kernel
 from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.composed import describe_turned, join_pushes
 from swarm_envs.interactions.field import COMPOSED, NONE, WAKE
@@ -150,7 +150,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
             code[0, k] = code[1, k] = 0.0
 
 
-@part
+@inlined
 def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
     """Write the interaction and drag forces (N, world frame) on the drones of a chunk.
 
@@ -168,7 +168,7 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
     evaluate_forces(field, count * drones, scratch)
 
 
-@equation
+@inlined
 def evaluate_forces(field: PackedField, total: int, scratch: Scratch) -> None:
     """Write the forces at the drones' `position`; their neighbors are at their `seen` positions."""
     kind, counters = field.constants[0]["kind"], scratch.counters[0]

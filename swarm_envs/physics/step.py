@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import equation, kernel, part
+from swarm_envs.compiled import equation, inlined, kernel, part
 from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
@@ -206,7 +206,7 @@ def stop(
             b.position[0, other % LANES] = FAR * (other - place + 1)
 
 
-@equation
+@inlined
 def stop_tumbling(
     columns: FloatArray,
     count: int,
@@ -282,7 +282,7 @@ def find_due(count: int, hold: int, environments: Records, work: Work) -> int:
     return due
 
 
-@equation
+@inlined
 def control(
     count: int,
     full: int,
@@ -307,7 +307,7 @@ def control(
     hold_rates(work.blocks, full, settings, hall)
 
 
-@equation
+@inlined
 def push(
     phases: int,
     count: int,
@@ -345,7 +345,7 @@ def push(
         empty_batteries(count, flight.drones, settings, varied.open_circuit, work)
 
 
-@equation
+@inlined
 def find_contacts(
     count: int, full: int, flight: Flight, varied: Variations | None, hall: bool | None, work: Work
 ) -> None:
