@@ -93,7 +93,7 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
     `swarm_envs/LineSolo-v0` with Gymnasium, and `swarm_envs/line_v0` with PettingZoo.
 
     Raises:
-        ValueError: it is no task, or has the name of a task of the package.
+        ValueError: it is no task, or has the name of a task of the package or of another class.
     """
     from swarm_envs.envs.options import task_class
 
@@ -102,6 +102,12 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
         raise ValueError(
             f"name of {task.__name__} is {task.name!r}, which is a task of the package; give it "
             f"another name, such as name = {task.__name__.lower() + '_v0'!r}"
+        )
+    before = gymnasium.registry.get(gymnasium_name(task.name))
+    if before is not None and before.kwargs["task"].__qualname__ != task.__qualname__:
+        raise ValueError(
+            f"name of {task.__name__} is {task.name!r}, which is registered for "
+            f"{before.kwargs['task'].__qualname__}; give one of them another name"
         )
     for suffix in ("", "Solo"):
         gymnasium.registry.pop(gymnasium_name(task.name, suffix), None)  # from an earlier import

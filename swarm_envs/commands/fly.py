@@ -315,12 +315,13 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
     except Exception as error:
         if isinstance(error, RuntimeError) and bar.bar is None and not env.agents:
             raise Misuse(str(error)) from error  # obstacles that leave no place to start
-        if ":" in name:  # its author needs to see where it failed
+        if any(".py:" in str(each) for each in (name, options.task, options.interactions)):
+            # its author needs to see where it failed
             traceback.print_exc()
         elif bar.bar is None and isinstance(error, ValueError):
             raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
         what = f"{type(error).__name__}: {error}"
-        raise ValueError(f"agent {name!r} failed in flight: {what}") from error
+        raise ValueError(f"the episode of agent {name!r} failed: {what}") from error
     finally:
         bar.close()
 

@@ -14,7 +14,7 @@ import inspect
 
 import numpy as np
 
-from swarm_envs.errors import check_array, check_name
+from swarm_envs.errors import check_array, nearest
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import World
 from swarm_envs.tasks.base import Task
@@ -108,8 +108,14 @@ def write_own_terms(task: Task, world: World, terms: FloatArray) -> None:
         return
     given, names = task.reward_terms(world), task.reward_names
     for name, term in given.items():
-        check_name(f"reward term of task {task.name!r}", name, names)
-        terms[names.index(name)] = check_array(f"reward term {name!r}", term, terms.shape[1:])
+        if name not in names:
+            raise ValueError(
+                f"reward_terms of task {task.name!r} returns {name!r}, which has no weight; add it "
+                f"to default_weights ({nearest(name, names)})"
+            )
+        terms[names.index(name)] = check_array(
+            f"reward term {name!r} of task {task.name!r}", term, terms.shape[1:]
+        )
     missing = [name for name in names if name not in given and name not in REWARD_NAMES]
     if missing:
         raise ValueError(

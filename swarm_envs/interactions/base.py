@@ -189,7 +189,7 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         with resources.as_file(weights.joinpath(f"{text}.safetensors")) as path:
             return InteractionModel(text, *load_weights(path))
     if ".py:" in text:
-        return load(load_from_file(text))
+        return dataclasses.replace(load(load_from_file(text)), name=text)
     if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
     if not text.lower().endswith(".safetensors"):

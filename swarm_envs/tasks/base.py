@@ -7,12 +7,14 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.random import Generator
 
+from swarm_envs import TASKS
 from swarm_envs.errors import check_array, check_bool, check_integer, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
@@ -153,6 +155,19 @@ class ByScore:
         check_number("least", self.least, at_least=0.0)
 
 
+_MEMBERS = (
+    "advance",
+    "default_team",
+    "default_weights",
+    "defaults",
+    "draw",
+    "episode_s",
+    "motion",
+    "num_stages",
+    "reward_terms",
+    "success",
+)
+"""Members that custom tasks override."""
 OwnSuccess = Callable[[World], BoolArray]  # A method of a custom task
 Given = FloatArray | None
 """Starts or goals (N, 3), m, of the reset's options; None to sample them."""
@@ -174,7 +189,8 @@ class Task(_TaskFields, ABC):
     """A task of a team. It has no state: the state of episodes is in the `World`."""
 
     name: str
-    """Versioned name, such as `swap_v1`; by default `line_v0` for a class `LineTask`."""
+    """Versioned name, such as `swap_v1`; by default `line_v0` for a class `LineTask`. A subclass of
+    a task of the package keeps its name."""
     success: Success | TrackingSuccess | ByScore | OwnSuccess = Success()
     """The criterion of success; or a method `success(world)`, which returns booleans (E,), True
     where an environment's team is done."""
@@ -208,9 +224,19 @@ class Task(_TaskFields, ABC):
     of `default_weights`, and shared terms that it replaces."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Set `name` and `reward_names` if they are not given."""
+        """Set `name` and `reward_names` if they are not given.
+
+        Raises:
+            TypeError: the class defines something whose name is almost that of a member.
+        """
         super().__init_subclass__(**options)
-        if not hasattr(cls, "name"):
+        for name in vars(cls).keys() - vars(cls).get("__annotations__", {}).keys() - {*dir(Task)}:
+            if near := get_close_matches(name, _MEMBERS, 1, 0.85):
+                raise TypeError(
+                    f"{cls.__name__} defines {name!r}, which is no member of a task; did you mean "
+                    f"{near[0]!r}? A helper needs a less similar name, such as '_{name}'"
+                )
+        if "name" not in vars(cls) and getattr(cls, "name", None) not in TASKS:
             words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__.removesuffix("Task"))
             cls.name = f"{words.lower()}_v0"
         if inspect.isfunction(cls.reward_terms):
