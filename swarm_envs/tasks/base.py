@@ -14,7 +14,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs import TASKS
 from swarm_envs.errors import check_array, check_bool, check_integer, check_number, check_type
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
@@ -155,6 +154,7 @@ class ByScore:
         check_number("least", self.least, at_least=0.0)
 
 
+_SHIPPED = "swarm_envs.tasks."  # Modules of the package's tasks
 _MEMBERS = (
     "advance",
     "default_team",
@@ -236,7 +236,8 @@ class Task(_TaskFields, ABC):
                     f"{cls.__name__} defines {name!r}, which is no member of a task; did you mean "
                     f"{near[0]!r}? A helper needs a less similar name, such as '_{name}'"
                 )
-        if "name" not in vars(cls) and getattr(cls, "name", None) not in TASKS:
+        named = next((kind for kind in cls.__mro__ if "name" in vars(kind)), None)
+        if named is None or not (named is cls or named.__module__.startswith(_SHIPPED)):
             words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__.removesuffix("Task"))
             cls.name = f"{words.lower()}_v0"
         if inspect.isfunction(cls.reward_terms):
