@@ -45,8 +45,9 @@ def check_algorithm(config: RlConfig, task: str) -> None:
     with as_misuse():
         found = inspect.signature(algorithm_of(config.algo)).parameters
         taken = [name for name in found if name not in ("self", "policy", "env")]
+        takes_all = any(each.kind is each.VAR_KEYWORD for each in found.values())
         for name in arguments_of(make_setting(config, task)):
-            if name not in taken and "kwargs" not in taken:
+            if name not in taken and not takes_all:
                 why = unknown_name("argument", name, taken)
                 raise ValueError(f"--algo {config.algo} refuses its arguments: {why}")
 

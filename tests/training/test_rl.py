@@ -127,6 +127,48 @@ def test_a_run_names_the_command_that_evaluates_it(options, words):
     assert setting(RlConfig(out=Path("a"), **options)) == words.split()
 
 
+OWN_ALGORITHMS = """
+from stable_baselines3 import PPO
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+class Mine(PPO):
+    def __init__(self, policy, env, **given):
+        super().__init__(policy, env, **{"n_steps": 8, "batch_size": 64, **given})
+
+class Half(BaseFeaturesExtractor):
+    def __init__(self, space):
+        super().__init__(space, space.shape[0] // 2)
+
+    def forward(self, rows):
+        return rows[:, : self.features_dim]
+
+class Other(Mine):
+    def __init__(self, policy, env, policy_kwargs, **given):
+        kwargs = {**policy_kwargs, "features_extractor_class": Half}
+        super().__init__(policy, env, policy_kwargs=kwargs, **given)
+"""
+
+
+def test_an_algorithm_of_a_file_trains_to_the_end_of_a_rollout(tmp_path, capsys):
+    file, out = tmp_path / "own.py", tmp_path / "out"
+    file.write_text(OWN_ALGORITHMS)
+    words = ["train", *COMMON.split(), "--steps", "100", "--out", str(out)]
+    assert main([*words, "--algo", f"{file}:Mine"]) == 0
+    assert "100 steps are rounded up to 128, whole rollouts of 8 steps of 16 drones" in (
+        capsys.readouterr().out
+    )
+    assert json.loads((out / "report.json").read_text())["steps"] == 128
+
+
+def test_a_network_that_no_policy_file_holds_is_refused_before_training(tmp_path, capsys):
+    file, out = tmp_path / "own.py", tmp_path / "out"
+    file.write_text(OWN_ALGORITHMS)
+    words = ["train", *COMMON.split(), "--steps", "100", "--out", str(out)]
+    assert main([*words, "--algo", f"{file}:Other"]) == 1
+    assert "features extractor of the policy is Half, which cannot" in capsys.readouterr().err
+    assert not list(out.glob("checkpoints/*"))
+
+
 @pytest.mark.parametrize("algo", ["ppo", "dagger"])
 def test_a_finished_run_stays_as_it_is(algo, whole, capsys):
     out = whole[algo]

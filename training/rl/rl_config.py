@@ -82,8 +82,8 @@ class RunOptions:
     (or `sprint`), and `all` for pursuit and crowd, which needs DAgger."""
     algo: str = "ppo"
     """Algorithm: `ppo`, `sac` or `td3` of Stable-Baselines3; the import path of another algorithm
-    of it or of sb3-contrib, such as `sb3_contrib.TQC`; or `dagger`, which imitates a teacher in the
-    states that the policy visits. All drones share one policy."""
+    of it or of sb3-contrib, such as `sb3_contrib.TQC`, or `file.py:Class` of your own; or `dagger`,
+    which imitates a teacher in the states that the policy visits. All drones share one policy."""
     start: str | None = None
     """Name, file or folder of the trained policy from which DAgger starts. If None, the initial
     weights are random."""

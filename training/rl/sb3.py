@@ -21,6 +21,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 from tqdm import tqdm
@@ -35,6 +36,7 @@ from swarm_envs.training.rl.encoders import SetExtractor, linear_layers
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
+from swarm_envs.user_files import load_from_file
 
 SECOND_STAGE = 0.75
 """Fraction of the steps at which the second stage of PPO, with more exploration, begins."""
@@ -89,6 +91,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
         model, evaluation = _begin(algorithm, arguments, env, setting)
         network_of(model)  # raises before the training if the policy could not be written
         model.set_logger(_logger(config.out, model.num_timesteps))
+        _announce_rounding(model, config.steps)
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
             callbacks: list[BaseCallback] = [ProgressCallback(bar), EvaluationCallback(evaluation)]
             folder, every = config.out / CHECKPOINTS, -(-config.steps // config.evaluations)
@@ -119,6 +122,15 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
     return report
 
 
+def _announce_rounding(model: BaseAlgorithm, steps: int) -> None:
+    """Write by how much the training is longer, since an algorithm like PPO ends with a rollout."""
+    if isinstance(model, OnPolicyAlgorithm) and (over := -steps % (model.n_steps * model.n_envs)):
+        tqdm.write(
+            f"{steps:,} steps are rounded up to {steps + over:,}, whole rollouts of "
+            f"{model.n_steps} steps of {model.n_envs} drones"
+        )
+
+
 def _logger(folder: Path, steps: int) -> Logger:
     """Return the logger of a run, whose files do not replace those before it resumed at `steps`."""
     outputs = ["csv", *["tensorboard"] * bool(importlib.util.find_spec("tensorboard"))]
@@ -127,16 +139,19 @@ def _logger(folder: Path, steps: int) -> Logger:
 
 
 def algorithm_of(name: str) -> type[BaseAlgorithm]:
-    """Return the class of an algorithm: `ppo`, `sac`, `td3` or an import path.
+    """Return the class of an algorithm: `ppo`, `sac`, `td3`, an import path or `file.py:Class`.
 
     Raises:
         ValueError: there is no such class, or it is no algorithm of Stable-Baselines3.
     """
     module, _, part = CLASSES.get(name, name).rpartition(".")
-    valid = f"{', '.join(CLASSES)}, dagger, or an import path such as sb3_contrib.TQC"
+    valid = (
+        f"{', '.join(CLASSES)}, dagger, an import path such as sb3_contrib.TQC, or file.py:Class"
+    )
     try:
-        found = getattr(importlib.import_module(module), part)
-    except (ImportError, AttributeError, ValueError) as error:
+        in_file = ".py:" in name
+        found = load_from_file(name) if in_file else getattr(importlib.import_module(module), part)
+    except (ImportError, AttributeError, ValueError, FileNotFoundError) as error:
         raise ValueError(f"--algo is {name!r}, but must be one of {valid} ({error})") from error
     if not (isinstance(found, type) and issubclass(found, BaseAlgorithm)):
         raise ValueError(f"--algo is {name!r}, which is no algorithm; it must be one of {valid}")
@@ -300,6 +315,11 @@ def network_of(model: BaseAlgorithm) -> Network:
         raise ValueError(
             f"{type(model).__name__} has no actor that can be written as a policy file; use it in "
             "Python with swarm_envs.agents.from_model"
+        )
+    if type(extractor) not in (FlattenExtractor, SetExtractor):
+        raise ValueError(
+            f"the features extractor of the policy is {type(extractor).__name__}, which cannot be "
+            "written as a policy file; use the model in Python with swarm_envs.agents.from_model"
         )
     phi = linear_layers(extractor.encoder.phi) if isinstance(extractor, SetExtractor) else None
     return Network(layers, phi, "tanh")
