@@ -227,7 +227,7 @@ def _table(agents: list[dict[str, Any]]) -> str:
 
     known = [report for report in agents if "error" not in report]
     shown = {n: head for n, head in _COLUMNS.items() if any(r.get(n) is not None for r in known)}
-    heads = ("agent", "success (95 %)", "collided", "near miss", *shown.values(), "decision, ms")
+    heads = ("agent", "success (95 %)", "crashed", "near miss", *shown.values(), "decision, ms")
     lines = align_columns([heads, *(_row(report, [*shown]) for report in known)])
     lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]
     if any(report.get("privileged") for report in agents):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -134,8 +134,7 @@ class EnvConfig:
         """Raise ValueError for invalid values and contradicting options."""
         if self.physics is not None:
             check_name("physics", self.physics, ENGINES)
-        if not callable(self.interactions):
-            check_type("interactions", self.interactions, str | Path | InteractionModel)
+        check_type("interactions", self.interactions, str | Path | InteractionModel | Callable)
         check_name("action", self.action, ACTIONS)
         for name in (
             "clip_actions",

@@ -32,7 +32,7 @@ GAPS_M = {"S2S": 0.3, "L2S": 0.5, "S2L": 0.2, "L2L": 0.3}  # distance of the pla
 WHY = {
     "ring of 16": "the worst of sixteen drones; the paper shows one of the ten on upright rings",
     "L2S": "every true force is a model's, which the fed-forward model knows better than the "
-    "authors' knew the air: its residual is the hall's",
+    "authors' knew the aerodynamics: its residual is the hall's",
 }
 COLUMNS = ("case", "gains", "gap_m", "without_cm", "with_cm", "ratio", "contacts", "least_m")
 
