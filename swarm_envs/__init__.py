@@ -104,10 +104,11 @@ def register_task(task: type[OwnTask]) -> type[OwnTask]:
             f"another name, such as name = {task.__name__.lower() + '_v0'!r}"
         )
     before = gymnasium.registry.get(gymnasium_name(task.name))
-    if before is not None and before.kwargs["task"].__qualname__ != task.__qualname__:
+    owner = getattr(before and before.kwargs.get("task"), "__qualname__", "another environment")
+    if before is not None and owner != task.__qualname__:
         raise ValueError(
-            f"name of {task.__name__} is {task.name!r}, which is registered for "
-            f"{before.kwargs['task'].__qualname__}; give one of them another name"
+            f"name of {task.__name__} is {task.name!r}, which is registered for {owner}; give one "
+            "of them another name"
         )
     for suffix in ("", "Solo"):
         gymnasium.registry.pop(gymnasium_name(task.name, suffix), None)  # from an earlier import

@@ -112,7 +112,7 @@ def equation(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Decorate a long function that kernels call in one place: Numba copies its statements there.
+    """Decorate a long function with few callers: Numba copies its statements into them.
 
     Numba optimizes a called function again with each of its callers, so that in a chain of calls
     most of the compilation is spent on the same code. An argument that is None must be one of the

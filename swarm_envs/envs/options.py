@@ -149,7 +149,8 @@ _OTHERS_NAMES = {
     "frameskip": "decision_rate is the number of decisions a second",
     "frame_skip": "decision_rate is the number of decisions a second",
     "continuous": "every action is continuous; action is its mode, such as action='velocity'",
-    "autoreset_mode": "make_vec passes it on in vector_kwargs={'autoreset_mode': ...}",
+    "autoreset_mode": "give make_vec of Gymnasium vectorization_mode='sync' and "
+    "vector_kwargs={'autoreset_mode': ...}",
     "num_agents": "num_drones is the number of agents",
 }
 """Hints for names of options in other packages."""

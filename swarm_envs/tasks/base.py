@@ -158,8 +158,6 @@ _SHIPPED = "swarm_envs.tasks."  # Modules of the package's tasks
 _MEMBERS = (
     "advance",
     "default_team",
-    "default_weights",
-    "defaults",
     "draw",
     "episode_s",
     "motion",
@@ -167,7 +165,7 @@ _MEMBERS = (
     "reward_terms",
     "success",
 )
-"""Members that custom tasks override."""
+"""Methods and properties that custom tasks override."""
 OwnSuccess = Callable[[World], BoolArray]  # A method of a custom task
 Given = FloatArray | None
 """Starts or goals (N, 3), m, of the reset's options; None to sample them."""
@@ -227,17 +225,20 @@ class Task(_TaskFields, ABC):
         """Set `name` and `reward_names` if they are not given.
 
         Raises:
-            TypeError: the class defines something whose name is almost that of a member.
+            TypeError: the class defines a method whose name is almost that of a member.
         """
         super().__init_subclass__(**options)
-        for name in vars(cls).keys() - vars(cls).get("__annotations__", {}).keys() - {*dir(Task)}:
-            if near := get_close_matches(name, _MEMBERS, 1, 0.85):
+        for name, value in vars(cls).items():
+            is_method = inspect.isroutine(value) or isinstance(value, property)
+            helper = is_method and not name.startswith("_") and name not in _MEMBERS
+            if helper and (near := get_close_matches(name, _MEMBERS, 1, 0.9)):
                 raise TypeError(
                     f"{cls.__name__} defines {name!r}, which is no member of a task; did you mean "
                     f"{near[0]!r}? A helper needs a less similar name, such as '_{name}'"
                 )
         named = next((kind for kind in cls.__mro__ if "name" in vars(kind)), None)
-        if named is None or not (named is cls or named.__module__.startswith(_SHIPPED)):
+        inherited = named is not cls and named is not None and issubclass(named, Task)
+        if named is None or (inherited and not named.__module__.startswith(_SHIPPED)):
             words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__.removesuffix("Task"))
             cls.name = f"{words.lower()}_v0"
         if inspect.isfunction(cls.reward_terms):

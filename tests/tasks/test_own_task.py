@@ -237,12 +237,17 @@ def test_an_own_subclass_has_its_own_name_and_ids():
     other: Any = dataclass(frozen=True)(type("OtherTask", (Endless,), {"name": "narrow_v0"}))
     with pytest.raises(ValueError, match="'narrow_v0', which is registered for NarrowTask; give"):
         swarm_envs.register_task(other)
+    other.name = "swap-v1"
+    with pytest.raises(ValueError, match="'swap-v1', which is registered for another environment"):
+        swarm_envs.register_task(other)
 
 
-@pytest.mark.parametrize("name", ["succes", "reward_term", "default_weight"])
+@pytest.mark.parametrize("name", ["succes", "reward_term"])
 def test_misspelled_members_are_refused(name):
     with pytest.raises(TypeError, match=f"defines '{name}', which .* mean '{name}s'"):
         type("Wrong", (Endless,), {name: lambda self, world: None})
+    for helper in ("_draw", "draws", f"_{name}"):
+        type("Right", (Endless,), {helper: lambda self, world: None})
 
 
 def test_an_edited_task_is_flown_again(tmp_path, capsys):

@@ -124,7 +124,10 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
 
 def _announce_rounding(model: BaseAlgorithm, steps: int) -> None:
     """Write by how much the training is longer, since an algorithm like PPO ends with a rollout."""
-    if isinstance(model, OnPolicyAlgorithm) and (over := -steps % (model.n_steps * model.n_envs)):
+    if not isinstance(model, OnPolicyAlgorithm):
+        return
+    over = -(steps - model.num_timesteps) % (model.n_steps * model.n_envs)
+    if over and model.num_timesteps < steps:
         tqdm.write(
             f"{steps:,} steps are rounded up to {steps + over:,}, whole rollouts of "
             f"{model.n_steps} steps of {model.n_envs} drones"
