@@ -237,8 +237,8 @@ def planted_rows(count: int) -> InteractionRows:
 def test_a_planted_torque_is_learned_beside_the_force(tmp_path: Path) -> None:
     save_rows(tmp_path / "rows.npz", planted_rows(6000))
     config = FitConfig(
-        data=tmp_path / "rows.npz", out=tmp_path, torque=True, steps=400, batch_size=96,
-        learning_rate=2.5e-2, offsets="none", progress=False,
+        data=tmp_path / "rows.npz", out=tmp_path, torque=True, steps=1000, batch_size=128,
+        learning_rate=1e-2, offsets="none", progress=False,
     )  # fmt: skip
     report = fit(config)
     errors = report.torque_errors
