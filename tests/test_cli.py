@@ -183,7 +183,7 @@ def test_a_word_that_a_command_does_not_take_is_named_in_one_line(line, said, ca
         ("train --set foo", "--set has 'foo', but must have NAME=VALUE"),
         ("train --set n_stops=8", "--algo ppo refuses its arguments: unknown argument 'n_stops'"),
         ("train --algo os.path", "--algo is 'os.path', which is no algorithm"),
-        ("train --algo sb4.Nope", "'sb4.Nope', but must be one of ppo, sac, td3, dagger, an"),
+        ("train --algo sb4.Nope", "must be one of ppo, sac, td3, dagger, an import path"),
         ("train --controller downwash-awre", "did you mean 'downwash-aware'?"),
         ("fly --agent=", "the value of an option is empty"),
         ("fly --agent=+filter", "name is '', but must be an agent's"),

@@ -183,6 +183,18 @@ class _TaskFields:
     """Static obstacles, the same in every episode."""
 
 
+def _check_methods(task: type) -> None:
+    """Raise TypeError if a class defines a method whose name is almost that of a member."""
+    for name, value in vars(task).items():
+        is_method = inspect.isroutine(value) or isinstance(value, property)
+        helper = is_method and not name.startswith("_") and name not in _MEMBERS
+        if helper and (near := get_close_matches(name, _MEMBERS, 1, 0.9)):
+            raise TypeError(
+                f"{task.__name__} defines {name!r}, which is no member of a task; did you mean "
+                f"{near[0]!r}? A helper needs a less similar name, such as '_{name}'"
+            )
+
+
 class Task(_TaskFields, ABC):
     """A task of a team. It has no state: the state of episodes is in the `World`."""
 
@@ -225,17 +237,10 @@ class Task(_TaskFields, ABC):
         """Set `name` and `reward_names` if they are not given.
 
         Raises:
-            TypeError: the class defines a method whose name is almost that of a member.
+            TypeError: a method has almost the name of a member.
         """
         super().__init_subclass__(**options)
-        for name, value in vars(cls).items():
-            is_method = inspect.isroutine(value) or isinstance(value, property)
-            helper = is_method and not name.startswith("_") and name not in _MEMBERS
-            if helper and (near := get_close_matches(name, _MEMBERS, 1, 0.9)):
-                raise TypeError(
-                    f"{cls.__name__} defines {name!r}, which is no member of a task; did you mean "
-                    f"{near[0]!r}? A helper needs a less similar name, such as '_{name}'"
-                )
+        _check_methods(cls)
         named = next((kind for kind in cls.__mro__ if "name" in vars(kind)), None)
         inherited = named is not cls and named is not None and issubclass(named, Task)
         if named is None or (inherited and not named.__module__.startswith(_SHIPPED)):

@@ -132,8 +132,12 @@ def test_goals_that_move_are_no_progress_and_are_scored():
     [
         ("success", lambda self, world: True, r"booleans of shape \(6,\)"),
         ("reward_terms", lambda self, world: {}, "weights for \\['upright'\\]"),
-        ("reward_terms", lambda self, world: {"upright": 1.0}, "reward term 'upright' of task '"),
-        ("reward_terms", lambda self, world: {"uprigth": 1.0}, "no weight.*did you mean 'upright'"),
+        (
+            "reward_terms",
+            lambda self, world: {"upright": 1.0},
+            "'upright' of task 'wrong_v0' has shape",
+        ),
+        ("reward_terms", lambda self, world: {"uprigth": 1.0}, "no weight.* mean 'upright'"),
         ("success", staticmethod(lambda world: {}), "success of task .* must be a method"),
         ("reward_terms", staticmethod(lambda world: {}), "reward_terms of task .* be a method"),
     ],
