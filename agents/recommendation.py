@@ -16,8 +16,8 @@ from swarm_envs import TASKS, task_family
 from swarm_envs.agents.protocol import Agent, check_task
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.agents.safety import SafetyFilter
+from swarm_envs.envs.config import MOST_DRONES
 from swarm_envs.envs.options import blueprint_of
-from swarm_envs.envs.setting import MOST_DRONES
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.tasks.base import Task
 

@@ -98,6 +98,9 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
         (["--video", "a.avi"], "--video is 'a.avi', but must end in .mp4 or .gif"),
         (["--trajectory", "a.csv"], "must end in .parquet or .npz"),
         (["--replay", "a.htm"], "must end in .html"),
+        (["--env", "start_radius"], "--env has 'start_radius', but must have NAME=VALUE"),
+        (["--env", "num_drones=5"], "--env has 'num_drones', which has its own option; use --dro"),
+        (["--env", "end_on_sucess=False"], "did you mean 'end_on_success'?"),
         (["--task", f"{OWN_TASK}:LinTask"], "error: unknown class or function 'LinTask'"),
     ],
 )
@@ -106,7 +109,7 @@ def test_what_cannot_be_flown_is_refused_first(arguments, said, capsys, tmp_path
     assert main(["fly", "--json", "a.json", *arguments]) == 2
     error = capsys.readouterr().err
     assert said in error
-    assert "decision" not in error  # no bar: nothing flew
+    assert "decision/s" not in error  # no bar: nothing flew
     assert not list(tmp_path.iterdir())
 
 
@@ -123,6 +126,18 @@ def test_out_writes_npz_without_pyarrow(tmp_path, monkeypatch):
     arguments = ["--physics", "batch", "--horizon-s", "0.2", "--out", str(out)]
     assert main(["fly", *arguments]) == 0
     assert {"flight.json", "replay.html", "trajectory.npz"} == {file.name for file in out.iterdir()}
+
+
+def test_the_options_of_a_flight_are_in_its_json(tmp_path):
+    words = ["--agent", "hover", "--horizon-s", "0.2", "--interactions", "wake"]
+    words += ["--env", "decision_rate=20", "reward_weights={'crash': -3.0}"]
+    assert main(["fly", *words, "--physics", "batch", "--json", str(tmp_path / "a.json")]) == 0
+    flown = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert flown["decision_rate"] == 20
+    assert flown["options"] == {
+        **{"num_drones": 4, "physics": "batch", "interactions": "wake", "horizon_s": 0.2},
+        **{"decision_rate": 20, "reward_weights": {"crash": -3.0}},
+    }
 
 
 def test_the_best_agent_among_obstacles_sees_them(capsys):

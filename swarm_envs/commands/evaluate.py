@@ -232,6 +232,9 @@ def _table(agents: list[dict[str, Any]]) -> str:
     lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]
     if any(report.get("privileged") for report in agents):
         lines.append("* sees the true state of the simulation")
+    if shown:
+        columns = ", ".join(head.partition(",")[0] for head in shown.values())
+        lines.append(f"{columns}: interquartile mean of the episodes that have one")
     if known:
         lines.append("decision: median (99th percentile) time per decision of the whole team")
     return "\n" + "\n".join(lines)

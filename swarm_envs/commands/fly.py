@@ -19,9 +19,10 @@ from swarm_envs.commands.checks import (
     check_file,
     output_files,
 )
+from swarm_envs.envs.config import MOST_DRONES, MOST_OBSERVED
 from swarm_envs.envs.options import blueprint_of, task_class
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.setting import MOST_DRONES, MOST_OBSERVED, WorldOptions
+from swarm_envs.envs.setting import WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.tasks.obstacles import parse_obstacles
@@ -182,7 +183,7 @@ def run_fly(options: FlyOptions) -> None:
         print(f"note: this agent sees the true state{more}")
     if options.obstacles and options.agent is None and not avoids_obstacles(agent):
         print(f"note: {name} was measured without obstacles, and may fly into them")
-    _write_files(files, recording)
+    _write_files(files, recording, options)
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
@@ -334,12 +335,17 @@ def cannot_fly(name: str, error: Exception) -> str:
 
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
     """Return why an agent cannot fly a task, and which agent can, if there is one."""
+    from swarm_envs.agents import load
+
     message = cannot_fly(name, error)
     try:
         best = best_agent(options, task)
     except ValueError:
         return message
-    return f"{message}; try --agent {best}" if best != name else message
+    if best == name:
+        return message
+    seen = ", which sees the true state" if load(best).privileged else ""
+    return f"{message}; try --agent {best}{seen}"
 
 
 _LETTERS = 32  # Drones up to which a team is written out
@@ -385,7 +391,7 @@ def _goals_text(metrics: Mapping[str, Any], drones: int) -> str:
     return f"{metrics['stages_reached']} of {metrics['stages']} sets of goals reached by all drones"
 
 
-def _write_json(path: Path, recording: Recording) -> None:
+def _write_json(path: Path, recording: Recording, options: FlyOptions) -> None:
     from swarm_envs.viewing.summary import events, outcome
 
     about = recording.about
@@ -393,6 +399,7 @@ def _write_json(path: Path, recording: Recording) -> None:
         "task": about.task,
         "team": team_string(recording.team),
         **{n: getattr(about, n) for n in ("agent", "seed", "physics", "decision_rate")},
+        "options": options.setting(),
         "outcome": outcome(recording),
         "events": [
             {"time_s": event.time, "kind": event.kind, "drones": list(event.drones)}
@@ -416,13 +423,13 @@ def _write_video(path: Path, recording: Recording) -> None:
         raise OSError(f"{error}; name the video .gif, which needs no ffmpeg") from error
 
 
-def _write_files(files: Mapping[str, Path], recording: Recording) -> None:
+def _write_files(files: Mapping[str, Path], recording: Recording, options: FlyOptions) -> None:
     """Write a recording into files, by their options, and print their names."""
     from swarm_envs.viewing import write_replay, write_trajectory
 
     for option, path in files.items():
         if option == "json":
-            _write_json(path, recording)
+            _write_json(path, recording, options)
         elif option == "trajectory":
             write_trajectory(path, recording)
         elif option == "replay":

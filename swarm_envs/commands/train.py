@@ -6,6 +6,7 @@ import importlib.util
 import inspect
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from swarm_envs.commands.checks import as_misuse, check_inputs, check_outputs, need_torch
@@ -22,7 +23,7 @@ def check_training(config: RlConfig) -> str:
     check_outputs(config.out, config.json, (".json",))
     from swarm_envs.training.rl.runs import make_setting
 
-    with as_misuse():
+    with as_misuse(TypeError):  # an unknown option in --env
         task = find_task(config.task)
         make_setting(config, task)
     return task
@@ -88,11 +89,13 @@ def run_train(config: RlConfig) -> None:
 def setting(config: RlConfig) -> list[str]:
     """Return the environment of the run with its largest team, as options of `evaluate`."""
     words = ["--task", config.task]
-    given = {"layout": config.layout, **config.world_options()}
+    given = {"layout": config.layout, **replace(config, env=()).world_options()}
     given.pop("randomization", None)  # which is for training
     for name, value in given.items():
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
+    if config.env:
+        words += ["--env", *config.env]
     if config.interactions != "learned":
         words += ["--interactions", config.interactions]
     if not config.teams:

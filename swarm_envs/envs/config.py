@@ -15,7 +15,6 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
-from swarm_envs.envs.setting import MOST_OBSERVED
 from swarm_envs.errors import (
     check_array,
     check_bool,
@@ -37,11 +36,15 @@ from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["RESET_OPTIONS", "WORLDS", "EnvConfig", "check_num_envs"]
+__all__ = ["MOST_DRONES", "MOST_OBSERVED", "RESET_OPTIONS", "WORLDS", "EnvConfig", "check_num_envs"]
 
 ENGINES = ("bullet", "batch")  # Names of the physics engines
 WORLDS = ("ideal", "hall")
 """Names of the worlds."""
+MOST_DRONES = 100_000
+"""Largest number of drones of an environment."""
+MOST_OBSERVED = 10_000
+"""Largest K or M, the numbers of observed neighbors and obstacles."""
 MANY_DRONES = 1024  # Number of drones in all environments together from which threads pay
 MOST_THREADS = 1024  # Upper bound of `threads`: each is a thread of the operating system
 

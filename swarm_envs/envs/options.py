@@ -17,9 +17,8 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.config import MOST_DRONES, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
-from swarm_envs.envs.setting import MOST_DRONES
 from swarm_envs.errors import check_integer, check_name, check_type, nearest
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles

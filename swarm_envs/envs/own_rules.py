@@ -11,6 +11,7 @@ environments, after the shared rules:
 from __future__ import annotations
 
 import inspect
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
             is not finite.
     """
     if inspect.ismethod(task.success):
-        done = np.asarray(task.success(world))
+        done = np.asarray(_call(task, "success", world))
         if done.dtype != np.bool_ or done.shape != flown.shape:
             raise ValueError(
                 f"success of task {task.name!r} returned {done.dtype} of shape {done.shape}, but "
@@ -63,11 +64,25 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
         _end(world, done & flown, end_on_success)
     if inspect.ismethod(task.advance):
         before = world.drones["goal"].copy()
-        task.advance(world)
+        _call(task, "advance", world)
         check_array(f"goal after advance of task {task.name!r}", world.drones["goal"], before.shape)
         score = world.environments["score"]
         check_array(f"score after advance of task {task.name!r}", score, score.shape)
         _send(world, (world.drones["goal"] != before).any(axis=-1))
+
+
+def _call(task: Task, name: str, world: World) -> Any:
+    """Call a method of a task; an exception gets a note that states the shapes of the arrays."""
+    try:
+        return getattr(task, name)(world)
+    except Exception as error:
+        environments, drones = world.drones["position"].shape[:2]
+        error.add_note(
+            f"in {name} of task {task.name!r}: it is called for all environments at once, with "
+            f"world.drones of shape (E, N) = ({environments}, {drones}) and world.environments of "
+            f"shape (E,) = ({environments},)"
+        )
+        raise
 
 
 def _end(world: World, done: BoolArray, end_on_success: bool) -> None:
@@ -106,7 +121,7 @@ def write_own_terms(task: Task, world: World, terms: FloatArray) -> None:
     """
     if not inspect.ismethod(task.reward_terms):
         return
-    given, names = task.reward_terms(world), task.reward_names
+    given, names = _call(task, "reward_terms", world), task.reward_names
     for name, term in given.items():
         if name not in names:
             raise ValueError(

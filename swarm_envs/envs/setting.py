@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
-__all__ = ["MOST_DRONES", "MOST_OBSERVED", "WorldOptions"]
+from swarm_envs.envs.config import EnvConfig
 
-MOST_DRONES = 100_000
-"""Largest number of drones of an environment."""
-MOST_OBSERVED = 10_000
-"""Largest K or M, the numbers of observed neighbors and obstacles."""
+__all__ = ["WorldOptions", "parse_values"]
+
+_OTHER_NAMES = {"num_drones": "drones", "num_neighbors": "neighbors"}
+"""Options of environments that have other names on the command line."""
+_TASK_OPTIONS = ("layout", "obstacles", "team")  # those of commands that are not in `EnvConfig`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +40,41 @@ class WorldOptions:
     observe_loss: float | None = None
     """Packet loss: probability that a neighbor is not observed in a decision. If None, 0."""
 
+    env: tuple[str, ...] = ()
+    """Other options of the environment as NAME=VALUE, such as fields of a custom task or
+    `reward_weights={'proximity':2.0}`; the values are Python literals or strings."""
+
     def world_options(self) -> dict[str, Any]:
-        """Return the options that were given, as values for JSON."""
-        names = [field.name for field in fields(WorldOptions)]
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
+        """Return the options that were given, as values for JSON.
+
+        Raises:
+            ValueError: an entry of `env` is not NAME=VALUE, or the command has an option for it.
+        """
+        names = [field.name for field in fields(WorldOptions) if field.name != "env"]
+        given = {name: value for name in names if (value := getattr(self, name)) is not None}
+        others = parse_values("--env", self.env, "spacing_m=0.8")
+        shared = {field.name for field in fields(EnvConfig)} | {*_OTHER_NAMES, *_TASK_OPTIONS}
+        for name in filter(shared.__contains__, others):
+            own = _OTHER_NAMES.get(name, name)
+            if hasattr(self, own) or hasattr(self, name):
+                option = f"--{own.replace('_', '-')}"
+                raise ValueError(f"--env has {name!r}, which has its own option; use {option}")
+        return given | others
+
+
+def parse_values(option: str, entries: Sequence[str], example: str) -> dict[str, Any]:
+    """Return the values of entries NAME=VALUE, Python literals or else strings, by name.
+
+    Raises:
+        ValueError: an entry has another form, which the message shows by the example.
+    """
+    found: dict[str, Any] = {}
+    for entry in entries:
+        name, equals, value = entry.partition("=")
+        if not (name.isidentifier() and equals):
+            raise ValueError(f"{option} has {entry!r}, but must have NAME=VALUE, as in {example}")
+        try:
+            found[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            found[name] = value  # a string, such as auto
+    return found

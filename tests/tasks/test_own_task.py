@@ -201,17 +201,34 @@ def test_ids_are_registered():
 
 def test_commands_fly_evaluate_and_train_it(tmp_path, capsys):
     pytest.importorskip("stable_baselines3")
-    task = ["--task", f"{FILE}:LineTask", "--drones", "2"]
-    assert main(["fly", *task, "--agent", "fast-line"]) == 0
+    task = ["--task", f"{FILE}:LineTask", "--drones", "2", "--env", "spacing_m=0.7"]
+    file = tmp_path / "flight.npz"
+    assert main(["fly", *task, "--agent", "fast-line", "--trajectory", str(file)]) == 0
     assert "line_v0, team SS" in capsys.readouterr().out
+    goals = np.load(file)["goal"][0]
+    assert np.linalg.norm(goals[1] - goals[0]) == pytest.approx(0.7)
     tiny = ["--algo", "dagger", "--dagger.teacher", "fast-line", "--steps", "400", "--no-progress"]
     tiny += ["--environments", "8", "--evaluation-episodes", "2", "--hidden", "8"]
     run = str(tmp_path / "run")
     assert main(["train", *task, *tiny, "--out", run]) == 0
     assert main(["evaluate", *task, "--agent", "fast-line", run, "--episodes", "2"]) == 0
-    assert re.search(r"fast-line +100.0%", capsys.readouterr().out)
+    printed = capsys.readouterr().out
+    assert "to evaluate it: " in printed and "--env spacing_m=0.7" in printed
+    assert re.search(r"fast-line +100.0%", printed)
     assert main(["fly", "--task", f"{FILE}:LinTask"]) == 2
     assert "did you mean 'LineTask'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("method", ["success", "advance", "reward_terms"])
+def test_an_error_in_a_rule_states_the_shapes_of_the_arrays(method):
+    def broken(self, world):
+        return np.ones(4) + world.drones["position"]
+
+    task: Any = dataclass(frozen=True)(type("Broken", (OwnSwap,), {method: broken}))
+    with pytest.raises(ValueError, match="broadcast") as raised:
+        fly(task, steps=1)
+    [note] = raised.value.__notes__
+    assert f"in {method} of task 'broken_v0'" in note and "(E, N) = (6, 3)" in note
 
 
 @pytest.mark.parametrize(("table", "field"), [("drones", "goal"), ("environments", "score")])

@@ -20,6 +20,7 @@ from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.training.rl import dagger, sb3
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
@@ -85,6 +86,13 @@ def test_the_same_seed_gives_the_same_policy(whole, tmp_path):
     assert (tmp_path / FILE).read_bytes() == (whole["ppo"] / FILE).read_bytes()
 
 
+@pytest.mark.parametrize(("given", "costs"), [("crash", {-4.0, -2.0}), ("proximity", set())])
+def test_the_schedule_leaves_a_given_cost_of_proximity(given, costs, tmp_path):
+    with calls_of(SwarmCore, "set_reward_weights") as calls:
+        assert main(command("ppo", tmp_path, "--env", f"reward_weights={{'{given}': -1.0}}")) == 0
+    assert {weights["proximity"] for _, weights in calls} == costs
+
+
 def test_an_interrupted_run_of_dagger_ends_with_the_same_policy(whole, tmp_path, capsys):
     with calls_of(dagger.Dagger, "fly", killed_at=3):
         assert main(command("dagger", tmp_path)) == 130
@@ -121,6 +129,7 @@ def test_an_interrupted_run_of_stable_baselines3_goes_on(tmp_path, capsys):
             {"observe_delay_s": 0.1, "observe_loss": 0.2, "randomization": "mass=0.9:1.1"},
             "--task swap --observe-delay-s 0.1 --observe-loss 0.2",
         ),
+        ({"env": ("end_on_success=False",)}, "--task swap --env end_on_success=False"),
     ],
 )
 def test_a_run_names_the_command_that_evaluates_it(options, words):
@@ -224,6 +233,9 @@ def test_a_damaged_checkpoint_is_named(whole, tmp_path, capsys):
         ("--task swop", "did you mean 'swap'"),
         ("--layout stacked", "valid: 'circle', 'random'"),
         ("--json a.txt", "must end in .json"),
+        ("--env decision_rat=7", "did you mean 'decision_rate'"),
+        ("--env decision_rate=7", "--env has 'decision_rate', which has its own option; use --dec"),
+        ("--env num_neighbors=2", "--env has 'num_neighbors', which has its own option; use --nei"),
         ("--decision-rate 7", "decision_rate is 7"),
         ("--horizon-s nan", "horizon_s is nan"),
         ("--fewest 5", "--fewest is 5, but must be from 1 to 4"),

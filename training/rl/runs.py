@@ -78,22 +78,23 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     Raises:
         ValueError: an option has an invalid value.
     """
-    learning = learning_of(task)
-    found = batch_of(
-        task,
+    learning, world = learning_of(task), config.world_options()
+    weights = {**learning.reward_weights, **world.pop("reward_weights", {})}
+    options = {
         **learning.layouts[str(config.layout)],
         **team,
-        reward_weights=learning.reward_weights,
-        interactions=config.interactions,
-        action=config.action,
-        decision_rate=config.decision_rate,
-        force_rate=FORCE_RATE,
-        num_neighbors=config.num_neighbors,
-        horizon_s=config.horizon_s,
-        threads=config.threads,
+        "reward_weights": weights,
+        "interactions": config.interactions,
+        "action": config.action,
+        "decision_rate": config.decision_rate,
+        "force_rate": FORCE_RATE,
+        "num_neighbors": config.num_neighbors,
+        "horizon_s": config.horizon_s,
+        "threads": config.threads,
         **observation_options(*observed_in_rows(config), config.controller),
-        **config.world_options(),
-    )
+        **world,
+    }
+    found = batch_of(task, **options)
     flown = learning.curriculum(found.task, str(config.layout))
     clock = config.horizon_s or flown.episode_s
     weights = dict(flown.reward_weights)

@@ -7,7 +7,6 @@ and saves the best. Logger, checkpoints and resuming are those of Stable-Baselin
 
 from __future__ import annotations
 
-import ast
 import importlib
 import importlib.util
 import json
@@ -28,6 +27,7 @@ from tqdm import tqdm
 
 from swarm_envs import __version__
 from swarm_envs.agents.networks import Network
+from swarm_envs.envs.setting import parse_values
 from swarm_envs.files import claimed, write_json
 from swarm_envs.tasks.learning import RATES
 from swarm_envs.training.provenance import check_same
@@ -181,14 +181,7 @@ def arguments_of(setting: Setting) -> dict[str, Any]:
             "activation": "tanh",
         }
         policy["share_features_extractor"] = False
-    for entry in config.set:
-        name, equals, value = entry.partition("=")
-        if not (name.isidentifier() and equals):
-            raise ValueError(f"--set has {entry!r}, but must have NAME=VALUE, as in n_steps=64")
-        try:
-            arguments[name] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
-            arguments[name] = value  # a string, such as auto
+    arguments |= parse_values("--set", config.set, "n_steps=64")
     return {"policy_kwargs": policy, "seed": config.seed, "device": "cpu", **arguments}
 
 
@@ -254,6 +247,8 @@ class ScheduleCallback(BaseCallback):  # type: ignore[misc]
     def __init__(self, setting: Setting) -> None:
         super().__init__()
         self._steps = setting.config.steps
+        given = setting.config.world_options().get("reward_weights", {})
+        self._eases = "proximity" not in given  # else the user has chosen its weight
         self._done = 0.0  # Fraction of the steps at the last rollout
 
     def _on_step(self) -> bool:
@@ -264,8 +259,9 @@ class ScheduleCallback(BaseCallback):  # type: ignore[misc]
 
     def _on_rollout_start(self) -> None:
         done, policy = self.num_timesteps / self._steps, self.model.policy
-        for core in self.training_env.cores:
-            core.set_reward_weights({"proximity": -PROXIMITY[done > CLOSER]})
+        if self._eases:
+            for core in self.training_env.cores:
+                core.set_reward_weights({"proximity": -PROXIMITY[done > CLOSER]})
         if self._done < SECOND_STAGE <= done and hasattr(policy, "log_std"):
             policy.log_std.data.clamp_(min=float(np.log(LEAST_DEVIATION)))
         self._done = done
