@@ -137,7 +137,9 @@ $(DOCS_VENV)/.installed: pyproject.toml constraints.txt
 	$(subst $(BIN),$(DOCS_VENV)/bin,$(INSTALL)) -e '.[docs]'
 	@touch $@
 
+# From nothing: Sphinx does not see that the code from which pages are made has changed.
 docs: $(DOCS_VENV)/.installed
+	rm -rf build/docs
 	$(DOCS_VENV)/bin/python -m sphinx -b html -W --keep-going docs build/docs
 	@echo 'open build/docs/index.html'
 

@@ -47,8 +47,8 @@ class EvaluateOptions(EpisodeOptions):
     """Evaluate agents on many episodes with the same seeds, and report rates and means.
 
     With --out, an interrupted command resumes after the last complete episode when it is run
-    again. An agent that fails during an episode is reported with its error, and the exit status is
-    1. An agent that does not support the task is refused before the first episode.
+    again. An agent that does not support the task is refused before the first episode. If an agent
+    fails during an episode, its error is reported, and the exit status is 1.
     """
 
     agent: list[str] | None = None
