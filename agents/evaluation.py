@@ -326,7 +326,7 @@ COLLISIONS = {
 }
 """Kinds of crash, and the metric that counts the drones that crashed in this way."""
 
-_OF_SUCCESSES = ("time_to_goal_s", "energy_j")
+OF_SUCCESSES = ("time_to_goal_s", "energy_j")
 _OF_ALL = (
     "minimum_separation_m",
     "worst_tracking_error_m",
@@ -421,7 +421,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
     successes = [m for m in metrics if m["success"]]
     scores = [name for name in _SCORES if name in metrics[0]]
-    for names, of in ((_OF_SUCCESSES, successes), ((*_OF_ALL, *scores), metrics)):
+    for names, of in ((OF_SUCCESSES, successes), ((*_OF_ALL, *scores), metrics)):
         for name in names:
             values = np.array([m[name] for m in of if m[name] is not None], dtype=np.float64)
             numbers[name] = float(interquartile_mean(values)) if len(values) else None

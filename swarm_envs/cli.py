@@ -78,6 +78,7 @@ COMMANDS: Mapping[str, Command] = {
     "compile": Command("compile the kernels before the first episode", "--no-progress"),
 }
 """Every command by its name. To add one, write its module and add it here."""
+_LISTS = ("--agent", "--env", "--set")  # If one is given again, tyro forgets the values before
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -194,6 +195,9 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     for word in words:
         if not word or re.fullmatch("--[^=]+=", word):
             raise Misuse("the value of an option is empty; give a value, or leave the option out")
+    for option in _LISTS:
+        if words.count(option) > 1:
+            raise Misuse(f"{option} is given twice; give all its values together: {option} A B")
     given: dict[str, Any] = {"args": [*words], "prog": program}
     given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
     columns = WIDE

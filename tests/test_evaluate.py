@@ -90,7 +90,8 @@ def test_the_report_is_what_the_episodes_were(tmp_path, capsys):
     assert main([*arguments, "--out", str(out), "--layout", "circle"]) == 0
     said = capsys.readouterr()
     assert "100%" in said.err
-    assert "swap_v1, team SS, 5 episodes, seed 7" in said.out
+    assert "swap_v1, team SS, layout circle, 5 episodes, seed 7" in said.out
+    assert "means, with intervals in --json: time to goal, s (of successes); energy" in said.out
     assert "detour*" in said.out
     assert "sees the true state" in said.out
     report = json.loads((out / "report.json").read_text())

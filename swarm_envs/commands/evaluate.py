@@ -204,7 +204,7 @@ def _open_episodes(
 
     if options.out is None:
         return None
-    depends = {k: v for k, v in about.items() if k != "seed"}
+    depends = {"task": about["task"], "setting": options.setting()}
     depends |= {"agent": flight.agent, "source": flight.digest, "version": __version__}
     own = {name: file_digest(str(getattr(options, name))) for name in ("task", "interactions")}
     depends |= {f"file of {name}": digest for name, digest in own.items() if digest}
@@ -215,14 +215,18 @@ def _open_episodes(
 
 
 def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
-    """Return the line above the table: task, team, number of episodes and seed."""
+    """Return the line above the table: task, team, given options, number of episodes and seed."""
     teams = [each[1].core.task.team for each in made.values() if isinstance(each, tuple)]
-    team = f"{team_text(teams[0])}, " if teams else ""  # the same for all
-    return f"\n{task}, {team}{options.episodes} episodes, seed {options.seed}\n"
+    words = [task, *(team_text(team) for team in teams[:1])]  # the same for all
+    usual = {**EvaluateOptions().setting(), "team": options.team, "num_drones": options.drones}
+    given = {n: value for n, value in options.setting().items() if value != usual.get(n)}
+    words += [f"{name} {value}" for name, value in given.items()]
+    return "\n" + ", ".join([*words, f"{options.episodes} episodes", f"seed {options.seed}"]) + "\n"
 
 
 def _table(agents: list[dict[str, Any]]) -> str:
     """Return the reports as a table; a column that is empty for all agents is left out."""
+    from swarm_envs.agents.evaluation import OF_SUCCESSES
     from swarm_envs.training.scoreboard.summary import align_columns
 
     known = [report for report in agents if "error" not in report]
@@ -233,8 +237,9 @@ def _table(agents: list[dict[str, Any]]) -> str:
     if any(report.get("privileged") for report in agents):
         lines.append("* sees the true state of the simulation")
     if shown:
-        columns = ", ".join(head.partition(",")[0] for head in shown.values())
-        lines.append(f"{columns}: interquartile mean of the episodes that have one")
+        of = {True: "successes", False: "all episodes"}
+        means = [f"{head} (of {of[n in OF_SUCCESSES]})" for n, head in shown.items()]
+        lines.append(f"interquartile means, with intervals in --json: {'; '.join(means)}")
     if known:
         lines.append("decision: median (99th percentile) time per decision of the whole team")
     return "\n" + "\n".join(lines)

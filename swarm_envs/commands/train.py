@@ -94,8 +94,11 @@ def setting(config: RlConfig) -> list[str]:
     for name, value in given.items():
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
-    if config.env:
-        words += ["--env", *config.env]
+    for name in ("physics", "force_rate"):  # options of `evaluate` and not of `train`
+        if (value := config.env_options().get(name)) is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    others = [e for e in config.env if e.partition("=")[0] not in ("physics", "force_rate")]
+    words += ["--env", *others] if others else []
     if config.interactions != "learned":
         words += ["--interactions", config.interactions]
     if not config.teams:

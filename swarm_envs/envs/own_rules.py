@@ -11,11 +11,13 @@ environments, after the shared rules:
 from __future__ import annotations
 
 import inspect
+import traceback
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from swarm_envs.errors import check_array, nearest
+from swarm_envs.errors import check_array, check_type, nearest
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import World
 from swarm_envs.tasks.base import Task
@@ -51,8 +53,8 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
         end_on_success: True if success ends an episode.
 
     Raises:
-        ValueError: `success` did not return (E,) booleans, or `advance` set a goal or a score that
-            is not finite.
+        ValueError: one of them raised an exception, `success` did not return (E,) booleans, or
+            `advance` set a goal or a score that is not finite.
     """
     if inspect.ismethod(task.success):
         done = np.asarray(_call(task, "success", world))
@@ -72,17 +74,22 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
 
 
 def _call(task: Task, name: str, world: World) -> Any:
-    """Call a method of a task; an exception gets a note that states the shapes of the arrays."""
+    """Call a method of a task.
+
+    Raises:
+        ValueError: it raised an exception; the message states the shapes of the arrays.
+    """
     try:
         return getattr(task, name)(world)
     except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
         environments, drones = world.drones["position"].shape[:2]
-        error.add_note(
-            f"in {name} of task {task.name!r}: it is called for all environments at once, with "
+        raise ValueError(
+            f"{name} of task {task.name!r} raised {type(error).__name__}: {error} (line "
+            f"{frame.lineno} of {frame.filename}); it is called for all environments at once, with "
             f"world.drones of shape (E, N) = ({environments}, {drones}) and world.environments of "
             f"shape (E,) = ({environments},)"
-        )
-        raise
+        ) from error
 
 
 def _end(world: World, done: BoolArray, end_on_success: bool) -> None:
@@ -117,11 +124,13 @@ def write_own_terms(task: Task, world: World, terms: FloatArray) -> None:
     """Write the reward terms of a task's method into terms (T, E, N), in the order of their names.
 
     Raises:
-        ValueError: a term has no weight, is missing or has a wrong shape.
+        ValueError: the method raised an exception, or a term has no weight, is missing or has a
+            wrong shape.
     """
     if not inspect.ismethod(task.reward_terms):
         return
     given, names = _call(task, "reward_terms", world), task.reward_names
+    check_type(f"the result of reward_terms of task {task.name!r}", given, Mapping)
     for name, term in given.items():
         if name not in names:
             raise ValueError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from math import inf
 from typing import Any, Literal
 
 from swarm_envs.envs.config import EnvConfig
@@ -13,7 +14,8 @@ __all__ = ["WorldOptions", "parse_values"]
 
 _OTHER_NAMES = {"num_drones": "drones", "num_neighbors": "neighbors"}
 """Options of environments that have other names on the command line."""
-_TASK_OPTIONS = ("layout", "obstacles", "team")  # those of commands that are not in `EnvConfig`
+_TASK_OPTIONS = ("layout", "obstacles", "task", "team")  # options of commands, not of `EnvConfig`
+_CONSTANTS = {"true": True, "false": False, "none": None, "null": None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,17 +43,23 @@ class WorldOptions:
     """Packet loss: probability that a neighbor is not observed in a decision. If None, 0."""
 
     env: tuple[str, ...] = ()
-    """Other options of the environment as NAME=VALUE, such as fields of a custom task or
-    `reward_weights={'proximity':2.0}`; the values are Python literals or strings."""
+    """Other options of the environment as NAME=VALUE, such as fields of a custom task, or (in
+    quotes) `"reward_weights={'crash': -2.0}"`. Values are numbers, True, False, None, strings, or
+    lists and dictionaries of these."""
 
     def world_options(self) -> dict[str, Any]:
-        """Return the options that were given, as values for JSON.
-
-        Raises:
-            ValueError: an entry of `env` is not NAME=VALUE, or the command has an option for it.
-        """
+        """Return the options that were given, as values for JSON; raises as `env_options` does."""
         names = [field.name for field in fields(WorldOptions) if field.name != "env"]
         given = {name: value for name in names if (value := getattr(self, name)) is not None}
+        return given | self.env_options()
+
+    def env_options(self) -> dict[str, Any]:
+        """Return the options of `env`, as values for JSON.
+
+        Raises:
+            ValueError: an entry is not NAME=VALUE, a value has another type, or the command has an
+                option of its own for it.
+        """
         others = parse_values("--env", self.env, "spacing_m=0.8")
         shared = {field.name for field in fields(EnvConfig)} | {*_OTHER_NAMES, *_TASK_OPTIONS}
         for name in filter(shared.__contains__, others):
@@ -59,22 +67,42 @@ class WorldOptions:
             if hasattr(self, own) or hasattr(self, name):
                 option = f"--{own.replace('_', '-')}"
                 raise ValueError(f"--env has {name!r}, which has its own option; use {option}")
-        return given | others
+        return {name: _plain(name, value) for name, value in others.items()}
+
+
+def _plain(name: str, value: Any) -> Any:
+    """Return a value that JSON represents exactly, with lists in place of tuples."""
+    if isinstance(value, list | tuple):
+        return [_plain(name, each) for each in value]
+    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
+        return {key: _plain(name, each) for key, each in value.items()}
+    if isinstance(value, str) and value.lower() in _CONSTANTS:
+        constant = _CONSTANTS[value.lower()]
+        raise ValueError(f"--env has {name}={value}, which is a string; write {name}={constant}")
+    if value is None or (isinstance(value, str | int | float) and value not in (inf, -inf)):
+        return value
+    raise ValueError(
+        f"--env has {name}={value!r}, but values are finite numbers, True, False, None, strings, "
+        "or lists and dictionaries of these, whose keys are strings"
+    )
 
 
 def parse_values(option: str, entries: Sequence[str], example: str) -> dict[str, Any]:
     """Return the values of entries NAME=VALUE, Python literals or else strings, by name.
 
     Raises:
-        ValueError: an entry has another form, which the message shows by the example.
+        ValueError: an entry has another form, which the message shows by the example, or a name
+            stands twice.
     """
     found: dict[str, Any] = {}
     for entry in entries:
         name, equals, value = entry.partition("=")
         if not (name.isidentifier() and equals):
             raise ValueError(f"{option} has {entry!r}, but must have NAME=VALUE, as in {example}")
+        if name in found:
+            raise ValueError(f"{option} has {name!r} twice; give one value")
         try:
             found[name] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
+        except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
             found[name] = value  # a string, such as auto
     return found

@@ -6,10 +6,10 @@ import inspect
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -154,6 +154,7 @@ class ByScore:
         check_number("least", self.least, at_least=0.0)
 
 
+Kind = TypeVar("Kind", bound="Task")
 _SHIPPED = "swarm_envs.tasks."  # Modules of the package's tasks
 _MEMBERS = (
     "advance",
@@ -280,6 +281,16 @@ class Task(_TaskFields, ABC):
             given["success"] = Success()  # the field of a base class, which the method overrides
         copied: Self = replace(self, team=team, **given)
         return copied
+
+    def as_kind(self, kind: type[Kind], **changes: Any) -> Kind:
+        """Return a task of a base class or a subclass with the fields of this one.
+
+        Args:
+            kind: the class.
+            **changes: fields that differ.
+        """
+        names = {f.name for f in fields(self)} & {f.name for f in fields(kind)}
+        return kind(**{**{name: getattr(self, name) for name in names}, **changes})
 
     @property
     def arena(self) -> FloatArray:

@@ -142,8 +142,8 @@ class FormationTask(Task):
         layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
         evaluated={"shuffle": ("shuffle", "cube", "tour")},
         reward_weights={"at_goal": 2.0},
-        curriculum=lambda task, layout: FormationCurriculum(
-            team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+        curriculum=lambda task, layout: (
+            task.as_kind(FormationCurriculum, layout=None) if type(task) is FormationTask else task
         ),
     )
 

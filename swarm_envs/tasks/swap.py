@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -104,12 +104,13 @@ PAIRS_SHARE = 0.5  # Share of crowded episodes in which drones exchange position
 
 
 def hard_swaps(task: SwapTask, layout: str) -> SwapTask:
-    """Return the task of training: in the layout `random`, a curriculum with hard starts."""
-    if layout != "random":
+    """Return the task of training: in the layout `random`, a curriculum with hard starts.
+
+    A custom subclass, which may have its own starts and rewards, is trained as it is.
+    """
+    if layout != "random" or type(task) is not SwapTask:
         return task
-    return SwapCurriculum(
-        team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
-    )
+    return task.as_kind(SwapCurriculum)
 
 
 def kinds_of_swaps(task: SwapTask, layout: str) -> Parts:
@@ -320,8 +321,7 @@ class SwapCurriculum(SwapTask):
 
     @cached_property
     def _circle(self) -> SwapTask:
-        options = {field.name: getattr(self, field.name) for field in fields(SwapTask)}
-        return SwapTask(**{**options, "layout": "circle"})
+        return self.as_kind(SwapTask, layout="circle")
 
     def draw(self, rng: Generator, start: Given = None, goal: Given = None) -> Placement:
         """Sample an episode; with a given start or goal, it has the random layout.

@@ -24,7 +24,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.training import SharedPolicyVecEnv
 from swarm_envs.training.rl import dagger, sb3
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
-from swarm_envs.training.rl.runs import make_setting
+from swarm_envs.training.rl.runs import make_setting, parts_of
 from swarm_envs.training.rl.validation import validation_seeds
 from tests.helpers.interrupts import calls_of
 
@@ -70,7 +70,12 @@ def test_a_run_is_written_and_its_policy_flies(algo, whole, capsys):
     assert report["steps"] >= report["last"]["step"] > 0
     assert {"random_success", "circle_success"} <= report["chosen"].keys()
     assert len(curve(whole[algo])) > 1
-    assert algo == "dagger" or "rollout/ep_rew_mean" in curve(whole[algo])[-1]
+    if algo != "dagger":
+        assert "rollout/ep_rew_mean" in curve(whole[algo])[-1]
+        evaluated = [row for row in curve(whole[algo]) if row["evaluation/random_success"]]
+        steps = [float(row["time/total_timesteps"]) for row in evaluated]
+        assert steps[-1] == report["last"]["step"] and len(steps) > 1
+        assert float(evaluated[-1]["evaluation/random_crash"]) == report["last"]["random_crash"]
     agent = load(whole[algo])
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.provenance["config"] == report["config"]
@@ -91,6 +96,30 @@ def test_the_schedule_leaves_a_given_cost_of_proximity(given, costs, tmp_path):
     with calls_of(SwarmCore, "set_reward_weights") as calls:
         assert main(command("ppo", tmp_path, "--env", f"reward_weights={{'{given}': -1.0}}")) == 0
     assert {weights["proximity"] for _, weights in calls} == costs
+
+
+@pytest.mark.parametrize(
+    ("task", "given", "expected"),
+    [
+        ("swap_v1", "spacing_m=0.4", {"spacing_m": 0.4}),
+        ("formation_v1", "turn_rad=(0.0, 0.5)", {"turn_rad": [0.0, 0.5]}),
+        ("swap_v1", "reward_weights={'at_goal': 5.0}", {"at_goal": 5.0}),
+    ],
+)
+def test_given_fields_are_those_of_the_curriculum(task, given, expected):
+    config = RlConfig(out=Path("a"), env=(given,), hidden=(8,))
+    trained = make_setting(config, task).blueprints[0].task
+    found = {**vars(trained), **trained.reward_weights}
+    assert {name: found[name] for name in expected} == expected
+    assert type(trained).__name__ in ("SwapCurriculum", "FormationCurriculum")
+
+
+def test_given_fields_are_those_of_every_part():
+    config = RlConfig(out=Path("a"), algo="dagger", env=("reach_m=(1.0, 1.5)",), hidden=(8,))
+    setting = make_setting(config, "crowd_v0")
+    parts = parts_of(setting.config, "crowd_v0", setting.blueprints[0].task)
+    assert len(parts) > 1
+    assert {tuple(task.reach_m) for _, task in parts.values()} == {(1.0, 1.5)}
 
 
 def test_an_interrupted_run_of_dagger_ends_with_the_same_policy(whole, tmp_path, capsys):
@@ -129,7 +158,10 @@ def test_an_interrupted_run_of_stable_baselines3_goes_on(tmp_path, capsys):
             {"observe_delay_s": 0.1, "observe_loss": 0.2, "randomization": "mass=0.9:1.1"},
             "--task swap --observe-delay-s 0.1 --observe-loss 0.2",
         ),
-        ({"env": ("end_on_success=False",)}, "--task swap --env end_on_success=False"),
+        (
+            {"env": ("end_on_success=False", "force_rate=240")},
+            "--task swap --force-rate 240 --env end_on_success=False",
+        ),
     ],
 )
 def test_a_run_names_the_command_that_evaluates_it(options, words):

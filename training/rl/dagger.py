@@ -43,8 +43,14 @@ from swarm_envs.training.rl.advice import advice
 from swarm_envs.training.rl.encoders import Actor
 from swarm_envs.training.rl.labels import Teacher, teachers_of
 from swarm_envs.training.rl.rl_config import RlConfig
-from swarm_envs.training.rl.runs import REPORT, Evaluation, Setting, make_setting, result_options
-from swarm_envs.training.rl.validation import learning_of
+from swarm_envs.training.rl.runs import (
+    REPORT,
+    Evaluation,
+    Setting,
+    make_setting,
+    parts_of,
+    result_options,
+)
 
 LARGEST_GRADIENT = 1.0
 NOISY = 3  # One in this many environments has noise on its actions
@@ -137,7 +143,7 @@ class Dagger:
         counts: list[int] = []
         taught: list[tuple[str, int]] = []
         for blueprint in self.setting.blueprints:
-            found = learning_of(self.setting.task).parts(blueprint.task, str(self.config.layout))
+            found = parts_of(self.config, self.setting.task, blueprint.task)
             given = [max(1, round(portion * share)) for portion, _ in found.values()]
             counts += [share - sum(given[1:]), *given[1:]]
             parts += [blueprint._replace(task=task) for _, task in found.values()]

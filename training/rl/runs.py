@@ -12,6 +12,9 @@ from swarm_envs.agents.features import TYPES, FeatureSizes, feature_sizes
 from swarm_envs.agents.networks import Network
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, observation_options, write_policy
 from swarm_envs.envs.options import Blueprint, batch_of
+from swarm_envs.errors import check_type
+from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.learning import Parts
 from swarm_envs.training.provenance import check_same, json_ready
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.validation import (
@@ -79,11 +82,12 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         ValueError: an option has an invalid value.
     """
     learning, world = learning_of(task), config.world_options()
-    weights = {**learning.reward_weights, **world.pop("reward_weights", {})}
+    chosen = world.pop("reward_weights", {})
+    check_type("reward_weights", chosen, Mapping)
     options = {
         **learning.layouts[str(config.layout)],
         **team,
-        "reward_weights": weights,
+        "reward_weights": {**learning.reward_weights, **chosen},
         "interactions": config.interactions,
         "action": config.action,
         "decision_rate": config.decision_rate,
@@ -98,9 +102,17 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     flown = learning.curriculum(found.task, str(config.layout))
     clock = config.horizon_s or flown.episode_s
     weights = dict(flown.reward_weights)
-    for name in learning.reward_weights.keys() & {"at_goal", "tracking"}:
+    for name in learning.reward_weights.keys() & {"at_goal", "tracking"} - chosen.keys():
         weights[name] = weights[name] / clock  # the task integrates these over time
     return found._replace(task=replace(flown, reward_weights=weights))
+
+
+def parts_of(config: RlConfig, task: str, trained: Task) -> Parts:
+    """Return the parts of a training task, which keep the fields that `--env` gives."""
+    names = {field.name for field in fields(trained)} - {"reward_weights"}
+    own = {name: value for name, value in config.env_options().items() if name in names}
+    parts = learning_of(task).parts(trained, str(config.layout))
+    return {name: (share, replace(each, **own)) for name, (share, each) in parts.items()}
 
 
 def observed_in_rows(config: RlConfig) -> tuple[int, bool, bool, bool]:

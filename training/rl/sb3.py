@@ -104,12 +104,9 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             finally:
                 model.logger.close()
                 env.close()
-        evaluation.add(network_of(model), model.num_timesteps)
         model.save(config.out / CHECKPOINTS / f"rl_model_{model.num_timesteps}_steps")  # to extend
-        options = result_options(config, task)
-        write_json(config.out / RUN, {"config": options, "evaluations": evaluation.results})
         report = {
-            "config": options,
+            "config": result_options(config, task),
             "steps": model.num_timesteps,
             "chosen": evaluation.best,
             "last": evaluation.results[-1],
@@ -278,12 +275,22 @@ class EvaluationCallback(BaseCallback):  # type: ignore[misc]
         config, results = self._evaluation.setting.config, self._evaluation.results
         due = (len(results) + 1) * config.steps / config.evaluations
         if due <= self.num_timesteps < config.steps:
-            rates = self._evaluation.add(network_of(self.model), self.num_timesteps)
-            for name, value in rates.items():
-                self.logger.record(f"evaluation/{name}", value)
-            options = result_options(config, self._evaluation.setting.task)
-            write_json(config.out / RUN, {"config": options, "evaluations": results})
+            self._evaluate()
         return True
+
+    def _on_training_end(self) -> None:
+        self._evaluate()
+
+    def _evaluate(self) -> None:
+        config, steps = self._evaluation.setting.config, self.num_timesteps
+        rates = self._evaluation.add(network_of(self.model), steps)
+        self.logger.record("time/total_timesteps", steps)
+        for name, value in rates.items():
+            self.logger.record(f"evaluation/{name}", value)
+        self.logger.dump(steps)
+        options = result_options(config, self._evaluation.setting.task)
+        results = self._evaluation.results
+        write_json(config.out / RUN, {"config": options, "evaluations": results})
 
 
 def network_of(model: BaseAlgorithm) -> Network:

@@ -31,8 +31,11 @@ def learning_of(task: str) -> Learning:
     Raises:
         ValueError: there is no such task.
     """
-    learning = task_class(task).learning
-    return Learning(layouts={"own": {}}, horizon_s=None) if learning is None else learning
+    kind = task_class(task)
+    if kind.learning is not None:
+        return kind.learning
+    layouts = {name: {"layout": name} for name in kind.layouts} or {"own": {}}
+    return Learning(layouts=layouts, horizon_s=None)
 
 
 def with_defaults(config: RlConfig, task: str) -> RlConfig:
@@ -53,7 +56,7 @@ def with_defaults(config: RlConfig, task: str) -> RlConfig:
     layout = given.get("layout", config.layout)
     check_name("--layout", layout, learning.layouts)
     if not config.teams:
-        made = batch_of(task, **learning.layouts[str(layout)])
+        made = batch_of(task, **{**learning.layouts[str(layout)], **config.world_options()})
         tokens = [vehicle.token for vehicle in made.task.team]
         small = {*tokens} == {"S"}  # then it is the same run as with --drones
         given |= {"drones": len(tokens)} if small else {"team": ("".join(tokens),)}
@@ -103,7 +106,7 @@ def evaluate_policy(
     flights = [*product(teams or ({},), layouts)]
     bar = tqdm(flights, "evaluating", leave=False, unit="layout", delay=2.0, disable=not progress)
     for team, layout in bar:
-        given = {"threads": 1, **options, **team, **learning.layouts[layout], **agent.requires}
+        given = {"threads": 1, **learning.layouts[layout], **options, **team, **agent.requires}
         blueprint = batch_of(task, **given)
         core = SwarmCore(blueprint.task, blueprint.config, min(AT_ONCE, len(seeds)))
         metrics = fly_batch(core, agent.act_batch, seeds)
