@@ -195,9 +195,10 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     for word in words:
         if not word or re.fullmatch("--[^=]+=", word):
             raise Misuse("the value of an option is empty; give a value, or leave the option out")
+    names = [word.partition("=")[0] for word in words]
     for option in _LISTS:
-        if words.count(option) > 1:
-            raise Misuse(f"{option} is given twice; give all its values together: {option} A B")
+        if names.count(option) > 1:
+            raise Misuse(f"{option} is given twice; give it once, with all its values")
     given: dict[str, Any] = {"args": [*words], "prog": program}
     given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
     columns = WIDE

@@ -100,7 +100,11 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
         (["--replay", "a.htm"], "must end in .html"),
         (["--env", "start_radius"], "--env has 'start_radius', but must have NAME=VALUE"),
         (["--env", "a=1", "a=2"], "--env has 'a' twice"),
-        (["--env", "a=1", "--env", "b=2"], "--env is given twice; give all its values together"),
+        (
+            ["--env", "a=1", "--env", "b=2"],
+            "--env is given twice; give it once, with",
+        ),
+        (["--env=a=1", "--env=b=2"], "--env is given twice"),
         (["--env", "end_on_success=false"], "is a string; write end_on_success=False"),
         (["--env", "spacing_m={1,2}"], "--env has spacing_m={1, 2}, but values are finite numbers"),
         (["--env", "spacing_m=1e999"], "--env has spacing_m=inf, but values are finite numbers"),

@@ -218,10 +218,11 @@ def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
     """Return the line above the table: task, team, given options, number of episodes and seed."""
     teams = [each[1].core.task.team for each in made.values() if isinstance(each, tuple)]
     words = [task, *(team_text(team) for team in teams[:1])]  # the same for all
-    usual = {**EvaluateOptions().setting(), "team": options.team, "num_drones": options.drones}
-    given = {n: value for n, value in options.setting().items() if value != usual.get(n)}
-    words += [f"{name} {value}" for name, value in given.items()]
-    return "\n" + ", ".join([*words, f"{options.episodes} episodes", f"seed {options.seed}"]) + "\n"
+    usual = EvaluateOptions().setting().items()
+    given = {n: value for n, value in options.setting().items() if (n, value) not in usual}
+    shown = [f"{n} {value}" for n, value in given.items() if n not in ("team", "num_drones")]
+    words += [*shown, f"{options.episodes} episodes", f"seed {options.seed}"]
+    return "\n" + ", ".join(words) + "\n"
 
 
 def _table(agents: list[dict[str, Any]]) -> str:

@@ -82,7 +82,9 @@ def _call(task: Task, name: str, world: World) -> Any:
     try:
         return getattr(task, name)(world)
     except Exception as error:
-        frame = traceback.extract_tb(error.__traceback__)[-1]
+        frames = traceback.extract_tb(error.__traceback__)
+        own = frames[min(1, len(frames) - 1)].filename  # the file of the method, below this call
+        frame = [each for each in frames if each.filename == own][-1]
         environments, drones = world.drones["position"].shape[:2]
         raise ValueError(
             f"{name} of task {task.name!r} raised {type(error).__name__}: {error} (line "

@@ -6,7 +6,7 @@ import inspect
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
@@ -276,11 +276,7 @@ class Task(_TaskFields, ABC):
         Raises:
             ValueError: the task does not fit the team; the message gives the reason.
         """
-        given: dict[str, Any] = {}
-        if inspect.ismethod(self.success) and "success" in self.__dataclass_fields__:
-            given["success"] = Success()  # the field of a base class, which the method overrides
-        copied: Self = replace(self, team=team, **given)
-        return copied
+        return self.as_kind(type(self), team=team)
 
     def as_kind(self, kind: type[Kind], **changes: Any) -> Kind:
         """Return a task of a base class or a subclass with the fields of this one.
@@ -290,7 +286,10 @@ class Task(_TaskFields, ABC):
             **changes: fields that differ.
         """
         names = {f.name for f in fields(self)} & {f.name for f in fields(kind)}
-        return kind(**{**{name: getattr(self, name) for name in names}, **changes})
+        given = {**{name: getattr(self, name) for name in names}, **changes}
+        if inspect.isfunction(kind.success):
+            given.pop("success", None)  # the field of a base class, which the method overrides
+        return kind(**given)
 
     @property
     def arena(self) -> FloatArray:

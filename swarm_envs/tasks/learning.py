@@ -6,7 +6,7 @@ It defines the episodes that `swarm-envs train` uses, and the quality of a polic
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -160,5 +160,5 @@ def _each_layout(task: Any, layout: str) -> Parts:
         obstacles = (*task.obstacles, *own.get("obstacles", ()))
         # `task.success` is that of the task's own layout; each part has its layout's default.
         given = {"success": type(task).success, **own, "obstacles": obstacles}
-        parts[name] = (1 / len(every), replace(task, **given))
+        parts[name] = (1 / len(every), task.as_kind(type(task), **given))
     return parts

@@ -16,10 +16,13 @@ from examples import own_task
 from swarm_envs.cli import main
 from swarm_envs.compiled import kernel
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.options import batch_of, blueprint_of
+from swarm_envs.envs.options import batch_of, blueprint_of, task_class
 from swarm_envs.tasks.base import Placement, Task
 from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
+from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.runs import parts_of, training_blueprint
+from swarm_envs.training.rl.validation import with_defaults
 from swarm_envs.vehicles import parse_team, team_string
 
 FILE = Path(own_task.__file__)
@@ -224,6 +227,18 @@ def test_a_subclass_of_a_task_with_a_curriculum_is_trained_as_it_is():
     task = blueprint_of(OwnSwap, num_drones=4).task
     assert SwapTask.learning is not None
     assert SwapTask.learning.curriculum(task, "random") is task
+
+
+@pytest.mark.parametrize("base", ["swap_v1", "formation_v1", "crowd_v0"])
+def test_a_subclass_with_a_method_success_can_be_trained(base):
+    def success(self, world):
+        return world.environments["reached"] > 0
+
+    task: Any = dataclass(frozen=True)(type("Own", (task_class(base),), {"success": success}))
+    config = with_defaults(RlConfig(out=FILE.parent, algo="dagger"), task)
+    trained = training_blueprint(config, task, config.teams[0]).task
+    parts = parts_of(config, task, trained).values()
+    assert all(type(part) is task and part.success.__func__ is success for _, part in parts)
 
 
 @pytest.mark.parametrize("method", ["success", "advance", "reward_terms"])

@@ -104,7 +104,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     weights = dict(flown.reward_weights)
     for name in learning.reward_weights.keys() & {"at_goal", "tracking"} - chosen.keys():
         weights[name] = weights[name] / clock  # the task integrates these over time
-    return found._replace(task=replace(flown, reward_weights=weights))
+    return found._replace(task=flown.as_kind(type(flown), reward_weights=weights))
 
 
 def parts_of(config: RlConfig, task: str, trained: Task) -> Parts:
@@ -112,7 +112,7 @@ def parts_of(config: RlConfig, task: str, trained: Task) -> Parts:
     names = {field.name for field in fields(trained)} - {"reward_weights"}
     own = {name: value for name, value in config.env_options().items() if name in names}
     parts = learning_of(task).parts(trained, str(config.layout))
-    return {name: (share, replace(each, **own)) for name, (share, each) in parts.items()}
+    return {name: (share, each.as_kind(type(each), **own)) for name, (share, each) in parts.items()}
 
 
 def observed_in_rows(config: RlConfig) -> tuple[int, bool, bool, bool]:

@@ -93,7 +93,8 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
         model.set_logger(_logger(config.out, model.num_timesteps))
         _announce_rounding(model, config.steps)
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
-            callbacks: list[BaseCallback] = [ProgressCallback(bar), EvaluationCallback(evaluation)]
+            evaluations = EvaluationCallback(evaluation)
+            callbacks: list[BaseCallback] = [ProgressCallback(bar), evaluations]
             folder, every = config.out / CHECKPOINTS, -(-config.steps // config.evaluations)
             callbacks.append(CheckpointCallback(max(every // env.num_envs, 1), str(folder)))
             if isinstance(model, OnPolicyAlgorithm):
@@ -101,6 +102,7 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             remaining = config.steps - model.num_timesteps
             try:
                 model.learn(max(remaining, 0), callbacks, reset_num_timesteps=False)
+                evaluations.evaluate(model)
             finally:
                 model.logger.close()
                 env.close()
@@ -275,19 +277,17 @@ class EvaluationCallback(BaseCallback):  # type: ignore[misc]
         config, results = self._evaluation.setting.config, self._evaluation.results
         due = (len(results) + 1) * config.steps / config.evaluations
         if due <= self.num_timesteps < config.steps:
-            self._evaluate()
+            self.evaluate(self.model)
         return True
 
-    def _on_training_end(self) -> None:
-        self._evaluate()
-
-    def _evaluate(self) -> None:
-        config, steps = self._evaluation.setting.config, self.num_timesteps
-        rates = self._evaluation.add(network_of(self.model), steps)
-        self.logger.record("time/total_timesteps", steps)
+    def evaluate(self, model: BaseAlgorithm) -> None:
+        """Evaluate the policy of a model, and log and store the results."""
+        config, steps = self._evaluation.setting.config, model.num_timesteps
+        rates = self._evaluation.add(network_of(model), steps)
+        model.logger.record("time/total_timesteps", steps)
         for name, value in rates.items():
-            self.logger.record(f"evaluation/{name}", value)
-        self.logger.dump(steps)
+            model.logger.record(f"evaluation/{name}", value)
+        model.logger.dump(steps)
         options = result_options(config, self._evaluation.setting.task)
         results = self._evaluation.results
         write_json(config.out / RUN, {"config": options, "evaluations": results})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import product
 from typing import Any
 
@@ -34,7 +34,9 @@ def learning_of(task: str) -> Learning:
     kind = task_class(task)
     if kind.learning is not None:
         return kind.learning
-    layouts = {name: {"layout": name} for name in kind.layouts} or {"own": {}}
+    default = {field.name: field.default for field in fields(kind)}.get("layout")
+    names = sorted(kind.layouts, key=default.__ne__)  # the default first
+    layouts = {name: {"layout": name} for name in names} or {"own": {}}
     return Learning(layouts=layouts, horizon_s=None)
 
 
