@@ -16,6 +16,7 @@ from swarm_envs.training.rl.rl_config import RlConfig
 
 TrainOptions = RlConfig
 """Options of the command."""
+_EVALUATES = {"physics", "force_rate"}  # Options that `evaluate` has and `train` has not
 
 
 def check_training(config: RlConfig) -> str:
@@ -94,10 +95,10 @@ def setting(config: RlConfig) -> list[str]:
     for name, value in given.items():
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("physics", "force_rate"):  # options of `evaluate` and not of `train`
-        if (value := config.env_options().get(name)) is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
-    others = [e for e in config.env if e.partition("=")[0] not in ("physics", "force_rate")]
+    options = config.env_options()
+    for name in sorted(options.keys() & _EVALUATES):
+        words += [f"--{name.replace('_', '-')}", str(options[name])]
+    others = [entry for entry in config.env if entry.partition("=")[0] not in _EVALUATES]
     words += ["--env", *others] if others else []
     if config.interactions != "learned":
         words += ["--interactions", config.interactions]
