@@ -285,7 +285,7 @@ class Task(_TaskFields, ABC):
             kind: the class.
             **changes: fields that differ.
         """
-        names = {f.name for f in fields(self)} & {f.name for f in fields(kind)}
+        names = {f.name for f in fields(self)} & {f.name for f in fields(kind) if f.init}
         given = {**{name: getattr(self, name) for name in names}, **changes}
         if inspect.isfunction(kind.success):
             given.pop("success", None)  # the field of a base class, which the method overrides

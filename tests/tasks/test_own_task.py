@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, make_dataclass
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -177,6 +177,14 @@ class Tower(Endless):
     @classmethod
     def default_team(cls, options):
         return parse_team("S*" * options.num_drones)
+
+
+def test_a_task_with_a_derived_field_flies_with_another_team():
+    made = make_dataclass(
+        "Derived", [("count", int, field(init=False, default=7))], bases=(OwnSwap,), frozen=True
+    )
+    task = made(team=parse_team("SS")).with_team(parse_team("LL"))
+    assert (team_string(task.team), task.count) == ("LL", 7)
 
 
 def test_a_task_has_defaults_and_a_team_of_its_own():
