@@ -14,6 +14,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import is_dataclass
+from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from swarm_envs import __version__
@@ -199,6 +200,9 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     for option in _LISTS:
         if names.count(option) > 1:
             raise Misuse(f"{option} is given twice; give it once, with all its values")
+    for word, following in pairwise([*words, "--"]):
+        if word in ("--env", "--set") and following.startswith("--"):
+            raise Misuse(f"{word} has no value; give NAME=VALUE, or leave the option out")
     given: dict[str, Any] = {"args": [*words], "prog": program}
     given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
     columns = WIDE

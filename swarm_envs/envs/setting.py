@@ -15,7 +15,7 @@ __all__ = ["WorldOptions", "parse_values"]
 _OTHER_NAMES = {"num_drones": "drones", "num_neighbors": "neighbors"}
 """Options of environments that have other names on the command line."""
 _TASK_OPTIONS = ("layout", "obstacles", "task", "team")  # options of commands, not of `EnvConfig`
-_CONSTANTS = {"true": True, "false": False, "none": None, "null": None}
+_CONSTANTS = {"true": True, "yes": True, "false": False, "no": False, "none": None, "null": None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +43,8 @@ class WorldOptions:
     """Packet loss: probability that a neighbor is not observed in a decision. If None, 0."""
 
     env: tuple[str, ...] = ()
-    """Other options of the environment as NAME=VALUE, such as fields of a custom task, or (in
-    quotes) `"reward_weights={'crash': -2.0}"`. Values are numbers, True, False, None, strings, or
+    """Other options of the environment as NAME=VALUE, such as fields of a custom task, or with
+    quotes "reward_weights={'crash': -2.0}". Values are numbers, True, False, None, strings, or
     lists and dictionaries of these."""
 
     def world_options(self) -> dict[str, Any]:
