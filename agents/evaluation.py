@@ -334,6 +334,7 @@ _OF_ALL = (
     "worst_height_error_m",
     "worst_force_g",
     "length_s",
+    "mean_return",
 )
 _SCORES = ("throughput_per_min", "share_on_goal", "gates_per_min")
 
@@ -389,7 +390,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     drone collided, left the arena or tumbled; `collision_rate_by_kind`, where an episode may count
     for several kinds; `near_miss_rate`, of episodes with a near miss and no crash. Interquartile
     means (with bootstrap intervals): `time_to_goal_s` and `energy_j` of the successful episodes,
-    other metrics and the task's score of all episodes that have them, null if none has. Also the
+    other metrics, the return and the task's score of all episodes, null if none has them. Also the
     smallest separation and the largest errors. `act_ms`: the median and 99th percentile of the
     time of a decision of the whole team, from the `timed_decisions`, those of episodes that were
     simulated one at a time.
@@ -423,7 +424,8 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     scores = [name for name in _SCORES if name in metrics[0]]
     for names, of in ((OF_SUCCESSES, successes), ((*_OF_ALL, *scores), metrics)):
         for name in names:
-            values = np.array([m[name] for m in of if m[name] is not None], dtype=np.float64)
+            known = [m[name] for m in of if m.get(name) is not None]
+            values = np.array(known, dtype=np.float64)
             numbers[name] = float(interquartile_mean(values)) if len(values) else None
             if len(values):
                 intervals[name] = bootstrap_interval(values)

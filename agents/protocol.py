@@ -110,7 +110,9 @@ def fly_episode(
     watch: Callable[[SwarmParallelEnv], None] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Simulate one episode and return its metrics.
+    """Simulate one episode and return its metrics, with `mean_return`.
+
+    `mean_return` is the sum of a drone's rewards, averaged over the drones.
 
     Args:
         env: an environment with the options that the agent requires.
@@ -161,10 +163,11 @@ def _fly(
     """Simulate an episode; yield rewards and infos after the reset and after each step.
 
     The agent always acts for the whole team: the observations of drones whose episodes have ended
-    are zeros, and their actions are ignored.
+    are zeros, and their actions are ignored. The metrics of the last infos have `mean_return`.
     """
     check_requirements(env, agent)
     observations, infos = env.reset(seed=seed, options=options)
+    returns = dict.fromkeys(env.possible_agents, 0.0)
     agent.reset(env, seed)
     yield {}, infos
     while env.agents:
@@ -172,7 +175,12 @@ def _fly(
         if len(env.agents) < len(env.possible_agents):
             actions = {agent: actions[agent] for agent in env.agents}
         observations, rewards, _, _, infos = env.step(actions)
-        if len(env.agents) < len(env.possible_agents):
+        for name, reward in rewards.items():
+            returns[name] += reward
+        if not env.agents:
+            for info in infos.values():
+                info["episode_metrics"]["mean_return"] = float(np.mean([*returns.values()]))
+        elif len(env.agents) < len(env.possible_agents):
             observations = env.split(env.core.rows)
         yield rewards, infos
 
@@ -246,7 +254,7 @@ def flies_batches(env: SwarmParallelEnv, agent: Agent) -> bool:
 
 
 def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """Simulate one episode per seed, E at a time, and return their metrics in order.
+    """Simulate one episode per seed, E at a time, and return their metrics, as `fly_episode` does.
 
     Args:
         core: E environments with the options that the agent requires.
@@ -261,11 +269,14 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
         chunk = list(seeds[first : first + core.num_envs])
         idle = core.num_envs - len(chunk)
         rows = core.reset([*chunk, *[None] * idle], np.arange(core.num_envs) < len(chunk))
+        returns = np.zeros((core.num_envs, core.num_drones))
         while core.running.any():
             actions = np.zeros((core.num_envs, core.num_drones, core.mode.width))
             actions[core.running] = _checked_actions(act, rows[core.running], core.mode.width)
-            rows = core.step(actions).observations
-        metrics += [core.metrics(e) for e in range(len(chunk))]
+            rows, rewards, *_ = core.step(actions)
+            returns += rewards
+        ended = enumerate(returns[: len(chunk)])
+        metrics += [{**core.metrics(e), "mean_return": float(row.mean())} for e, row in ended]
     return metrics
 
 

@@ -294,3 +294,24 @@ def test_what_it_refuses():
     env = swarm_envs.make("crowd_v0", physics="batch", num_drones=2, **agent.requires)
     with pytest.raises(ValueError, match="in crowd_v0 each drone receives a new goal"):
         fly_episode(env, agent, seed=0)
+
+
+@pytest.mark.parametrize("on_contact", ["end_team", "end_pair"])
+def test_the_return_is_the_sum_of_the_rewards_that_a_user_adds_up(on_contact):
+    agent = load("straight-line")
+    env = swap_v1.parallel_env(
+        num_drones=8, physics="batch", on_contact=on_contact, **agent.requires
+    )
+    observations, _ = env.reset(seed=3)
+    agent.reset(env, 3)
+    collected: list[float] = []
+    while env.agents:
+        actions = agent.act(observations, env.view)
+        observations, rewards, _, _, _ = env.step({name: actions[name] for name in env.agents})
+        padded = env.split(env.core.rows)
+        observations = {name: padded[name] for name in env.possible_agents}
+        collected += rewards.values()
+    metrics = fly_episode(env, agent, seed=3)
+    assert metrics["mean_return"] == pytest.approx(sum(collected) / 8, rel=1e-12)
+    assert abs(metrics["mean_return"]) > 0.01
+    env.close()

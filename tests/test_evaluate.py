@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from swarm_envs.agents.evaluation import (
     score_episodes,
 )
 from swarm_envs.agents.models import ModelAgent
-from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.policy import FILE, PolicyAgent, write_policy
 from swarm_envs.cli import main
 from swarm_envs.envs.options import options_type
 from swarm_envs.training.scoreboard.results import Cell, Results
@@ -250,6 +251,36 @@ def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
     assert re.search(why, json.loads((tmp_path / "out" / "report.json").read_text())["error"])
     (kept,) = (tmp_path / "out" / "episodes").iterdir()
     assert kept.read_text().count("\n") == 1 + TIMED  # what was flown before it failed
+
+
+def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys):
+    """A note for `evaluate` and `fly`, unless the options are those of the training."""
+    weights = "reward_weights={'crash': -2}"
+    shipped = load("swap-dagger")
+    assert isinstance(shipped, PolicyAgent)
+    trained = replace(shipped.policy, provenance={"config": {"env": [weights]}})
+    write_policy(tmp_path / FILE, trained)
+    arguments = ["--agent", str(tmp_path), "--horizon-s", "0.5", "--physics", "batch"]
+    for command in (["evaluate", "--episodes", "2", *arguments], ["fly", *arguments]):
+        assert main(command) == 0
+        said = capsys.readouterr().out
+        assert f"was trained with --env {weights}, but flies with no --env" in said
+        assert main([*command, "--env", weights]) == 0
+        assert "was trained" not in capsys.readouterr().out
+
+
+def test_the_return_of_own_rewards_is_in_the_table(capsys, tmp_path):
+    task, file = Path(__file__).parents[1] / "examples" / "own_task.py", tmp_path / "a.json"
+    words = ["--task", f"{task}:LineTask", "--agent", "fast-line", "--episodes", "3"]
+    returns = []
+    for weight in (0.1, 1.1):
+        given = f"reward_weights={{'upright': {weight}}}"
+        assert main(["evaluate", *words, "--json", str(file), "--env", given]) == 0
+        assert "return per drone" in capsys.readouterr().out
+        report = json.loads(file.read_text())
+        returns.append(report["mean_return"])
+    # fast-line tilts: per second of an episode, an upright drone would have gained all of it
+    assert 0.7 * report["length_s"] < returns[1] - returns[0] < report["length_s"]
 
 
 def test_seeds_are_frozen_and_fewer_are_the_first_of_more():

@@ -153,6 +153,17 @@ def test_the_options_of_a_flight_are_in_its_json(tmp_path):
     }
 
 
+def test_the_first_line_has_the_conditions(capsys):
+    words = ["--agent", "hover", "--horizon-s", "0.2", "--physics", "batch", "--world", "hall"]
+    assert main(["fly", *words, "--env", "end_on_success=False"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == (
+        "swap_v1, team SSSS, physics batch, horizon_s 0.2, world hall, end_on_success False, "
+        "agent hover, seed 0"
+    )
+    assert main(["fly", "--task", "gates", "--agent", "hover", *words[2:6]]) == 0
+    assert "world hall, agent hover" in capsys.readouterr().out  # the default of gates
+
+
 def test_the_best_agent_among_obstacles_sees_them(capsys):
     column = ["--obstacles", "column=1:1:0.15", "--physics", "batch"]
     assert main(["fly", *column]) == 0

@@ -24,6 +24,7 @@ from swarm_envs.commands.fly import (
     find_task,
     prepare,
     team_text,
+    training_notes,
 )
 from swarm_envs.envs.options import Blueprint, blueprint_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -146,7 +147,9 @@ def _evaluate(
     for path in reports:
         write_json(path, content)
         print(f"wrote {path}", flush=True)
-    print(_head(options, task, made), _table(agents), sep="")
+    flown = {name: each[0] for name, each in made.items() if isinstance(each, tuple)}
+    notes = training_notes(flown, options)
+    print(_head(options, task, made), "\n".join([_table(agents), *notes]), sep="")
     return failed
 
 
@@ -218,10 +221,7 @@ def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
     """Return the line above the table: task, team, given options, number of episodes and seed."""
     teams = [each[1].core.task.team for each in made.values() if isinstance(each, tuple)]
     words = [task, *(team_text(team) for team in teams[:1])]  # the same for all
-    usual = EvaluateOptions().setting().items()
-    given = {n: value for n, value in options.setting().items() if (n, value) not in usual}
-    shown = [f"{n} {value}" for n, value in given.items() if n not in ("team", "num_drones")]
-    words += [*shown, f"{options.episodes} episodes", f"seed {options.seed}"]
+    words += [*options.conditions(), f"{options.episodes} episodes", f"seed {options.seed}"]
     return "\n" + ", ".join(words) + "\n"
 
 
@@ -253,6 +253,7 @@ _COLUMNS = {
     "share_on_goal": "share on goal",
     "gates_per_min": "gates per minute",
     "energy_j": "energy, J",
+    "mean_return": "return per drone",
 }
 """Fields of a report and their column headings, in the order of the table."""
 

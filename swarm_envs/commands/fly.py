@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,6 +109,12 @@ class EpisodeOptions(WorldOptions, EpisodeFields):
             name: value for name, value in given.items() if value is not None
         } | self.world_options()
 
+    def conditions(self) -> list[str]:
+        """Return the options of the environment, besides the team, that are not the defaults."""
+        usual = type(self)().setting().items()
+        given = [(n, v) for n, v in self.setting().items() if (n, v) not in usual]
+        return [f"{name} {value}" for name, value in given if name not in ("team", "num_drones")]
+
 
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(EpisodeOptions):
@@ -176,7 +182,9 @@ def run_fly(options: FlyOptions) -> None:
             raise ValueError(cannot_fly(name, error)) from error
     with closing(env):
         recording = _fly(env, agent, name, options)
-    _print_summary(recording, blueprint.config.hall is not None)
+    _print_summary(recording, options, blueprint.config.hall is not None)
+    for note in training_notes({name: agent}, options):
+        print(note)
     if agent.privileged:
         limited = blueprint.config.communicates
         more = "; limits of communication hold for observations only" if limited else ""
@@ -321,8 +329,8 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
             traceback.print_exc()
         elif bar.bar is None and isinstance(error, ValueError):
             raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
-        what = f"{type(error).__name__}: {error}"
-        raise ValueError(f"the episode of agent {name!r} failed: {what}") from error
+        where = f"the episode of seed {options.seed}, flown by agent {name!r}, failed"
+        raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
     finally:
         bar.close()
 
@@ -356,12 +364,35 @@ def team_text(team: Team) -> str:
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
-def _print_summary(recording: Recording, in_hall: bool) -> None:
+def training_notes(agents: Mapping[str, Agent], options: EpisodeOptions) -> list[str]:
+    """Return a note for each policy that was trained with other values of `--env`."""
+    from swarm_envs.agents.policy import PolicyAgent
+
+    notes, here = [], options.env_options()
+    for name, agent in agents.items():
+        if not isinstance(agent, PolicyAgent):
+            continue
+        config = agent.policy.provenance.get("config", {})
+        trained = replace(options, env=tuple(config.get("env", ()))).env_options()
+        if trained != here:
+            theirs, ours = (_env_text(given) for given in (trained, here))
+            notes.append(f"note: {name} was trained with {theirs}, but flies with {ours}")
+    return notes
+
+
+def _env_text(given: Mapping[str, Any]) -> str:
+    words = " ".join(f"{name}={value}" for name, value in given.items())
+    return f"--env {words}" if words else "no --env"
+
+
+def _print_summary(recording: Recording, options: FlyOptions, in_hall: bool) -> None:
     from swarm_envs.viewing.summary import outcome
 
     about, metrics = recording.about, recording.about.metrics
-    task = f"{about.task} in the hall" if in_hall else about.task
-    print(f"{task}, {team_text(recording.team)}, agent {about.agent}, seed {about.seed}")
+    flown = [about.task, team_text(recording.team), *options.conditions()]
+    if in_hall and options.world is None:
+        flown.append("world hall")
+    print(", ".join([*flown, f"agent {about.agent}", f"seed {about.seed}"]))
     print(outcome(recording))
     if goals := _goals_text(metrics, len(recording.team)):
         print(f"  Goals     {goals}")
