@@ -159,7 +159,7 @@ def announce_compilation(entry: Callable[..., Any]) -> None:
     else:
         return
     _announced = True
-    sys.stderr.write(f"swarm_envs: compiling kernels (10 to 30 s){when} ...\n")
+    sys.stderr.write(f"swarm_envs: compiling kernels (10 to 60 s){when} ...\n")
     sys.stderr.flush()
 
 

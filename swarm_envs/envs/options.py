@@ -310,9 +310,7 @@ def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
     for name in options:
         if name not in names:
             hint = _OTHERS_NAMES.get(name) or nearest(name, names)
-            raise TypeError(
-                f"{kind.__name__}() got an unexpected keyword argument {name!r}; {hint}"
-            )
+            raise TypeError(f"{kind.task_type.name} has no option {name!r}; {hint}")
     return kind(**options).blueprint()
 
 

@@ -271,10 +271,10 @@ def test_setpoints_that_cannot_be_observed():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"frameskip": 2}, TypeError, "unexpected keyword argument 'frameskip'; decision_rate is"),
-        ({"max_cycles": 2}, TypeError, "argument 'max_cycles'; the time limit is horizon_s"),
-        ({"continuous": True}, TypeError, "argument 'continuous'; every action is continuous"),
-        ({"num_drone": 2}, TypeError, "argument 'num_drone'; did you mean 'num_drones'"),
+        ({"frameskip": 2}, TypeError, "has no option 'frameskip'; decision_rate is"),
+        ({"max_cycles": 2}, TypeError, "option 'max_cycles'; the time limit is horizon_s"),
+        ({"continuous": True}, TypeError, "option 'continuous'; every action is continuous"),
+        ({"num_drone": 2}, TypeError, "option 'num_drone'; did you mean 'num_drones'"),
         ({"layout": "cricle"}, ValueError, "unknown layout 'cricle'; did you mean 'circle'"),
         ({"team": "SX"}, ValueError, "unknown vehicle token 'X'"),
         ({"num_drones": 0}, ValueError, "num_drones is 0, but must be an integer of at least 1"),
