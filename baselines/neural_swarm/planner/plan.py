@@ -18,7 +18,7 @@ from swarm_envs.baselines.neural_swarm.planner.problem import Plane, PlanningBou
 from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck
-from swarm_envs.errors import check_array, check_name, unknown_name
+from swarm_envs.errors import check_array, check_name, check_number, unknown_name
 from swarm_envs.files import read_npz, written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
@@ -194,6 +194,7 @@ def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
         widths = ((steps + 1, count, 6), (steps, count, 3), (steps + 1, count, 3))
         shapes |= {f"{owner}_{part}": shape for part, shape in zip(_PARTS, widths)}
     arrays = {name: check_array(name, raw[name], shape) for name, shape in shapes.items()}
+    check_number("dt", about["dt"], above=0.0, unit="s")
     motions: dict[str, Any] = {
         owner: Trajectories(**{p: arrays[f"{owner}_{p}"] for p in _PARTS}, dt=float(about["dt"]))
         for owner in _MOTIONS

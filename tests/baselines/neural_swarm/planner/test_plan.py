@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -63,12 +66,17 @@ def test_files_give_back_what_was_saved(plan: SwarmPlan, tmp_path) -> None:
         assert getattr(read, name) == getattr(plan, name)
 
 
+def with_dt(about: Any, dt: float) -> Any:
+    return np.array(json.dumps(json.loads(str(about)) | {"dt": dt}))
+
+
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
         (lambda c: c.update(trajectories_controls=c["initial_controls"][1:]), "states has shape"),
         (lambda c: c.pop("initial_forces"), "initial_forces"),
         (lambda c: c.update(about=np.array('{"version": 99}')), "version 99"),
+        (lambda c: c.update(about=with_dt(c["about"], 0.0)), "dt is 0.0, but must be"),
     ],
 )
 def test_a_damaged_file_is_refused_by_name(plan: SwarmPlan, tmp_path, damage, said: str) -> None:
