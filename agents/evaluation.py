@@ -252,7 +252,7 @@ class EpisodeFile:
     """
 
     def __init__(self, folder: Path, name: str, setting: Mapping[str, Any]) -> None:
-        self._head = json.dumps({"setting": dict(setting)}, sort_keys=True)
+        self._head = json.dumps({"format": 2, "setting": dict(setting)}, sort_keys=True)
         digest = hashlib.sha256(self._head.encode()).hexdigest()[:12]
         short = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")[-40:]
         self.path = folder / f"{short}-{digest}.jsonl"

@@ -386,4 +386,9 @@ def shipped_policy(name: str) -> PolicyAgent:
     """Return the agent of an included policy; see `weights/MODEL_CARD.md`."""
     weights = resources.files("swarm_envs.agents").joinpath("weights")
     with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"the weights of the included policy {name!r} are hidden, as while an assignment "
+                "is graded: hand in your own policy. Elsewhere, reinstall the package"
+            )
         return PolicyAgent.load(path)

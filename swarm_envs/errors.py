@@ -28,8 +28,6 @@ __all__ = [
     "unknown_name",
 ]
 
-_FEW_NAMES = 16
-
 
 def unknown_name(kind: str, name: object, valid: Iterable[str], where: str = "") -> str:
     """Return the message for an invalid name, with the valid names and the most similar of them.
@@ -45,17 +43,12 @@ def unknown_name(kind: str, name: object, valid: Iterable[str], where: str = "")
 
 
 def nearest(name: object, valid: Iterable[str]) -> str:
-    """Return the hint of an error message: the most similar valid name, if any, and all of them.
-
-    With a similar name, a list that would fill several lines is left out.
-    """
+    """Return the hint of an error message: the most similar valid name, if any, and all of them."""
     names = sorted(valid)
     written = {each.lower(): each for each in names}
     near = difflib.get_close_matches(str(name).lower(), written, n=1)
-    hint = f"did you mean {written[near[0]]!r}?" if near else ""
-    if near and len(names) > _FEW_NAMES:
-        return hint
-    return f"{hint} valid: {', '.join(map(repr, names))}".strip()
+    hint = f"did you mean {written[near[0]]!r}? " if near else ""
+    return f"{hint}valid: {', '.join(map(repr, names))}"
 
 
 def check_name(kind: str, name: object, valid: Iterable[str]) -> str:

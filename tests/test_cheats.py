@@ -536,7 +536,7 @@ def test_weights_that_ship_cannot_be_loaded(tmp_path):
     """Unless copies are allowed: then the sandbox shows them."""
     work = f"{with_weights(tmp_path)}:Loads"
     (hidden,) = graded(Four(), work, episodes=1)
-    assert "FileNotFoundError: there is no" in hidden.error
+    assert "are hidden, as while an assignment is graded: hand in your own" in hidden.error
     (shown,) = graded(Four(), work, episodes=1, sandbox=Sandbox(weights=True))
     assert shown.error == ""
 

@@ -264,9 +264,41 @@ def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys)
     for command in (["evaluate", "--episodes", "2", *arguments], ["fly", *arguments]):
         assert main(command) == 0
         said = capsys.readouterr().out
-        assert f"was trained with --env {weights}, but flies with no --env" in said
-        assert main([*command, "--env", weights]) == 0
+        assert f"was trained with {weights}, but flies with reward_weights=None" in said
+        assert main([*command, "--env", weights.replace("2", "2.0")]) == 0
         assert "was trained" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("trained", "flown", "note"),
+    [
+        (
+            ["end_on_success=False"],
+            [],
+            "with end_on_success=False, but flies with end_on_success=T",
+        ),
+        (
+            [],
+            ["--env", "end_on_success=False"],
+            "with end_on_success=True, but flies with end_on_suc",
+        ),
+        ([], ["--env", "end_on_success=True", "threads=1", "decision_rate=20"], ""),
+        (["force_rate=48"], ["--force-rate", "48"], ""),
+        (["force_rate=48"], [], "with force_rate=48, but flies with force_rate=240"),
+        (None, ["--env", "end_on_success=False"], ""),
+        ([1], [], ""),
+        (["foo"], [], ""),
+    ],
+)
+def test_notes_are_of_options_that_differ(trained, flown, note, tmp_path, capsys):
+    shipped = load("swap-dagger")
+    assert isinstance(shipped, PolicyAgent)
+    write_policy(tmp_path / FILE, replace(shipped.policy, provenance={"config": {"env": trained}}))
+    arguments = ["--agent", f"{tmp_path}+filter", "--horizon-s", "0.2", "--episodes", "1"]
+    assert main(["evaluate", *arguments, *flown]) == 0
+    said = capsys.readouterr().out
+    assert ("note: " in said) == bool(note)
+    assert note in said
 
 
 def test_the_return_of_own_rewards_is_in_the_table(capsys, tmp_path):

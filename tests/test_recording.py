@@ -54,7 +54,8 @@ def test_a_recording_is_what_a_loop_of_env_step_sees(flight):
             assert flight.contact_floor[k, i] == ("floor" in contact)
             assert flight.contact_wall[k, i] == ("wall" in contact)
     assert k == len(flight.time) - 1
-    assert flight.about.metrics == infos["drone_0"]["episode_metrics"]
+    total = pytest.approx(flight.reward[1:].sum(axis=0).mean())
+    assert flight.about.metrics == infos["drone_0"]["episode_metrics"] | {"mean_return": total}
     np.testing.assert_array_equal(flight.goal[0], env.view.goals)
     env.close()
 

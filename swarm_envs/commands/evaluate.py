@@ -219,9 +219,10 @@ def _open_episodes(
 
 def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
     """Return the line above the table: task, team, given options, number of episodes and seed."""
-    teams = [each[1].core.task.team for each in made.values() if isinstance(each, tuple)]
-    words = [task, *(team_text(team) for team in teams[:1])]  # the same for all
-    words += [*options.conditions(), f"{options.episodes} episodes", f"seed {options.seed}"]
+    cores = [each[1].core for each in made.values() if isinstance(each, tuple)]
+    words = [task, *(team_text(core.task.team) for core in cores[:1])]  # the same for all
+    words += options.conditions(any(core.config.hall is not None for core in cores))
+    words += [f"{options.episodes} episodes", f"seed {options.seed}"]
     return "\n" + ", ".join(words) + "\n"
 
 

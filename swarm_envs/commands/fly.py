@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from swarm_envs.commands.checks import (
     output_files,
 )
 from swarm_envs.envs.config import MOST_DRONES, MOST_OBSERVED
-from swarm_envs.envs.options import blueprint_of, task_class
+from swarm_envs.envs.options import blueprint_of, default_of, options_type, task_class
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.setting import WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
@@ -109,25 +109,31 @@ class EpisodeOptions(WorldOptions, EpisodeFields):
             name: value for name, value in given.items() if value is not None
         } | self.world_options()
 
-    def conditions(self) -> list[str]:
-        """Return the options of the environment, besides the team, that are not the defaults."""
+    def conditions(self, in_hall: bool) -> list[str]:
+        """Return the options of the environment, besides the team, that are not the defaults.
+
+        `in_hall` is True if the world is the hall, which is always among them.
+        """
         usual = type(self)().setting().items()
-        given = [(n, v) for n, v in self.setting().items() if (n, v) not in usual]
-        return [f"{name} {value}" for name, value in given if name not in ("team", "num_drones")]
+        given = dict(each for each in self.setting().items() if each not in usual)
+        given |= {"world": "hall"} if in_hall else {}
+        hidden = ("team", "num_drones")
+        return [f"{name} {value}" for name, value in given.items() if name not in hidden]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(EpisodeOptions):
     """Fly one episode, print its key figures, and write the requested files.
 
-    The output has the outcome and four figures. Goals: when the last drone arrived for good, or
-    how many sets of goals all drones reached, or the score of a task whose goals continue; success
-    needs half a second at the goals. Distance: the smallest distance between two drones; a near
-    miss is one below 1.5 times that of contact, without a contact. Force: the largest interaction
-    force on a drone, beside the thrust that the weakest drone has left at hover; a larger force
-    makes it sink. Height: the largest error of height to the reference, in tasks that have one;
-    below 5 cm is as good as the flights of Neural-Swarm2. All metrics are in the file of --json. A
-    crash is a valid result, with exit status 0.
+    The output has the task with the given options, the outcome, and four figures. Goals: when the
+    last drone arrived for good, or how many sets of goals all drones reached, or the score of a
+    task whose goals continue; success needs half a second at the goals. Distance: the smallest
+    distance between two drones; a near miss is one below 1.5 times that of contact, without a
+    contact. Force: the largest interaction force on a drone, in grams (1 g is 9.81 mN), and the
+    thrust reserve, by which the weakest drone can exceed its weight; a drone sinks under a larger
+    force. Height: the largest error of height to the reference, in tasks that have one; below 5 cm
+    is as good as the flights of Neural-Swarm2. All metrics are in the file of --json. A crash is a
+    valid result, with exit status 0.
     """
 
     agent: str | None = None
@@ -364,34 +370,54 @@ def team_text(team: Team) -> str:
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
+_SAME_EPISODE = ("physics", "threads")  # Options that leave episodes as they are
+
+
 def training_notes(agents: Mapping[str, Agent], options: EpisodeOptions) -> list[str]:
     """Return a note for each policy that was trained with other values of `--env`."""
-    from swarm_envs.agents.policy import PolicyAgent
-
-    notes, here = [], options.env_options()
+    kinds = fields(options_type(find_task(options.task)))
+    usual = {each.name: default_of(each) for each in kinds}
+    notes, here = [], usual | options.setting()
     for name, agent in agents.items():
-        if not isinstance(agent, PolicyAgent):
+        if (trained := _trained_with(agent)) is None:
             continue
-        config = agent.policy.provenance.get("config", {})
-        trained = replace(options, env=tuple(config.get("env", ()))).env_options()
-        if trained != here:
-            theirs, ours = (_env_text(given) for given in (trained, here))
+        names = {*trained, *options.env_options()} - {*agent.requires, *_SAME_EPISODE}
+        there = usual | trained
+        differ = sorted(each for each in names if not _same(there.get(each), here.get(each)))
+        if differ:
+            theirs, ours = (
+                ", ".join(f"{each}={given.get(each)}" for each in differ) for given in (there, here)
+            )
             notes.append(f"note: {name} was trained with {theirs}, but flies with {ours}")
     return notes
 
 
-def _env_text(given: Mapping[str, Any]) -> str:
-    words = " ".join(f"{name}={value}" for name, value in given.items())
-    return f"--env {words}" if words else "no --env"
+def _same(one: object, other: object) -> bool:
+    """Return True for equal values; a default may be a tuple, which is a list in JSON."""
+    one, other = (list(each) if isinstance(each, tuple) else each for each in (one, other))
+    return one == other
+
+
+def _trained_with(agent: Agent) -> dict[str, Any] | None:
+    """Return the values of `--env` in a policy's training; None if they are unknown."""
+    from swarm_envs.agents.policy import PolicyAgent
+    from swarm_envs.agents.safety import SafetyFilter
+
+    pilot = agent.agent if isinstance(agent, SafetyFilter) else agent
+    if not isinstance(pilot, PolicyAgent):
+        return None
+    try:
+        entries = pilot.policy.provenance["config"]["env"]
+        return EpisodeOptions(env=tuple(entries)).env_options()
+    except (KeyError, TypeError, ValueError, AttributeError):  # of another program, or damaged
+        return None
 
 
 def _print_summary(recording: Recording, options: FlyOptions, in_hall: bool) -> None:
     from swarm_envs.viewing.summary import outcome
 
     about, metrics = recording.about, recording.about.metrics
-    flown = [about.task, team_text(recording.team), *options.conditions()]
-    if in_hall and options.world is None:
-        flown.append("world hall")
+    flown = [about.task, team_text(recording.team), *options.conditions(in_hall)]
     print(", ".join([*flown, f"agent {about.agent}", f"seed {about.seed}"]))
     print(outcome(recording))
     if goals := _goals_text(metrics, len(recording.team)):
