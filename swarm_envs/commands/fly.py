@@ -408,7 +408,7 @@ def _trained_with(agent: Agent) -> dict[str, Any] | None:
         return None
     try:
         entries = pilot.policy.provenance["config"]["env"]
-        return EpisodeOptions(env=tuple(entries)).env_options()
+        return WorldOptions(env=tuple(entries)).env_options()
     except (KeyError, TypeError, ValueError, AttributeError):  # of another program, or damaged
         return None
 
