@@ -38,7 +38,6 @@ from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.formation import nearest_places
 from swarm_envs.tasks.motion import REST, Motion
 from swarm_envs.tasks.shapes import CHARACTERS, shape_points
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import parse_team
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.replay import write_replay
@@ -89,7 +88,6 @@ class ShowTask(Task):
     success: Success = Success()
 
     name = "show"
-    default_weights = REWARD_WEIGHTS
 
     @property
     def arena(self) -> np.ndarray:

@@ -20,7 +20,7 @@ import swarm_envs
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.tables import World
 from swarm_envs.tasks.base import Placement, Task
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
+from swarm_envs.tasks.rewards import REWARD_WEIGHTS
 
 Array = npt.NDArray[np.float64]
 WEIGHTS = {**REWARD_WEIGHTS, "upright": 0.1}

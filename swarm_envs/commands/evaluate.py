@@ -114,10 +114,8 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
             found[name] = given
             continue
         agent, blueprint = given
-        try:
+        with as_misuse(TypeError):
             env = SwarmParallelEnv(*blueprint)
-        except (ValueError, TypeError) as error:
-            raise Misuse(cannot_fly(name, error)) from error
         opened.callback(env.close)
         check_flies(name, agent, env, options, frozen_seeds(options.seed, 1)[0])
         found[name] = agent, env

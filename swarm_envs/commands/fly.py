@@ -183,9 +183,9 @@ def run_fly(options: FlyOptions) -> None:
         name = best_agent(options, task) if options.agent is None else options.agent
         try:
             agent, blueprint = prepare(name, options, task)
-            env = SwarmParallelEnv(*blueprint)
         except ValueError as error:
             raise ValueError(cannot_fly(name, error)) from error
+        env = SwarmParallelEnv(*blueprint)
     with closing(env):
         recording = _fly(env, agent, name, options)
     _print_summary(recording, options, blueprint.config.hall is not None)

@@ -109,6 +109,9 @@ class _Kernels(NamedTuple):
 class SwarmCore:
     """E environments of one task.
 
+    Its attribute `world` is their state (`swarm_envs.tables.World`): records of the drones (E, N),
+    with vehicles as drawn for the episode, and of the environments (E,), and goals.
+
     Args:
         task: the task, with its team.
         config: the options.

@@ -311,7 +311,18 @@ def blueprint_of(task: str | type[Task], **options: Any) -> Blueprint:
         if name not in names:
             hint = _OTHERS_NAMES.get(name) or nearest(name, names)
             raise TypeError(f"{kind.task_type.name} has no option {name!r}; {hint}")
-    return kind(**options).blueprint()
+    given = {name: _as_record(name, value, names[name].default) for name, value in options.items()}
+    return kind(**given).blueprint()
+
+
+def _as_record(name: str, value: Any, default: Any) -> Any:
+    """Return a mapping, as commands give it, as the dataclass of the option's default, if it is."""
+    if not isinstance(value, Mapping) or not is_dataclass(default) or isinstance(default, type):
+        return value
+    for key in value:
+        check_name(f"field of {name}", key, [each.name for each in fields(default)])
+    tuples = {key: tuple(v) if isinstance(v, list) else v for key, v in value.items()}
+    return type(default)(**tuples)
 
 
 def batch_of(task: str | type[Task], **options: Any) -> Blueprint:

@@ -67,10 +67,17 @@ class InteractionModel:
         Raises:
             ValueError: the model lacks a vehicle's type.
         """
-        names = tuple(vehicle.interaction_type for vehicle in team)
+        return self._indices(interaction_types(team))
+
+    def _indices(self, types: TypeArray) -> IntArray:
+        """Return the indices of interaction types, an array of any shape; see `type_indices`."""
         if self.field.kind == NONE:
-            return np.zeros(len(names), np.int64)
-        return types_array(names, self.types, f"in interaction model {self.name!r}")
+            return np.zeros(types.shape, np.int64)
+        names, where = np.unique(types, return_inverse=True)
+        found = types_array(
+            tuple(names.tolist()), self.types, f"in interaction model {self.name!r}"
+        )
+        return found[where].reshape(types.shape)
 
     def with_precision(self, precision: str) -> InteractionModel:
         """Return this model with networks in another precision.
@@ -104,14 +111,18 @@ class InteractionModel:
         return digest.hexdigest()
 
     def forces(
-        self, position: npt.ArrayLike, velocity: npt.ArrayLike, team: str | Sequence[Vehicle]
+        self,
+        position: npt.ArrayLike,
+        velocity: npt.ArrayLike,
+        team: str | Sequence[Vehicle] | TypeArray,
     ) -> FloatArray:
         """Return the forces on every drone of every environment.
 
         Args:
             position: (E, N, 3) m, world frame.
             velocity: (E, N, 3) m/s, world frame.
-            team: the N vehicles, the same in each environment.
+            team: the N vehicles, the same in each environment; or an array of interaction types
+                (E, N), as a force function gets it.
 
         Returns:
             (E, N, 3) forces f_a, N, world frame.
@@ -119,12 +130,14 @@ class InteractionModel:
         Raises:
             ValueError: a shape does not fit the team, or an entry is not finite.
         """
-        vehicles = parse_team(team)
-        p, v = check_states(position, velocity, len(vehicles))
+        given = team if isinstance(team, np.ndarray) else interaction_types(parse_team(team))
+        p, v = check_states(position, velocity, given.shape[-1] if given.ndim else 0)
+        if given.shape not in (p.shape[:2], p.shape[1:2]):
+            raise ValueError(f"team has shape {given.shape}, but must be {p.shape[:2]}: (E, N)")
         if self.function is not None:
-            return self.call(p, v, np.broadcast_to(interaction_types(vehicles), p.shape[:2]))
+            return self.call(p, v, np.broadcast_to(given, p.shape[:2]))
         types, out = np.empty(p.shape[:2], np.int64), np.empty(p.shape)
-        types[:] = self.type_indices(vehicles)
+        types[:] = self._indices(given)
         all_forces(self.packed, types, p, v, out)
         return out
 

@@ -28,7 +28,12 @@ from swarm_envs.tasks.motion import (
 )
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
-from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.rewards import (
+    REWARD_NAMES,
+    REWARD_WEIGHTS,
+    check_reward_weights,
+    write_terms,
+)
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team, parse_team
 
@@ -209,7 +214,7 @@ class Task(_TaskFields, ABC):
     """Different defaults for options that every task has, such as `num_drones`."""
     layouts: tuple[str, ...] = ()
     """The values of the task's option `layout`, if it has one."""
-    default_weights: Mapping[str, float] = {}
+    default_weights: Mapping[str, float] = REWARD_WEIGHTS
     """Default weights of the reward terms."""
     reward_names: tuple[str, ...] = REWARD_NAMES
     """Names of the T reward terms."""

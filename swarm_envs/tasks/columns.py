@@ -20,7 +20,6 @@ from swarm_envs.state import IntArray
 from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
 __all__ = ["COLUMN_LAYOUTS", "ColumnsTask"]
@@ -122,7 +121,6 @@ class ColumnsTask(Task):
     name = "columns_v0"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": None, **DOWNWASH_DEFAULTS}
     layouts = tuple(COLUMN_LAYOUTS)
-    default_weights = REWARD_WEIGHTS
     goals_are = "the slots of the columns"
     learning = in_time(
         {

@@ -20,7 +20,6 @@ from swarm_envs.tasks.base import Given, Placement, Success, Task
 from swarm_envs.tasks.columns import DOWNWASH_DEFAULTS, RAMP
 from swarm_envs.tasks.learning import in_time
 from swarm_envs.tasks.motion import LINES, Motion
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
 __all__ = ["DeliveryTask"]
@@ -88,7 +87,6 @@ class DeliveryTask(Task):
 
     name = "delivery_v0"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 7, **DOWNWASH_DEFAULTS}
-    default_weights = REWARD_WEIGHTS
     goals_are = "the docks"
     learning = in_time({"docks": {}})
 

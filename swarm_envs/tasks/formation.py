@@ -33,7 +33,6 @@ from swarm_envs.tasks.learning import Learning
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement
 from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 
 __all__ = ["FormationTask", "nearest_places"]
 
@@ -136,7 +135,6 @@ class FormationTask(Task):
     name = "formation_v1"
     defaults: ClassVar[Mapping[str, Any]] = {"num_drones": 9}
     layouts = tuple(LAYOUTS)
-    default_weights = REWARD_WEIGHTS
     goals_are = "those of shapes=(...)"
     learning = Learning(
         layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},

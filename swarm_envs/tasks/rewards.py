@@ -9,6 +9,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_name, check_number, check_type
@@ -16,10 +17,23 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.motion import SPEED_LIMIT
 
-__all__ = ["REWARD_NAMES", "weigh", "write_terms"]
+__all__ = ["REWARD_NAMES", "REWARD_WEIGHTS", "weigh", "write_terms"]
 
 REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash", "success")
 """The reward terms of every task; see `write_terms`."""
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 1.0,
+        "at_goal": 0.1,
+        "tracking": 0.0,
+        "effort": -0.1,
+        "proximity": -4.0,
+        "crash": -1.0,
+        "success": 3.0,
+    }
+)
+"""Default weight of each of these terms. Success is worth as much as 30 s at the
+goal, so that delaying it does not pay."""
 
 
 @kernel

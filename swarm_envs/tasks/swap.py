@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Literal, get_args
 
 import numpy as np
@@ -26,27 +24,13 @@ from swarm_envs.tasks.placing import (
     drawing_box,
 )
 
-__all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
+__all__ = ["CircleLayout", "Layout", "StackedLayout", "SwapTask"]
 
 Layout = Literal["stacked", "circle", "random"]
 """The name of a layout."""
 LAYOUTS: tuple[str, ...] = get_args(Layout)
 """The names of the layouts."""
 _RAMP = 0.2  # Share of a stacked swap in which the speed grows, and in which it falls
-
-REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
-    {
-        "progress": 1.0,
-        "at_goal": 0.1,
-        "tracking": 0.0,
-        "effort": -0.1,
-        "proximity": -4.0,
-        "crash": -1.0,
-        "success": 3.0,
-    }
-)
-"""Default weight of each reward term; see `write_terms`. Success is worth as much as 30 s at the
-goal, so that delaying it does not pay."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +170,6 @@ class SwapTask(Task):
 
     name = "swap_v1"
     layouts = LAYOUTS
-    default_weights = REWARD_WEIGHTS
     learning = Learning(
         layouts={name: {"layout": name} for name in ("random", "circle")},
         evaluated={"random": ("random", "circle")},

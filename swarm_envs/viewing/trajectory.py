@@ -56,21 +56,23 @@ _UNIT_TOLERANCE = 0.01  # Largest difference of the length of a quaternion from 
 Arrays = Mapping[str, npt.NDArray[Any]]  # Arrays by name
 
 
-def check_trajectory_path(path: Path) -> None:
-    """Check the suffix of a trajectory file, and that its library is installed.
+def check_trajectory_path(path: str | Path) -> Path:
+    """Return the path of a trajectory file, after a check of its suffix and of the library.
 
     Raises:
         ValueError: the suffix is neither `.parquet` nor `.npz`.
         ImportError: the suffix is `.parquet`, and pyarrow is not installed.
     """
-    check_type("path", path, Path)
+    check_type("path", path, str | Path)
+    path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
         raise ValueError(unknown_name("suffix", path.suffix, _SUFFIXES, f"of {str(path)!r}"))
     if path.suffix.lower() == ".parquet":
         _arrow()
+    return path
 
 
-def write_trajectory(path: Path, recording: Recording) -> None:
+def write_trajectory(path: str | Path, recording: Recording) -> None:
     """Write an episode atomically.
 
     Args:
@@ -82,7 +84,7 @@ def write_trajectory(path: Path, recording: Recording) -> None:
         ImportError: the suffix is `.parquet`, and pyarrow is not installed.
         OSError: the file cannot be written.
     """
-    check_trajectory_path(path)
+    path = check_trajectory_path(path)
     with written_whole(path) as partial:
         if path.suffix.lower() == ".npz":
             arrays: dict[str, Any] = {name: getattr(recording, name) for name in GROUPS}
@@ -94,7 +96,7 @@ def write_trajectory(path: Path, recording: Recording) -> None:
             _write_parquet(partial, recording)
 
 
-def read_trajectory(path: Path) -> Recording:
+def read_trajectory(path: str | Path) -> Recording:
     """Read an episode that `write_trajectory` wrote.
 
     Raises:
@@ -102,7 +104,7 @@ def read_trajectory(path: Path) -> Recording:
         ImportError: the suffix is `.parquet`, and pyarrow is not installed.
         OSError: the file cannot be read.
     """
-    check_trajectory_path(path)
+    path = check_trajectory_path(path)
     read = _read_npz if path.suffix.lower() == ".npz" else _read_parquet
     try:
         arrays, about = read(path)

@@ -111,3 +111,18 @@ def test_functions_are_refused_where_only_a_compiled_model_can_be_asked():
         BatchPhysics("LS", 1, wake, interaction_torque=True)
     with pytest.raises(ValueError, match="observe_force is the function"):
         swarm_envs.make("swap_v1", observe_force=load(wake))
+
+
+def test_a_model_takes_the_types_that_functions_get():
+    rng = np.random.default_rng(0)
+    position = rng.uniform(0.7, 1.3, (5, 3, 3))
+    velocity, types = rng.normal(size=position.shape), np.array([["L", "S", "S"]] * 5)
+    types[1] = ["S", "L", "S"]
+    for name in ("learned", "deep-set", "wake", "none"):
+        model = load(name)
+        force = model.forces(position, velocity, types)
+        assert (force[[0, 2, 3, 4]] == model.forces(position, velocity, "LSS*")[[0, 2, 3, 4]]).all()
+        assert (force[1] == model.forces(position, velocity, "SLS")[1]).all()
+    for bad in (types[:4], types[:, :2], np.array("L")):
+        with pytest.raises(ValueError, match="must"):
+            load("learned").forces(position, velocity, bad)

@@ -18,8 +18,8 @@ from swarm_envs.compiled import kernel
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of, blueprint_of, task_class
 from swarm_envs.tasks.base import Placement, Task
-from swarm_envs.tasks.rewards import REWARD_NAMES, write_terms
-from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
+from swarm_envs.tasks.rewards import REWARD_NAMES, REWARD_WEIGHTS, write_terms
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.runs import parts_of, training_blueprint
 from swarm_envs.training.rl.validation import with_defaults
@@ -97,8 +97,8 @@ def fly(task, count=6, steps=60, **options):
     for _ in range(steps):
         pull = 3.0 * (drones["goal"] - drones["position"]) - 3.0 * drones["velocity"]
         result = core.step(np.clip(pull / 5.0, -1.0, 1.0))
-        rewards.append(result.rewards)
-        ends.append(result.terminated)
+        rewards.append(result.rewards.copy())  # the next step overwrites them
+        ends.append(result.terminated.copy())
     found = core.metrics_of(range(count))
     core.close()
     return np.array(rewards), np.array(ends), found
@@ -311,3 +311,29 @@ def test_an_edited_task_is_flown_again(tmp_path, capsys):
     file.write_text(FILE.read_text().replace("spacing_m: float = 0.5", "spacing_m: float = 0.3"))
     assert main(words) == 0
     assert "resumes after" not in capsys.readouterr().out
+
+
+@dataclass(frozen=True)
+class Plain(Task):
+    """A task that defines no more than its draw."""
+
+    def draw(self, rng, start=None, goal=None):
+        row = np.zeros((len(self.team), 3))
+        row[:, 1], row[:, 2] = np.arange(len(self.team)) - 1.0, 1.0
+        return Placement(row, (row + np.array([0.6, 0.0, 0.0]))[None])
+
+
+def test_a_task_without_weights_has_those_of_swap():
+    rewards, _, _ = fly(Plain)
+    assert np.abs(rewards).max() > 0.0
+    assert swarm_envs.make(Plain, physics="batch").core.task.reward_weights == REWARD_WEIGHTS
+
+
+def test_a_dictionary_is_the_record_of_an_option():
+    given = {"radius_m": [0.5, 0.5], "duration_s": [4.0, 4.0]}
+    made = batch_of("swap_v1", team="L2S", layout="stacked", stacked=given).task
+    assert isinstance(made, SwapTask) and made.stacked == StackedLayout(
+        radius_m=(0.5, 0.5), duration_s=(4.0, 4.0)
+    )
+    with pytest.raises(ValueError, match="field of stacked 'radius'; did you mean 'radius_m'"):
+        batch_of("swap_v1", team="L2S", layout="stacked", stacked={"radius": 0.5})

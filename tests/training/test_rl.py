@@ -98,6 +98,41 @@ def test_the_schedule_leaves_a_given_cost_of_proximity(given, costs, tmp_path):
     assert {weights["proximity"] for _, weights in calls} == costs
 
 
+OWN_TASKS = """
+from dataclasses import dataclass
+import numpy as np
+from swarm_envs.tasks.base import Placement, Task
+from swarm_envs.tasks.rewards import REWARD_WEIGHTS
+from swarm_envs.tasks.swap import SwapTask
+
+@dataclass(frozen=True)
+class Plain(Task):
+    def draw(self, rng, start=None, goal=None):
+        row = np.array([[0.0, 0.5 * i, 1.0] for i in range(len(self.team))])
+        return Placement(row, (row + np.array([0.6, 0.0, 0.0]))[None])
+
+@dataclass(frozen=True)
+class Careful(SwapTask):
+    default_weights = {**REWARD_WEIGHTS, "proximity": -10.0}
+
+@dataclass(frozen=True)
+class Usual(SwapTask):
+    pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("task", "costs"), [("Plain", set()), ("Careful", set()), ("Usual", {-4.0, -2.0})]
+)
+def test_the_schedule_leaves_the_weights_of_own_tasks(task, costs, tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(OWN_TASKS, encoding="utf-8")
+    given = command("ppo", tmp_path / "run", "--task", f"{file}:{task}")
+    with calls_of(SwarmCore, "set_reward_weights") as calls:
+        assert main(given) == 0
+    assert {weights["proximity"] for _, weights in calls} == costs
+
+
 @pytest.mark.parametrize(
     ("task", "given", "expected"),
     [

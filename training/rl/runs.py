@@ -110,7 +110,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
 def parts_of(config: RlConfig, task: str, trained: Task) -> Parts:
     """Return the parts of a training task, which keep the fields that `--env` gives."""
     names = {field.name for field in fields(trained)} - {"reward_weights"}
-    own = {name: value for name, value in config.env_options().items() if name in names}
+    own = {name: getattr(trained, name) for name in names.intersection(config.env_options())}
     parts = learning_of(task).parts(trained, str(config.layout))
     return {name: (share, each.as_kind(type(each), **own)) for name, (share, each) in parts.items()}
 

@@ -241,13 +241,18 @@ class ProgressCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no
 
 
 class ScheduleCallback(BaseCallback):  # type: ignore[misc]
-    """Callback that reduces the cost of proximity, and begins the second stage of PPO."""
+    """Callback that reduces the cost of proximity, and begins the second stage of PPO.
+
+    The cost is reduced in tasks that have settings of training, and their usual weight: a weight
+    that the user has chosen, or that of an own task, stays.
+    """
 
     def __init__(self, setting: Setting) -> None:
         super().__init__()
         self._steps = setting.config.steps
-        given = setting.config.world_options().get("reward_weights", {})
-        self._eases = "proximity" not in given  # else the user has chosen its weight
+        task, chosen = setting.blueprints[0].task, setting.config.world_options()
+        usual = task.learning is not None and task.reward_weights.get("proximity") == -PROXIMITY[0]
+        self._eases = usual and "proximity" not in chosen.get("reward_weights", {})
         self._done = 0.0  # Fraction of the steps at the last rollout
 
     def _on_step(self) -> bool:
