@@ -383,7 +383,9 @@ def collided(metrics: Mapping[str, Any]) -> bool:
     return any(metrics[name] for name in COLLISIONS.values())
 
 
-def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def score_episodes(
+    episodes: Sequence[dict[str, Any]], scores: Sequence[str] = _SCORES
+) -> dict[str, Any]:
     """Return the scores of an agent's episodes.
 
     Rates (with Wilson's intervals): `success_rate`; `collision_rate`, of episodes in which any
@@ -397,6 +399,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     Args:
         episodes: the episodes, as from `evaluate_agent`.
+        scores: names of metrics that are scores of the task.
 
     Raises:
         ValueError: there is no episode.
@@ -421,8 +424,8 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         kind: sum(m[name] > 0 for m in metrics) / len(metrics) for kind, name in COLLISIONS.items()
     }
     successes = [m for m in metrics if m["success"]]
-    scores = [name for name in _SCORES if name in metrics[0]]
-    for names, of in ((OF_SUCCESSES, successes), ((*_OF_ALL, *scores), metrics)):
+    own = [name for name in scores if name in metrics[0]]
+    for names, of in ((OF_SUCCESSES, successes), ((*_OF_ALL, *own), metrics)):
         for name in names:
             known = [m[name] for m in of if m.get(name) is not None]
             values = np.array(known, dtype=np.float64)

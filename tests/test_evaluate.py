@@ -319,6 +319,36 @@ def test_the_return_of_own_rewards_is_in_the_table(capsys, tmp_path):
     assert 0.7 * report["length_s"] < returns[1] - returns[0] < report["length_s"]
 
 
+SHIFTS = """
+from dataclasses import dataclass
+import numpy as np
+from swarm_envs.tasks.base import Placement, Task
+
+@dataclass(frozen=True)
+class Shifts(Task):
+    score_names = ("shifts",)
+
+    def draw(self, rng, start=None, goal=None):
+        row = np.array([[0.0, 0.5 * i, 1.0] for i in range(len(self.team))])
+        return Placement(row, (row + np.array([0.6, 0.0, 0.0]))[None])
+
+    def advance(self, world):
+        world.environments["score"] = 3.0
+"""
+
+
+def test_the_score_of_an_own_task_is_shown(tmp_path, capsys):
+    file = tmp_path / "shifts.py"
+    file.write_text(SHIFTS, encoding="utf-8")
+    words = ["--task", f"{file}:Shifts", "--drones", "2", "--agent", "hover", "--horizon-s", "0.2"]
+    assert main(["evaluate", *words, "--episodes", "2", "--json", str(tmp_path / "a.json")]) == 0
+    assert "shifts (of all episodes)" in capsys.readouterr().out
+    report = json.loads((tmp_path / "a.json").read_text())
+    assert report["shifts"] == 3.0 and report["intervals"]["shifts"] == [3.0, 3.0]
+    assert main(["fly", *words, "--physics", "batch"]) == 0
+    assert "  Score     shifts 3" in capsys.readouterr().out
+
+
 def test_seeds_are_frozen_and_fewer_are_the_first_of_more():
     assert frozen_seeds(7, 3) == frozen_seeds(7, 300)[:3]
     assert not set(frozen_seeds(7, 2048)) & set(frozen_seeds(8, 2048))

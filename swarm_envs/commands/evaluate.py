@@ -147,7 +147,8 @@ def _evaluate(
         print(f"wrote {path}", flush=True)
     flown = {name: each[0] for name, each in made.items() if isinstance(each, tuple)}
     notes = training_notes(flown, options)
-    print(_head(options, task, made), "\n".join([_table(agents), *notes]), sep="")
+    table = _table(agents, _scores_of(made))
+    print(_head(options, task, made), "\n".join([table, *notes]), sep="")
     return failed
 
 
@@ -174,7 +175,7 @@ def _reports(
             found[name]["error"] = str(error)
     flown = fly_flights([*flights.values()], options.scale)
     for name, (episodes, why, trace) in zip(flights, flown, strict=True):
-        found[name] |= {"error": why} if why else score_episodes(episodes)
+        found[name] |= {"error": why} if why else score_episodes(episodes, _scores_of(made))
         if ":" in name:  # the author of a custom agent needs the traceback
             sys.stderr.write(trace)
     return [*found.values()]
@@ -224,13 +225,20 @@ def _head(options: EvaluateOptions, task: str, made: Mapping[str, Made]) -> str:
     return "\n" + ", ".join(words) + "\n"
 
 
-def _table(agents: list[dict[str, Any]]) -> str:
+def _scores_of(made: Mapping[str, Made]) -> tuple[str, ...]:
+    """Return the name of the score of the task, if it has one."""
+    tasks = [each[1].core.task for each in made.values() if isinstance(each, tuple)]
+    return tasks[0].score_names[:1] if tasks else ()
+
+
+def _table(agents: list[dict[str, Any]], scores: tuple[str, ...]) -> str:
     """Return the reports as a table; a column that is empty for all agents is left out."""
     from swarm_envs.agents.evaluation import OF_SUCCESSES
     from swarm_envs.training.scoreboard.summary import align_columns
 
     known = [report for report in agents if "error" not in report]
-    shown = {n: head for n, head in _COLUMNS.items() if any(r.get(n) is not None for r in known)}
+    columns = {**{name: name for name in scores}, **_COLUMNS}
+    shown = {n: head for n, head in columns.items() if any(r.get(n) is not None for r in known)}
     heads = ("agent", "success (95 %)", "crashed", "near miss", *shown.values(), "decision, ms")
     lines = align_columns([heads, *(_row(report, [*shown]) for report in known)])
     lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]

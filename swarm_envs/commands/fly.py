@@ -188,7 +188,7 @@ def run_fly(options: FlyOptions) -> None:
         env = SwarmParallelEnv(*blueprint)
     with closing(env):
         recording = _fly(env, agent, name, options)
-    _print_summary(recording, options, blueprint.config.hall is not None)
+    _print_summary(recording, options, blueprint)
     for note in training_notes({name: agent}, options):
         print(note)
     if agent.privileged:
@@ -413,15 +413,18 @@ def _trained_with(agent: Agent) -> dict[str, Any] | None:
         return None
 
 
-def _print_summary(recording: Recording, options: FlyOptions, in_hall: bool) -> None:
+def _print_summary(recording: Recording, options: FlyOptions, blueprint: Blueprint) -> None:
     from swarm_envs.viewing.summary import outcome
 
     about, metrics = recording.about, recording.about.metrics
+    in_hall, scores = blueprint.config.hall is not None, blueprint.task.score_names[:1]
     flown = [about.task, team_text(recording.team), *options.conditions(in_hall)]
     print(", ".join([*flown, f"agent {about.agent}", f"seed {about.seed}"]))
     print(outcome(recording))
     if goals := _goals_text(metrics, len(recording.team)):
         print(f"  Goals     {goals}")
+    for name in scores if ":" in options.task else ():  # of a custom task
+        print(f"  Score     {name} {metrics[name]:g}")
     if metrics["minimum_separation_m"] is not None:
         misses = metrics["near_misses"]
         text = "no near miss" if not misses else f"near misses of {misses} drones"
