@@ -70,15 +70,19 @@ class Arrives:
 
 
 @dataclass(frozen=True)
-class Endless(Task):
-    """A goal that jumps to the other side when it is reached."""
+class Plain(Task):
+    """A task that defines no more than its draw."""
 
     def draw(self, rng, start=None, goal=None):
         row = np.zeros((len(self.team), 3))
         row[:, 1], row[:, 2] = np.arange(len(self.team)) - 1.0, 1.0
         return Placement(row, (row + np.array([0.6, 0.0, 0.0]))[None])
 
-    default_weights = REWARD_WEIGHTS
+
+@dataclass(frozen=True)
+class Endless(Plain):
+    """A goal that jumps to the other side when it is reached."""
+
     score_names = ("reached",)
 
     def advance(self, world):
@@ -311,16 +315,6 @@ def test_an_edited_task_is_flown_again(tmp_path, capsys):
     file.write_text(FILE.read_text().replace("spacing_m: float = 0.5", "spacing_m: float = 0.3"))
     assert main(words) == 0
     assert "resumes after" not in capsys.readouterr().out
-
-
-@dataclass(frozen=True)
-class Plain(Task):
-    """A task that defines no more than its draw."""
-
-    def draw(self, rng, start=None, goal=None):
-        row = np.zeros((len(self.team), 3))
-        row[:, 1], row[:, 2] = np.arange(len(self.team)) - 1.0, 1.0
-        return Placement(row, (row + np.array([0.6, 0.0, 0.0]))[None])
 
 
 def test_a_task_without_weights_has_those_of_swap():
