@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import default_window, empty_field
 from swarm_envs.interactions.forces import find_pairs, pair_weight
-from swarm_envs.interactions.packed import packed, scratch_for
+from swarm_envs.interactions.packed import order_for, packed, scratch_for
 from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
 from swarm_envs.state import IntArray
 from swarm_envs.tables import new_world
@@ -37,11 +37,10 @@ swarms = st.builds(
 def pairs_of(position: Array, drones: int) -> tuple[IntArray, Array]:
     field, places = packed(empty_field(1)), len(position) // drones
     scratch = scratch_for(field, places, drones)
-    order = np.tile(np.arange(drones), (places, 1))
-    if scratch.order is not None:
-        scratch.order[0] = np.random.default_rng(1).permuted(order, axis=1).ravel()
+    order = order_for(places, drones)
+    order[0] = np.random.default_rng(1).permuted(order[0].reshape(places, -1), axis=1).ravel()
     scratch.drones["position"] = position
-    find_pairs(field, places, drones, scratch.order, scratch)
+    find_pairs(field, places, drones, order if drones > FEW else None, scratch)
     found = scratch.pairs[: scratch.counters["pairs"][0]]
     return np.stack([found["i"], found["j"]]), found["weight"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import announce_compilation, equation, inlined, kernel
+from swarm_envs.compiled import announce_compilation, equation, inlined, kernel, part
 from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.composed import describe_turned, join_pushes
 from swarm_envs.interactions.field import COMPOSED, NONE, WAKE
@@ -17,6 +17,7 @@ from swarm_envs.interactions.packed import (
     SOURCE,
     PackedField,
     Scratch,
+    order_for,
     scratch_for,
 )
 from swarm_envs.interactions.wake import wake_forces
@@ -55,7 +56,7 @@ def find_pairs(
     Small teams are compared in all environments at once: drone i of environment c has the index
     i * count + c, so that all pairs (i, i + apart) have the same difference of indices, and the
     loop over them is vectorized. In large teams, drones are sorted along x and swept. `order` is
-    that of the scratch; as an argument, its value None keeps the sweep from being compiled.
+    that of `order_for`, or None for small teams, which keeps the sweep from being compiled.
     """
     window, counters, pairs = field.constants[0]["window"], scratch.counters[0], scratch.pairs
     lateral, vertical, found = window[1], window[3], 0
@@ -151,16 +152,18 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
 
 
 @inlined
-def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
+def swarm_forces(
+    field: PackedField, count: int, drones: int, order: IntArray | None, scratch: Scratch
+) -> None:
     """Write the interaction and drag forces (N, world frame) on the drones of a chunk.
 
     The scratch contains types, positions and velocities of `count` environments of `drones` each;
-    their pairs are written to it too.
+    their pairs are written to it too. `order` is that of `find_pairs`.
     """
     counters = scratch.counters[0]
     counters["pairs"] = counters["used"] = 0
     if field.constants[0]["kind"] != NONE:
-        find_pairs(field, count, drones, scratch.order, scratch)
+        find_pairs(field, count, drones, order, scratch)
     for slot in range(count * drones):
         drone = scratch.drones[slot]
         for k in range(3):
@@ -168,7 +171,7 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
     evaluate_forces(field, count * drones, scratch)
 
 
-@inlined
+@part
 def evaluate_forces(field: PackedField, total: int, scratch: Scratch) -> None:
     """Write the forces at the drones' `position`; their neighbors are at their `seen` positions."""
     kind, counters = field.constants[0]["kind"], scratch.counters[0]
@@ -199,6 +202,7 @@ def write_forces(
     position: FloatArray,
     velocity: FloatArray,
     out: FloatArray,
+    order: IntArray | None,
     scratch: Scratch,
 ) -> None:
     """Write the forces of `all_forces`, in chunks of the scratch's number of environments."""
@@ -211,7 +215,7 @@ def write_forces(
             drone["type"] = types[e, i]
             for k in range(3):
                 drone["position"][k], drone["velocity"][k] = position[e, i, k], velocity[e, i, k]
-        swarm_forces(field, count, drones, scratch)
+        swarm_forces(field, count, drones, order, scratch)
         for slot in range(count * drones):
             force = scratch.drones[slot]["force"]
             for k in range(3):
@@ -232,7 +236,8 @@ def all_forces(
     announce_compilation(write_forces)
     # Read-only arrays have another type, for which the kernel would be compiled again
     p, v = (np.require(array, np.float64, ("C", "W")) for array in (position, velocity))
-    write_forces(field, types, p, v, out, scratch_for(field, size, drones))
+    order = order_for(size, drones) if drones > FEW else None
+    write_forces(field, types, p, v, out, order, scratch_for(field, size, drones))
 
 
 def types_array(names: tuple[str, ...], types: tuple[str, ...], where: str = "") -> IntArray:

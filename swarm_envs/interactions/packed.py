@@ -24,7 +24,7 @@ from swarm_envs.neighbors import FEW
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records, aligned
 
-__all__ = ["PackedField", "Scratch", "scratch_for"]
+__all__ = ["PackedField", "Scratch", "order_for", "scratch_for"]
 
 MOST_TYPES = 8  # Largest number of interaction types of a model
 INPUTS = 5
@@ -281,9 +281,6 @@ class Scratch(NamedTuple):
     """(M,) records of `DRONE`."""
     columns: FloatArray
     """(M, 24) the memory of the drones as floats; the first three are the position."""
-    order: IntArray | None
-    """(2, M) the drones of each environment as last sorted along x, and scratch, for large teams;
-    None for kernels of small teams alone."""
     affected: IntArray
     """(M,) the drones with forces besides drag."""
     pairs: Records
@@ -296,10 +293,8 @@ class Scratch(NamedTuple):
     state and alone at the anchor height."""
 
 
-def scratch_for(field: PackedField, count: int, drones: int, any_team: bool = False) -> Scratch:
+def scratch_for(field: PackedField, count: int, drones: int) -> Scratch:
     """Return scratch memory to evaluate forces in up to `count` environments of `drones` at once.
-
-    With `any_team`, its type is the same for small and large teams, which then share kernels.
 
     Raises:
         ValueError: these are too many drones.
@@ -312,14 +307,21 @@ def scratch_for(field: PackedField, count: int, drones: int, any_team: bool = Fa
     memory = np.zeros(total, DRONE)
     number, shape = field.weights.dtype["v"].subdtype or (np.dtype(np.float64), (1, 1))
     row = np.dtype([("v", number, (2, shape[1]))])
-    order = np.empty((2, total), np.int64)
-    order[:] = np.arange(total) % max(1, drones)
     return Scratch(
         memory,
         memory.view(np.float64).reshape(total, -1),
-        order if any_team or drones > FEW else None,
         np.zeros(total, np.int64),
         np.zeros(max(1, total * (drones - 1)), PAIR),
         np.zeros(1, COUNTERS),
         aligned(SAMPLES + total, row),
     )
+
+
+def order_for(count: int, drones: int) -> IntArray:
+    """Return the memory (2, M) in which `find_pairs` sorts the drones of large teams along x.
+
+    The first row has the drones of each environment as last sorted.
+    """
+    order = np.empty((2, count * drones), np.int64)
+    order[:] = np.arange(count * drones) % max(1, drones)
+    return order

@@ -20,7 +20,7 @@ from swarm_envs.errors import check_array, check_divisor, check_integer, check_n
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.base import ForceFunction, interaction_types
-from swarm_envs.interactions.packed import scratch_for
+from swarm_envs.interactions.packed import order_for, scratch_for
 from swarm_envs.motors import BatteryModel
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics.begin import begin_flight
@@ -213,7 +213,8 @@ class Physics:
         varied = self._is_varied()
 
         def forces(model: InteractionModel) -> Forces:
-            return Forces(model.packed, scratch_for(model.packed, size, drones, varied))
+            order = order_for(size, drones) if varied else None
+            return Forces(model.packed, order, scratch_for(model.packed, size, drones))
 
         def variations() -> Variations:
             memory = self.obstacles, self._open_circuit, self.order

@@ -83,6 +83,7 @@ class Forces(NamedTuple):
     """A model of interaction forces, and its scratch memory for one thread."""
 
     model: PackedField
+    order: IntArray | None  # That of `find_pairs`; None in plain flights
     scratch: Scratch
 
 
@@ -248,7 +249,7 @@ def spread(count: int, drones: int, environments: Records, work: Work, scratch: 
                 b.force[k, lane] = drone["force"][k] * scale
 
 
-@equation
+@inlined
 def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, work: Work) -> None:
     """Write the forces that the controllers of the first `count` members compensate.
 
@@ -262,7 +263,7 @@ def predict(count: int, drones: int, hall: bool | None, feedforward: Forces, wor
         velocity = b.velocity if hall is None else b.seen_velocity
         for k in range(3):
             drone["position"][k], drone["velocity"][k] = position[k, lane], velocity[k, lane]
-    swarm_forces(feedforward.model, count, drones, scratch)
+    swarm_forces(feedforward.model, count, drones, feedforward.order, scratch)
     for at in range(count * drones):
         b, lane = work.blocks[at // LANES], at % LANES
         for k in range(3):
@@ -327,7 +328,7 @@ def push(
     due = find_due(count, settings[0].hold, environments, work)
     if due > 0 and acting.model.constants[0]["kind"] != NONE:
         gather(due, size, work, acting.scratch)
-        swarm_forces(acting.model, due, size, acting.scratch)
+        swarm_forces(acting.model, due, size, acting.order, acting.scratch)
         spread(due, size, environments, work, acting.scratch)
         if hall is not None:
             mark_near(due, size, work.due, work.blocks, acting.scratch)
@@ -433,7 +434,7 @@ def fly(
             store_hall(columns, members, 0, used, work.tile, work.stopped)
 
 
-@part
+@inlined
 def twist(acting: Forces, count: int, drones: int, environments: Records, work: Work) -> None:
     """Write the aerodynamic torque: each rotor receives a quarter of the force at its position.
 

@@ -88,7 +88,7 @@ def test_forces_count_few_references(name):
     or in the sweep of many drones.
     """
     field = load(name).packed
-    code = compiled(swarm_forces, field, 1, 2, scratch_for(field, 1, 2)).inspect_llvm()
+    code = compiled(swarm_forces, field, 1, 2, None, scratch_for(field, 1, 2)).inspect_llvm()
     functions = re.split(r"^define ", "".join(code.values()), flags=re.MULTILINE)
     # `swarm_forces` is inlined into the lambda of `compiled`.
     body = next(each for each in functions if "i32 @" in each[:60] and "clambda" in each[:200])

@@ -22,7 +22,8 @@ from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
 from swarm_envs.compiled import kernel, part
 from swarm_envs.interactions.forces import swarm_forces
-from swarm_envs.interactions.packed import PackedField, Scratch, scratch_for
+from swarm_envs.interactions.packed import PackedField, Scratch, order_for, scratch_for
+from swarm_envs.neighbors import FEW
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -188,6 +189,7 @@ class WorkingState(NamedTuple):
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     force: FloatArray  # (n, 3) N
+    order: IntArray | None  # That of `find_pairs`
     scratch: Scratch  # Working memory of the force model, with the robots' types
 
 
@@ -197,7 +199,8 @@ def working_state(scene: Scene) -> WorkingState:
     position, velocity, force = np.zeros((3, n, 3))
     scratch = scratch_for(scene.field, 1, n)
     scratch.drones["type"] = scene.types
-    return WorkingState(position, velocity, force, scratch)
+    order = order_for(1, n) if n > FEW else None
+    return WorkingState(position, velocity, force, order, scratch)
 
 
 def make_scene(
@@ -273,7 +276,7 @@ def evaluate_forces(scene: Scene, knot: int, work: WorkingState) -> None:
                 work.velocity[j, k] = scene.velocity[knot, j, k]
             drones[j]["position"][k] = work.position[j, k]
             drones[j]["velocity"][k] = work.velocity[j, k]
-    swarm_forces(scene.field, 1, robots, work.scratch)
+    swarm_forces(scene.field, 1, robots, work.order, work.scratch)
     for j in range(robots):
         for k in range(3):
             work.force[j, k] = drones[j]["force"][k]
