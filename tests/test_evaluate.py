@@ -253,18 +253,21 @@ def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
     assert kept.read_text().count("\n") == 1 + TIMED  # what was flown before it failed
 
 
+LEARNED = {"interactions": "learned"}  # a part of a training's configuration
+
+
 def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys):
     """A note for `evaluate` and `fly`, unless the options are those of the training."""
     weights = "reward_weights={'crash': -2}"
     shipped = load("swap-dagger")
     assert isinstance(shipped, PolicyAgent)
-    trained = replace(shipped.policy, provenance={"config": {"env": [weights]}})
+    trained = replace(shipped.policy, provenance={"config": {**LEARNED, "env": [weights]}})
     write_policy(tmp_path / FILE, trained)
     arguments = ["--agent", str(tmp_path), "--horizon-s", "0.5", "--physics", "batch"]
     for command in (["evaluate", "--episodes", "2", *arguments], ["fly", *arguments]):
         assert main(command) == 0
         said = capsys.readouterr().out
-        assert f"was trained with {weights}, but flies with reward_weights=None" in said
+        assert f"was trained with {weights}, but flies with reward_weights=default" in said
         assert main([*command, "--env", weights.replace("2", "2.0")]) == 0
         assert "was trained" not in capsys.readouterr().out
 
@@ -283,6 +286,7 @@ def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys)
             "with end_on_success=True, but flies with end_on_suc",
         ),
         ([], ["--env", "end_on_success=True", "threads=1", "decision_rate=20"], ""),
+        ([], ["--interactions", "none"], "with interactions=learned, but flies with"),
         (["force_rate=48", "physics=batch"], ["--force-rate", "48"], ""),
         (
             ["force_rate=48", "physics=batch"],
@@ -297,7 +301,8 @@ def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys)
 def test_notes_are_of_options_that_differ(trained, flown, note, tmp_path, capsys):
     shipped = load("swap-dagger")
     assert isinstance(shipped, PolicyAgent)
-    write_policy(tmp_path / FILE, replace(shipped.policy, provenance={"config": {"env": trained}}))
+    config = {**LEARNED, "env": trained}
+    write_policy(tmp_path / FILE, replace(shipped.policy, provenance={"config": config}))
     arguments = ["--agent", f"{tmp_path}+filter", "--horizon-s", "0.2", "--episodes", "1"]
     assert main(["evaluate", *arguments, *flown]) == 0
     said = capsys.readouterr().out

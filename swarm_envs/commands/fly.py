@@ -374,7 +374,7 @@ _SAME_EPISODE = ("physics", "threads")  # Options that leave episodes as they ar
 
 
 def training_notes(agents: Mapping[str, Agent], options: EpisodeOptions) -> list[str]:
-    """Return a note for each policy that was trained with other values of `--env`."""
+    """Return a note for each policy that was trained with other interactions or options."""
     kinds = fields(options_type(find_task(options.task)))
     usual = {each.name: default_of(each) for each in kinds}
     notes, here = [], usual | options.setting()
@@ -386,10 +386,16 @@ def training_notes(agents: Mapping[str, Agent], options: EpisodeOptions) -> list
         differ = sorted(each for each in names if not _same(there.get(each), here.get(each)))
         if differ:
             theirs, ours = (
-                ", ".join(f"{each}={given.get(each)}" for each in differ) for given in (there, here)
+                ", ".join(f"{each}={_shown(given.get(each))}" for each in differ)
+                for given in (there, here)
             )
             notes.append(f"note: {name} was trained with {theirs}, but flies with {ours}")
     return notes
+
+
+def _shown(value: object) -> object:
+    """Return a value for a note; None stands for the default of the task."""
+    return "default" if value is None else value
 
 
 def _same(one: object, other: object) -> bool:
@@ -399,7 +405,7 @@ def _same(one: object, other: object) -> bool:
 
 
 def _trained_with(agent: Agent) -> dict[str, Any] | None:
-    """Return the values of `--env` in a policy's training; None if they are unknown."""
+    """Return the interactions and values of `--env` of a policy's training, or None if unknown."""
     from swarm_envs.agents.policy import PolicyAgent
     from swarm_envs.agents.safety import SafetyFilter
 
@@ -407,8 +413,9 @@ def _trained_with(agent: Agent) -> dict[str, Any] | None:
     if not isinstance(pilot, PolicyAgent):
         return None
     try:
-        entries = pilot.policy.provenance["config"]["env"]
-        return WorldOptions(env=tuple(entries)).env_options()
+        config = pilot.policy.provenance["config"]
+        given = WorldOptions(env=tuple(config["env"])).env_options()
+        return {"interactions": config["interactions"], **given}
     except (KeyError, TypeError, ValueError, AttributeError):  # of another program, or damaged
         return None
 

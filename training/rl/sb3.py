@@ -309,8 +309,8 @@ def network_of(model: BaseAlgorithm) -> Network:
     if getattr(policy, "activation_fn", None) is not nn.Tanh:
         raise ValueError(
             "the activation of the policy is not tanh, so that it cannot be written as a policy "
-            "file; leave policy_kwargs out of --set, or use the model in Python with "
-            "swarm_envs.agents.from_model"
+            "file; leave policy_kwargs out of --set (--hidden sets the layers), or use the model "
+            "in Python with swarm_envs.agents.from_model"
         )
     if hasattr(policy, "action_net"):
         extractor = policy.pi_features_extractor
