@@ -17,7 +17,7 @@ takes a microsecond for the dozen rows of a drone.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -305,6 +305,7 @@ def filter_accelerations(
         out: (R, 3) the actions, in units of 5 m/s^2.
         broken: (R,) the largest violation of an inequality, m/s^2; 0 for none.
     """
+    hard: Any = np.int64(LIMITS)  # Numba would compile a literal as a type of its own
     for r in range(observed.shape[0]):
         row, count = observed[r], _write_limits(scratch.rows, scratch.bound)
         kind = _type_of(row, places.type)
@@ -316,7 +317,7 @@ def filter_accelerations(
         for k in range(3):
             scratch.target[k] = ACCELERATION_LIMIT * desired[r, k]
         broken[r] = least_broken(
-            scratch.target, scratch.rows, scratch.bound, LIMITS, count, scratch.work, scratch.out
+            scratch.target, scratch.rows, scratch.bound, hard, count, scratch.work, scratch.out
         )
         for k in range(3):
             given = scratch.out[k] / ACCELERATION_LIMIT

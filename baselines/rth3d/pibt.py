@@ -8,7 +8,7 @@ long not been at its goal. There is no guarantee that all ever arrive.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -257,8 +257,9 @@ def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: b
 
     It always succeeds if no robot was settled by constraints before.
     """
-    depth, stack, cells, records = 0, robots.stack, terrain.cells, robots.records
-    _sort_choices(terrain, robots, at[robot], robot, robot, 0, lost)
+    stack, cells, records = robots.stack, terrain.cells, robots.records
+    depth: Any = np.int64(0)  # with a literal, Numba would compile callees twice
+    _sort_choices(terrain, robots, at[robot], robot, robot, depth, lost)
     while depth >= 0:
         who = stack[depth, 0]
         here = at[who]
