@@ -83,20 +83,21 @@ def recommended(
     size = len(flown.team)
     there = [row for row in rows if row.get("world") == world and row["drones"] >= size]
     row = _row_for(there or plain, size)
-    agents = {name: about for name, about in _best_first(row, size).items() if _flies(name, flown)}
-    wanted = {"learned": learned, "privileged": privileged}
+    agents, wanted = _best_first(row, size), {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     names = [name for name, about in agents.items() if named.items() <= about.items()]
     if obstacles:
         scripts = [name for name in names if not agents[name]["learned"]]
-        names = [name for name in names if _flies_around(name, row["layout"])] or scripts
-    if names:
-        return names[0]
+        names = [name for name in names if _flies_around(name, row["layout"])] + scripts
+    for name in names:  # to the first, since each agent's module has to be imported
+        if _flies(name, flown):
+            return name
+    others = [name for name in agents if _flies(name, flown)]
     properties = " and ".join(f"{name}={value}" for name, value in named.items())
     raise ValueError(
         f"no included agent{f' with {properties}' if properties else ''} flies {task!r} with "
         f"{size} drones{' among obstacles' if obstacles else ''}; "
-        f"agents with other properties: {', '.join(agents) or 'none'}"
+        f"agents with other properties: {', '.join(others) or 'none'}"
     )
 
 

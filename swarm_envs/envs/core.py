@@ -34,11 +34,12 @@ from swarm_envs.envs.randomization import draw_vehicles, scale_hall
 from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
+from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.base import without_ended
 from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SENSED_TYPE, World, as_columns
 from swarm_envs.tasks.base import Placement, Task, place
 from swarm_envs.tasks.rewards import check_reward_weights, weigh
@@ -183,9 +184,14 @@ class SwarmCore:
         seen = (self._seen, as_columns(self._seen), drones, environments, self.settings)
         load, setpoint = bool(self.config.observe_load), bool(self.config.observe_setpoint)
         form = (self.num_obstacles, load, self._predicted, setpoint)
-        given = (self.rows, *form, *seen, self.physics.order, self.physics.obstacles)
+        given = (self.rows, *form, *seen, *self._searched(self.num_obstacles))
         threads = range(self.physics.workers.threads)
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
+
+    def _searched(self, num_obstacles: int) -> tuple[IntArray | None, FloatArray | None]:
+        """Return `order` and `obstacles` of `write_observations`, None if they are not needed."""
+        order = self.physics.order if self.num_drones > FEW else None
+        return order, self.physics.obstacles if num_obstacles else None
 
     def _make_communication(self) -> Communication:
         """Return the model of limited communication, which writes into the rows."""
@@ -381,9 +387,9 @@ class SwarmCore:
         predicted = self._predicted if force else self._predicted[:0]
         given = self._everywhere, rows, num_obstacles, load, predicted, setpoint
         state = drones, self.world.columns, drones, environments, self.settings
-        order, obstacles = self.physics.order, self.physics.obstacles
         scratch = np.zeros(num_neighbors, np.int64), np.zeros(num_neighbors)
-        write_observations(0, self.num_envs, *given, *state, order, obstacles, *scratch)
+        searched = self._searched(num_obstacles)
+        write_observations(0, self.num_envs, *given, *state, *searched, *scratch)
         return rows
 
     def _observe(self, first: int, last: int, where: BoolArray, thread: int) -> None:

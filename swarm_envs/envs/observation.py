@@ -381,8 +381,8 @@ def write_observations(
     drones: Records,
     environments: Records,
     settings: Records,
-    order: IntArray,
-    obstacles: FloatArray,
+    order: IntArray | None,
+    obstacles: FloatArray | None,
     others: IntArray,
     square: FloatArray,
 ) -> None:
@@ -402,23 +402,22 @@ def write_observations(
         drones: (E, N) true records.
         environments: (E,) records.
         settings: (1,) record.
-        order: (E, N) any permutation of the drones; sorted in place in large teams.
-        obstacles: (M', 7) rows of `swarm_envs.physics.contact`.
+        order: (E, N) any permutation of the drones, which is sorted in place; None in small teams.
+        obstacles: (M', 7) rows of `swarm_envs.physics.contact`; None if M is 0.
         others: (K,) scratch; gives the number of neighbors.
         square: (K,) scratch.
     """
     direct, width = settings[0].level != SETPOINTS, 16 if load else 13
-    many = out.shape[1] > FEW
     for e in range(first, last):
         if not mask[e]:
             continue
         position = columns[e]
         time_left = max(1.0 - environments[e].time / settings[0].horizon_s, 0.0)
-        if many:
+        if order is not None:
             sort_along_x(position, order[e])
         for place in range(out.shape[1]):
             i = place
-            if many:
+            if order is not None:
                 i = order[e, place]
             row, own, d = out[e, i], seen[e, i], drones[e, i]
             for c in range(out.shape[2]):  # fields of missing neighbors and obstacles stay zero
@@ -434,7 +433,7 @@ def write_observations(
                 start += 3
             if setpoint:
                 start = write_setpoint(d, row, start)
-            if many:
+            if order is not None:
                 team = drones[e]
                 found = nearest_sorted(i, place, position, team, order[e], others, square)
             else:
@@ -443,7 +442,7 @@ def write_observations(
                 j = others[k]
                 write_neighbor(own, seen[e, j], drones[e, j], load, row, start + width * k)
             start += width * others.shape[0]
-            if num_obstacles > 0:
+            if obstacles is not None:
                 p = own.position
                 place_of = row[start : start + 4 * num_obstacles]
                 start += write_obstacles(p[0], p[1], p[2], obstacles, num_obstacles, place_of)
