@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from swarm_envs.compiled import kernel, part
-from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
+from swarm_envs.neighbors import nearest, nearest_sorted, sort_along_x
 from swarm_envs.noise import normal
 from swarm_envs.physics.contact import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
