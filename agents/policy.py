@@ -366,8 +366,9 @@ class PolicyAgent(RowAgent):
             )
         if task.obstacles and not note.num_obstacles:
             raise ValueError(
-                f"this policy was trained without obstacles and observes none of the "
-                f"{len(task.obstacles)} here; train one with `swarm-envs train --num-obstacles`"
+                "this policy was trained without obstacles and does not observe those of the "
+                "environment; choose an agent by `recommended(..., obstacles=True)`, or train one "
+                "with `swarm-envs train --num-obstacles`"
             )
 
     def act_batch(self, rows: Float32Array) -> Float32Array:

@@ -63,7 +63,7 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
         if have is not required and have != required:
             place, mine, theirs = _difference(name, required, have)
             raise ValueError(
-                f"{type(agent).__name__} requires {place}={mine!r:.80}, but the environment has "
+                f"the agent requires {place}={mine!r:.80}, but the environment has "
                 f"{theirs!r:.80}; make it with parallel_env(..., **agent.requires)"
             )
 

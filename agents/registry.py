@@ -121,7 +121,7 @@ def _load_filtered(name: str) -> Agent:
     agent = load_agent(inner)
     if isinstance(agent, SafetyFilter):
         raise ValueError(
-            f"name is {name!r}, but {inner!r} already has a filter; leave out '+filter'"
+            f"agent is {name!r}, but {inner!r} already has a filter; leave out '+filter'"
         )
     return SafetyFilter(agent, agent.policy.note.safety if isinstance(agent, PolicyAgent) else None)
 

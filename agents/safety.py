@@ -131,7 +131,7 @@ class SafetyFilter:
         for name, wanted in needed.items():
             if agent.requires.get(name, wanted) != wanted:
                 raise ValueError(
-                    f"a safety filter needs {name}={wanted!r}, but {type(agent).__name__} requires "
+                    f"a safety filter needs {name}={wanted!r}, but the agent requires "
                     f"{agent.requires[name]!r}; use it without a filter"
                 )
         observed = agent.requires.get("num_neighbors", 0)

@@ -79,6 +79,7 @@ COMMANDS: Mapping[str, Command] = {
     "compile": Command("compile the kernels before the first episode", "--no-progress"),
 }
 """Every command by its name. To add one, write its module and add it here."""
+_SIMILAR = r"(?:Perhaps you meant|Arguments similar to --[\w-]+):"  # In messages of tyro
 _LISTS = ("--agent", "--env", "--set")  # If one is given again, tyro forgets the values before
 
 
@@ -255,7 +256,10 @@ def _in_one_line(box: str) -> str:
     """Return the reason of an error from tyro's box, without title, frame and help text."""
     text = re.sub("[\u2500\u2502\u2570\u256f]|-{4,}", " ", "\n".join(box.splitlines()[1:]))
     reason = re.sub(r"^Error parsing \w+: ", "", " ".join(text.split()))
-    return re.split("Got errors:|Argument helptext:|For full helptext", reason)[0].strip()
+    reason = re.split("Got errors:|Argument helptext:|For full helptext", reason)[0].strip()
+    similar = re.findall(rf"{_SIMILAR} (--[\w-]+)", reason)  # options before their help texts
+    reason = re.split(f" {_SIMILAR}", reason)[0]
+    return f"{reason}; did you mean {' and '.join(similar)}?" if similar else reason
 
 
 def _description(name: str, options: Any) -> str:

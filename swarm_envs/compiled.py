@@ -168,7 +168,8 @@ def compilation(kernels: int) -> Iterator[None]:
     """Show a progress bar if `entry_point` takes more than two seconds for a number of kernels."""
     global _bar
     before = _bar
-    with tqdm(total=kernels, unit="kernel", delay=2.0) as _bar:
+    form = "{l_bar}{bar}| {n_fmt}/{total_fmt} kernels, {elapsed}"  # no estimate: times differ
+    with tqdm(total=kernels, bar_format=form, delay=2.0) as _bar:
         timer = threading.Timer(2.0, _bar.refresh)
         timer.start()
         try:

@@ -157,7 +157,7 @@ def test_a_help_ends_in_a_window_of_any_width(columns, monkeypatch, capsys):
         ("assignment", "{list,start}"),
         ("fly --on-contact explode", "invalid choice 'explode'"),
         ("train --out a --drones 4 six", "six"),
-        ("demo --swap 3", "Perhaps you meant: --swaps"),
+        ("demo --swap 3", "--swap, 3; did you mean --swaps? (see"),
         ("fly --gama 0.9", "Unrecognized options: --gama, 0.9 (see"),
         ("demo --video no", "Unrecognized options: no"),
     ],

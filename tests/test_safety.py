@@ -169,7 +169,7 @@ def test_obstacles_are_kept_away_from(name, hits, arrives):
 
 
 def test_what_cannot_be_filtered_is_refused():
-    with pytest.raises(ValueError, match=r"needs action='acceleration', but DetourAgent requires"):
+    with pytest.raises(ValueError, match=r"needs action='acceleration', but the agent requires"):
         load("detour+filter")
     assert isinstance(load("orca"), SafetyFilter)
     with pytest.raises(ValueError, match="'orca' already has a filter"):

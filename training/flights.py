@@ -103,7 +103,9 @@ def fly_flights(
     missing = [flight.without(flown) for (flight, _), flown in zip(kept, found, strict=True)]
     work = sum(len(flight.seeds) for flight in missing)
     failed: dict[int, tuple[int, Flown]] = {}
-    with tqdm(total=work, bar_format=_BAR, mininterval=0.5, disable=not work) as bar:
+    label = next((_label(flight) for flight in missing if flight.seeds), "")
+    given: dict[str, Any] = {"bar_format": _BAR, "mininterval": 0.5, "disable": not work}
+    with tqdm(total=work, desc=label, **given) as bar:
         for k, first, result in _fly_chunks(missing, failed, scale):
             flight, file = kept[k]
             if file is not None and result.episodes:
@@ -112,7 +114,7 @@ def fly_flights(
             if result.error and (k not in failed or first < failed[k][0]):
                 failed[k] = first, result
             good = sum(each["metrics"].get("success", False) for each in found[k].values())
-            bar.set_description_str(f"{flight.task} {flight.agent[-30:]}", refresh=False)
+            bar.set_description_str(_label(flight), refresh=False)
             bar.set_postfix_str(f"{good} successes in {len(found[k])} episodes", refresh=False)
             bar.update(len(result.episodes))
     whole = [
@@ -122,6 +124,11 @@ def fly_flights(
     for k, (_, result) in failed.items():
         whole[k] = result._replace(episodes=whole[k].episodes)
     return whole
+
+
+def _label(flight: Flight) -> str:
+    """Return the description of a flight for the progress bar."""
+    return f"{flight.task} {flight.agent[-30:]}"
 
 
 def _fly_chunks(

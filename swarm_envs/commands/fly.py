@@ -59,8 +59,8 @@ class EpisodeFields:
     physics: str | None = None
     """Physics engine, `bullet` or `batch`. If None, Bullet if it is installed."""
     interactions: str = "learned"
-    """Model of the aerodynamic forces between drones: `none`, `wake`, `learned`, `deep-set`, a
-    weights file, or path/to/file.py:function."""
+    """Model of the aerodynamic forces, between drones and from the ground: `none`, `wake`,
+    `learned`, `deep-set`, a weights file, or path/to/file.py:function."""
     horizon_s: float | None = None
     """Time limit of an episode, s. If None, the task's default."""
 
@@ -129,11 +129,11 @@ class FlyOptions(EpisodeOptions):
     last drone arrived for good, or how many sets of goals all drones reached, or the score of a
     task whose goals continue; success needs half a second at the goals. Distance: the smallest
     distance between two drones; a near miss is one below 1.5 times that of contact, without a
-    contact. Force: the largest interaction force on a drone, in grams (1 g is 9.81 mN), and the
-    thrust reserve, by which the weakest drone can exceed its weight; a drone sinks under a larger
-    force. Height: the largest error of height to the reference, in tasks that have one; below 5 cm
-    is as good as the flights of Neural-Swarm2. All metrics are in the file of --json. A crash is a
-    valid result, with exit status 0.
+    contact. Force: the largest aerodynamic force on a drone, from other drones or the ground, in
+    grams (1 g is 9.81 mN), and the thrust reserve, by which the weakest drone can exceed its
+    weight; a drone sinks under a larger force. Height: the largest error of height to the
+    reference, in tasks that have one; at most 5 cm is as good as the flights of Neural-Swarm2. All
+    metrics are in the file of --json. A crash is a valid result, with exit status 0.
     """
 
     agent: str | None = None
@@ -300,18 +300,24 @@ def best_agent(options: EpisodeOptions, task: str) -> str:
 
 
 class _FlightBar:
-    """Progress bar of decisions that begins with the first, after planning and compilation."""
+    """Progress bar of decisions that begins after the first, which may plan and compile."""
 
     def __init__(self, total: int) -> None:
         self._total = total
+        self.began = False
+        """True after the reset of the environment and the agent."""
         self.bar: Any = None
         """The tqdm bar; None before the first decision."""
 
     def __call__(self, *_: object) -> None:
-        """Count a decision."""
-        if self.bar is None:
-            self.bar = tqdm(total=self._total, desc="flight", unit="decision", mininterval=0.5)
-        self.bar.update()
+        """Count a decision; the first call follows the reset."""
+        if not self.began:
+            self.began = True
+        elif self.bar is None:
+            given: dict[str, Any] = {"desc": "flight", "unit": "decision", "mininterval": 0.5}
+            self.bar = tqdm(total=self._total, initial=1, **given)
+        else:
+            self.bar.update()
 
     def close(self) -> None:
         """Close the bar."""
@@ -322,18 +328,18 @@ class _FlightBar:
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
     from swarm_envs.agents import record_episode
 
-    bar = _FlightBar(round(env.view.horizon_s * env.core.config.decision_rate) + 1)
+    bar = _FlightBar(round(env.view.horizon_s * env.core.config.decision_rate))
     try:
         recording = record_episode(env, agent, options.seed, watch=bar, name=name)
         bar.bar.total = bar.bar.n  # it may have ended before the time limit
         return recording
     except Exception as error:
-        if isinstance(error, RuntimeError) and bar.bar is None and not env.agents:
+        if isinstance(error, RuntimeError) and not bar.began and not env.agents:
             raise Misuse(str(error)) from error  # obstacles that leave no place to start
         if any(".py:" in str(each) for each in (name, options.task, options.interactions)):
             # its author needs to see where it failed
             traceback.print_exc()
-        elif bar.bar is None and isinstance(error, ValueError):
+        elif not bar.began and isinstance(error, ValueError):
             raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
         where = f"the episode of seed {options.seed}, flown by agent {name!r}, failed"
         raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
@@ -362,7 +368,7 @@ def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -
     return f"{message}; try --agent {best}{seen}"
 
 
-_LETTERS = 32  # Drones up to which a team is written out
+_LETTERS = 16  # Drones up to which a team is written out
 
 
 def team_text(team: Team) -> str:
@@ -439,8 +445,9 @@ def _print_summary(recording: Recording, options: FlyOptions, blueprint: Bluepri
     reserve = min(v.mass * (v.thrust_to_weight - 1.0) for v in recording.team) * 1e3
     print(f"  Force     {metrics['worst_force_g']:.1f} g at most; thrust reserve {reserve:.1f} g")
     if (height := metrics["worst_height_error_m"]) is not None:
-        verdict = "good" if height <= _GOOD_HEIGHT_M else "large, see --help"
-        print(f"  Height    {100 * height:.1f} cm from the reference at worst; {verdict}")
+        verdict = "good, at most" if height <= _GOOD_HEIGHT_M else "large, above"
+        limit = f"{verdict} {100 * _GOOD_HEIGHT_M:.0f} cm"
+        print(f"  Height    {100 * height:.1f} cm from the reference at worst; {limit}")
 
 
 def _goals_text(metrics: Mapping[str, Any], drones: int) -> str:
@@ -452,7 +459,8 @@ def _goals_text(metrics: Mapping[str, Any], drones: int) -> str:
     if "share_on_goal" in metrics:
         return f"{metrics['share_on_goal']:.0%} of the time near the moving goals"
     if metrics["time_to_goal_s"] is not None:
-        return f"all {drones} drones, the last after {metrics['time_to_goal_s']:.2f} s"
+        who = f"all {drones} drones, the last" if drones > 1 else "the drone,"
+        return f"{who} after {metrics['time_to_goal_s']:.2f} s"
     if metrics["success"]:
         return ""
     return f"{metrics['stages_reached']} of {metrics['stages']} sets of goals reached by all drones"

@@ -60,9 +60,9 @@ class EnvConfig:
     """`bullet`, `batch` (the compiled engine), or None: Bullet if it is installed and
     `deterministic` is False, else the compiled engine."""
     interactions: str | Path | InteractionModel | ForceFunction = "learned"
-    """The interaction force model: `none`, `wake`, `learned`, `deep-set`, the path of a safetensors
-    file, a model, or a function of positions, velocities and types that returns forces (see
-    `swarm_envs.interactions.load`)."""
+    """The model of the aerodynamic forces, between drones and from the ground: `none`, `wake`,
+    `learned`, `deep-set`, the path of a safetensors file, a model, or a function of positions,
+    velocities and types that returns forces (see `swarm_envs.interactions.load`)."""
     action: str = "acceleration"
     """The action mode: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
     clip_actions: bool = False

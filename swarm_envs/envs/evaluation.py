@@ -206,10 +206,11 @@ def metrics(
       to the reference, over all drones; the lists `..._by_drone_m` have those of each drone. None
       if the task has no reference, or before errors count (in `ring`, during the start-up). Errors
       are measured at decisions, so compare them at one decision rate.
-    - `worst_force_g`: largest aerodynamic force on a drone, its drag included; `energy_j`: ideal
-      induced energy of all rotors; `force_bound_violations`: drone-steps of 1/240 s with a
-      vertical force above the drone's bound, and `fraction_over_force_bound`: their share of
-      all; `fraction_outside_measured_range`: share of drone-steps with an extrapolated force.
+    - `worst_force_g`: largest aerodynamic force on a drone, from others or the ground, drag
+      included; `energy_j`: ideal induced energy of all rotors; `force_bound_violations`:
+      drone-steps of 1/240 s with a vertical force above the drone's bound, and
+      `fraction_over_force_bound`: their share of all; `fraction_outside_measured_range`: share of
+      drone-steps with an extrapolated force.
     - The task's `score_names`, if it has any: its score, and the number of goals reached.
     - `time_to_goal_s`: time from which the last drone has stayed at its goal, in the present stage
       (None if one is not there, or if goals move).

@@ -165,7 +165,8 @@ def draw_apart(
         return points
     raise RuntimeError(
         f"found room for {placed} of {n} drones {distance} m apart within 10,000 draws; "
-        "use fewer drones or obstacles, or, in Python, give reset(options={'start': ...})"
+        "use fewer drones, fewer or smaller obstacles, or, in Python, give "
+        "reset(options={'start': ...})"
     )
 
 

@@ -152,8 +152,8 @@ class RlConfig(WorldOptions, RunOptions):
     """Included agent whose tracking controller follows the policy's set-points, such as
     `downwash-aware`. If None, the default controller."""
     interactions: str = "learned"
-    """Model of the aerodynamic forces between drones: `none`, `wake`, `learned`, a weights file or
-    path/to/file.py:function."""
+    """Model of the aerodynamic forces, between drones and from the ground: `none`, `wake`,
+    `learned`, `deep-set`, a weights file, or path/to/file.py:function."""
     checkpoint_rollouts: int = 100
     """Number of rollouts between two checkpoints of DAgger."""
     evaluations: int = 5
