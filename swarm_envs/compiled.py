@@ -297,6 +297,7 @@ def entry_point(compiled: F, *arguments: object) -> F:
     announce_compilation(compiled)
     if _bar is not None:
         _bar.set_description_str(f"compiling {compiled.__name__}", refresh=False)
+        _bar.update()  # the number of the kernel that is being compiled
     if numba.config.DISABLE_JIT:
         return compiled
     dispatcher: Any = compiled
@@ -312,8 +313,6 @@ def entry_point(compiled: F, *arguments: object) -> F:
             finally:
                 if collects:
                     gc.enable()
-    if _bar is not None:
-        _bar.update()
     return entry
 
 
