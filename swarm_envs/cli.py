@@ -19,7 +19,7 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from swarm_envs import __version__
 from swarm_envs.commands.checks import Misuse, forget_output
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import nearest, unknown_name
 from swarm_envs.user_files import users_line
 
 PROGRAM = "swarm-envs"  # The command's name
@@ -80,6 +80,9 @@ COMMANDS: Mapping[str, Command] = {
 }
 """Every command by its name. To add one, write its module and add it here."""
 _SIMILAR = r"(?:Perhaps you meant|Arguments similar to --[\w-]+):"  # In messages of tyro
+_NOT_A_NUMBER = re.compile(r"Error parsing (--\S+): .*\b(INT|FLOAT|int|float)\b.*'(.*)'")
+_NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(--\S+)'. Expected one of (\(.*\))")
+_KINDS = {"int": "an integer", "float": "a number"}
 _LISTS = ("--agent", "--env", "--set")  # If one is given again, tyro forgets the values before
 
 
@@ -257,6 +260,13 @@ def _in_one_line(box: str) -> str:
     text = re.sub("[\u2500\u2502\u2570\u256f]|-{4,}", " ", "\n".join(box.splitlines()[1:]))
     reason = re.sub(r"^Error parsing \w+: ", "", " ".join(text.split()))
     reason = re.split("Got errors:|Argument helptext:|For full helptext", reason)[0].strip()
+    if number := _NOT_A_NUMBER.match(reason):
+        option, kind, value = number.groups()
+        return f"{option} is {value!r}, but must be {_KINDS[kind.lower()]}"
+    if choice := _NO_CHOICE.match(reason):
+        value, option, listed = choice.groups()
+        valid = {*re.findall(r"'(.*?)'", listed)} - {"None"}
+        return f"{option} is {value!r}; {nearest(value, valid)}"
     similar = re.findall(rf"{_SIMILAR} (--[\w-]+)", reason)  # options before their help texts
     reason = re.split(f" {_SIMILAR}", reason)[0]
     return f"{reason}; did you mean {' and '.join(similar)}?" if similar else reason

@@ -60,7 +60,10 @@ def import_file(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[name]
-        raise ImportError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+        where = "" if (line := users_line(error)) is None else f"{line} raises "
+        raise ImportError(
+            f"{file} cannot be imported: {where}{type(error).__name__}: {error}"
+        ) from error
     finally:
         new = {m for m in set(sys.modules) - before if _lies_in(folder, sys.modules[m])}
         _imported[str(folder)] |= new - {name}

@@ -296,12 +296,15 @@ def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys)
         (None, ["--env", "end_on_success=False"], ""),
         ([1], [], ""),
         (["foo"], [], ""),
+        ({"observe_loss": 0.1}, [], "with observe_loss=0.1, but flies with observe_loss=0.0"),
+        ({"observe_loss": 0.1}, ["--observe-loss", "0.1"], ""),
     ],
 )
 def test_notes_are_of_options_that_differ(trained, flown, note, tmp_path, capsys):
     shipped = load("swap-dagger")
     assert isinstance(shipped, PolicyAgent)
-    config = {**LEARNED, "env": trained}
+    limits, env = (trained, []) if isinstance(trained, dict) else ({}, trained)
+    config = {**LEARNED, "env": env, **limits}
     write_policy(tmp_path / FILE, replace(shipped.policy, provenance={"config": config}))
     arguments = ["--agent", f"{tmp_path}+filter", "--horizon-s", "0.2", "--episodes", "1"]
     assert main(["evaluate", *arguments, *flown]) == 0

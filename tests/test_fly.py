@@ -43,7 +43,7 @@ def test_a_flight_is_printed_and_written(capsys, tmp_path):
     assert f"Distance  {metrics['minimum_separation_m']:.3f} m at the closest; no near" in said.out
     assert f"Force     {metrics['worst_force_g']:.1f} g at most; thrust reserve 31.0 g" in said.out
     assert f"Height    {100 * metrics['worst_height_error_m']:.1f} cm" in said.out
-    assert "worst; good" in said.out
+    assert "worst; good, at most 5 cm" in said.out
     assert "sees the true state" in said.out
     assert "100%" in said.err
     written, recording = json.loads(numbers.read_text()), read_trajectory(path)
@@ -51,6 +51,16 @@ def test_a_flight_is_printed_and_written(capsys, tmp_path):
     assert (written["team"], written["agent"], written["seed"]) == ("LS", "tracking+compensated", 1)
     assert recording.about.seed == 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.json", "a.npz"]
+
+
+@pytest.mark.parametrize(
+    ("scaled", "reserve"),
+    [("mass=1.5:1.5", 65.0 - 1.5 * 34.0), ("thrust=0.8:0.8", 0.8 * 65.0 - 34.0)],
+)
+def test_the_thrust_reserve_is_that_of_the_episode(scaled, reserve, capsys):
+    flight = ["--physics", "batch", "--agent", "hover", "--horizon-s", "0.1"]
+    assert main(["fly", *flight, "--randomization", scaled]) == 0
+    assert f"thrust reserve {reserve:.1f} g" in capsys.readouterr().out
 
 
 def test_a_delay_need_not_be_a_multiple_of_any_decision(capsys):

@@ -50,6 +50,14 @@ class EvaluateOptions(EpisodeOptions):
     With --out, an interrupted command resumes after the last complete episode when it is run
     again. An agent that does not support the task is refused before the first episode. If an agent
     fails during an episode, its error is reported, and the exit status is 1.
+
+    The table has a row for each agent. Success: the share of episodes that solve the task, with its
+    95 % interval (Wilson). Crashed: the share in which a drone touches another, the floor, a wall
+    or an obstacle, or tumbles; episodes that neither succeed nor crash reach the time limit. Near
+    miss: the share without a crash in which two drones come closer than 1.5 times the distance at
+    which they touch. Time to goal, energy of the rotors, return and others are interquartile means,
+    of the successful episodes or of all. Decision: the median and the 99th percentile of the time
+    in which the agent decides for the whole team, on one core.
     """
 
     agent: list[str] | None = None

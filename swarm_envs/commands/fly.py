@@ -26,7 +26,7 @@ from swarm_envs.envs.setting import WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.tasks.obstacles import parse_obstacles
-from swarm_envs.vehicles import Team, parse_team, team_string
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, parse_team, team_string
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -188,7 +188,8 @@ def run_fly(options: FlyOptions) -> None:
         env = SwarmParallelEnv(*blueprint)
     with closing(env):
         recording = _fly(env, agent, name, options)
-    _print_summary(recording, options, blueprint)
+        reserve_g = _least_reserve_g(env)
+    _print_summary(recording, options, blueprint, reserve_g)
     for note in training_notes({name: agent}, options):
         print(note)
     if agent.privileged:
@@ -284,6 +285,8 @@ def best_agent(options: EpisodeOptions, task: str) -> str:
     """Return the recommended agent for a task with these options."""
     from swarm_envs.agents import recommended
 
+    if ".py:" in task:
+        raise ValueError("no agent is recommended for a custom task; name one, as --agent orca")
     setting = options.setting()
     drones = len(blueprint_of(task, **setting).task.team)
     try:
@@ -356,6 +359,7 @@ def cannot_fly(name: str, error: Exception) -> str:
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
     """Return why an agent cannot fly a task, and which agent can, if there is one."""
     from swarm_envs.agents import load
+    from swarm_envs.agents.recommendation import avoids_obstacles
 
     message = cannot_fly(name, error)
     try:
@@ -364,8 +368,11 @@ def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -
         return message
     if best == name:
         return message
-    seen = ", which sees the true state" if load(best).privileged else ""
-    return f"{message}; try --agent {best}{seen}"
+    agent = load(best)
+    about = ["sees the true state"] if agent.privileged else []
+    if options.obstacles and not avoids_obstacles(agent):
+        about.append("was measured without obstacles")
+    return f"{message}; try --agent {best}{', which ' if about else ''}{' and '.join(about)}"
 
 
 _LETTERS = 16  # Drones up to which a team is written out
@@ -376,6 +383,7 @@ def team_text(team: Team) -> str:
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
+_LIMITS = ("observe_range_m", "observe_delay_s", "observe_loss")
 _SAME_EPISODE = ("physics", "threads")  # Options that leave episodes as they are
 
 
@@ -411,7 +419,7 @@ def _same(one: object, other: object) -> bool:
 
 
 def _trained_with(agent: Agent) -> dict[str, Any] | None:
-    """Return the interactions and values of `--env` of a policy's training, or None if unknown."""
+    """Return interactions, limits of communication and `--env` of a policy's training, or None."""
     from swarm_envs.agents.policy import PolicyAgent
     from swarm_envs.agents.safety import SafetyFilter
 
@@ -421,12 +429,22 @@ def _trained_with(agent: Agent) -> dict[str, Any] | None:
     try:
         config = pilot.policy.provenance["config"]
         given = WorldOptions(env=tuple(config["env"])).env_options()
-        return {"interactions": config["interactions"], **given}
+        limits = {name: config[name] for name in _LIMITS if config.get(name) is not None}
+        return {"interactions": config["interactions"], **limits, **given}
     except (KeyError, TypeError, ValueError, AttributeError):  # of another program, or damaged
         return None
 
 
-def _print_summary(recording: Recording, options: FlyOptions, blueprint: Blueprint) -> None:
+def _least_reserve_g(env: SwarmParallelEnv) -> float:
+    """Return by how much the weakest drone of this episode can exceed its weight, grams."""
+    drones = env.core.world.drones[0]
+    reserve_n = 4.0 * drones["max_rotor_thrust"] - drones["mass"] * GRAVITY
+    return float(reserve_n.min()) / GRAM_FORCE
+
+
+def _print_summary(
+    recording: Recording, options: FlyOptions, blueprint: Blueprint, reserve_g: float
+) -> None:
     from swarm_envs.viewing.summary import outcome
 
     about, metrics = recording.about, recording.about.metrics
@@ -442,8 +460,7 @@ def _print_summary(recording: Recording, options: FlyOptions, blueprint: Bluepri
         misses = metrics["near_misses"]
         text = "no near miss" if not misses else f"near misses of {misses} drones"
         print(f"  Distance  {metrics['minimum_separation_m']:.3f} m at the closest; {text}")
-    reserve = min(v.mass * (v.thrust_to_weight - 1.0) for v in recording.team) * 1e3
-    print(f"  Force     {metrics['worst_force_g']:.1f} g at most; thrust reserve {reserve:.1f} g")
+    print(f"  Force     {metrics['worst_force_g']:.1f} g at most; thrust reserve {reserve_g:.1f} g")
     if (height := metrics["worst_height_error_m"]) is not None:
         verdict = "good, at most" if height <= _GOOD_HEIGHT_M else "large, above"
         limit = f"{verdict} {100 * _GOOD_HEIGHT_M:.0f} cm"

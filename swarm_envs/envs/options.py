@@ -21,7 +21,7 @@ from swarm_envs.envs.config import MOST_DRONES, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_integer, check_name, check_type, nearest
 from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
+from swarm_envs.tasks.obstacles import Obstacle, check_inside, parse_obstacles
 from swarm_envs.tasks.rewards import reward_meanings
 from swarm_envs.user_files import load_from_file
 from swarm_envs.vehicles import Vehicle, parse_team
@@ -99,6 +99,7 @@ class TaskOptions(EnvConfig):
             "reward_weights": {**kind.default_weights, **(self.reward_weights or {})},
         }
         task: Task = kind(**given)
+        check_inside(given["obstacles"], task.arena)
         return task
 
     def blueprint(self) -> Blueprint:
@@ -246,12 +247,21 @@ def task_class(task: str | type[Task]) -> type[Task]:
         check_name("task", found, TASKS)
         return next(filter(_is_task, vars(importlib.import_module(f"swarm_envs.{found}")).values()))
     if not _is_task(found):
-        raise ValueError(
-            f"task is {found!r:.80}, but must be a name such as 'swap_v1', or a class with "
-            "@dataclass(frozen=True) that inherits from swarm_envs.tasks.base.Task and has a "
-            "method draw"
-        )
+        raise ValueError(_not_a_task(found))
     return found
+
+
+def _not_a_task(found: object) -> str:
+    """Return which rule of a task's class an object breaks."""
+    if not (isinstance(found, type) and issubclass(found, Task)):
+        return (
+            f"task is {found!r:.80}, but must be a name such as 'swap_v1', or a class that "
+            "inherits from swarm_envs.tasks.base.Task"
+        )
+    name = found.__name__
+    if "__dataclass_fields__" not in vars(found):
+        return f"task class {name} is no dataclass; decorate it by @dataclass(frozen=True)"
+    return f"task class {name} lacks {', '.join(sorted(found.__abstractmethods__))}; add the method"
 
 
 def _is_task(kind: object) -> TypeGuard[type[Task]]:

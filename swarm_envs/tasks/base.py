@@ -66,22 +66,22 @@ class Orbit(NamedTuple):
 
 
 class Placement(NamedTuple):
-    """The starts and goals of one episode of one environment, as a task samples them."""
+    """The starts and goals of one episode of one environment, as a task samples them.
+
+    `start` (N, 3) and `goals` (S, N, 3), one set for each of S stages, are positions in m.
+    `duration` is the time of the reference from one stage to the next, s, 0 if it rests at the
+    goals; `orbit` has the ellipses of a reference that moves on ellipses; `team` the vehicles, if
+    the task samples payloads; `chased` (N,) the drone that each drone chases, or -1; `key` the
+    random numbers of goals that kernels sample, 64 bits.
+    """
 
     start: FloatArray
-    """(N, 3) start positions, m."""
     goals: FloatArray
-    """(S, N, 3) goal positions of each stage, m."""
     duration: float = 0.0
-    """Time of the reference from one stage to the next, s; 0 if it rests at the goals."""
     orbit: Orbit | None = None
-    """The ellipses of a reference that moves on ellipses."""
     team: Team | None = None
-    """The vehicles of this episode, if the task samples payloads; None for the task's."""
     chased: IntArray | None = None
-    """(N,) index of the drone that each drone chases, or -1; None if no drone chases another."""
     key: int = 0
-    """Key of the random numbers from which kernels sample further goals, 64 bits."""
 
 
 def place(world: World, e: int, placement: Placement) -> None:
@@ -375,6 +375,7 @@ class Task(_TaskFields, ABC):
         why = ""
         for _ in range(_DRAWS if len(rows) else 1):
             placement = self.draw(rng, start, goal)
+            self._check_shapes(placement)
             check_points("start", placement.start, radius, arena)
             for goals in placement.goals:
                 check_points("goal", goals, radius, arena)
@@ -385,6 +386,21 @@ class Task(_TaskFields, ABC):
             f"found no {self.name} free of the obstacles within {_DRAWS} draws; in the last one, "
             f"{why}; use fewer or smaller obstacles, or move them"
         )
+
+    def _check_shapes(self, placement: object) -> None:
+        """Raise ValueError unless `draw` returned a placement with the goals of all stages."""
+        if not isinstance(placement, Placement):
+            raise ValueError(
+                f"draw of {self.name} returned a {type(placement).__name__}, but must return a "
+                "Placement(start, goals) of swarm_envs.tasks.base"
+            )
+        shape, wanted = np.shape(placement.goals), (self.num_stages, len(self.team), 3)
+        if shape != wanted:
+            hint = "; write goals[None] for one stage" if len(shape) == 2 else ""
+            raise ValueError(
+                f"Placement.goals of {self.name} has shape {shape}, but must have shape {wanted}, "
+                f"(num_stages, drones, 3){hint}"
+            )
 
     def _obstructed(self, placement: Placement, margin: float) -> str:
         """Return a message on a point too near an obstacle; empty if there is none."""

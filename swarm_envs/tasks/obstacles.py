@@ -28,6 +28,7 @@ __all__ = [
     "Column",
     "Obstacle",
     "buildings",
+    "check_inside",
     "obstacle_distances",
     "obstacle_rows",
     "parse_obstacles",
@@ -59,6 +60,11 @@ class Box:
         """The row (7,) for the contact kernels."""
         return (BOX, *map(float, self.low), *map(float, self.high))
 
+    @property
+    def corners(self) -> tuple[Point, Point]:
+        """The lower and upper corner (x, y, z), m."""
+        return self.low, self.high
+
 
 @dataclass(frozen=True)
 class Column:
@@ -82,6 +88,12 @@ class Column:
         """The row (7,) for the contact kernels."""
         x, y = self.center
         return (COLUMN, float(x), float(y), float(self.radius), 0.0, float(self.height), 0.0)
+
+    @property
+    def corners(self) -> tuple[Point, Point]:
+        """The lower and upper corner (x, y, z) of the smallest box around it, m."""
+        (x, y), r = self.center, self.radius
+        return (x - r, y - r, 0.0), (x + r, y + r, self.height)
 
 
 Obstacle = Box | Column
@@ -129,6 +141,19 @@ def buildings(
         for x in x_centers
         for y in y_centers
     )
+
+
+def check_inside(obstacles: Sequence[Obstacle], arena: FloatArray) -> None:
+    """Raise ValueError if an obstacle lies outside the arena with the corners (2, 3), m."""
+    obstacle_rows(obstacles)  # raises for other objects
+    for obstacle in obstacles:
+        low, high = np.array(obstacle.corners)
+        if (high <= arena[0]).any() or (low >= arena[1]).any():
+            lowest, highest = (tuple(corner) for corner in arena.tolist())
+            raise ValueError(
+                f"{obstacle} lies outside the arena, which is from {lowest} to {highest} m; move "
+                "it, or leave it out"
+            )
 
 
 def parse_obstacles(text: str) -> tuple[Obstacle, ...]:

@@ -13,6 +13,7 @@ from swarm_envs.vehicles import GRAM_FORCE, Team
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
+    from swarm_envs.tasks.obstacles import Obstacle
 
 __all__ = ["About", "FlightRecord", "Recorder", "Recording", "Solid"]
 
@@ -43,21 +44,14 @@ class Solid(NamedTuple):
         )
 
 
-def solids(obstacles: Iterable[Any], ceiling: float) -> tuple[Solid, ...]:
-    """Return the obstacles of a task as solids, in the same order, clipped at the ceiling.
+def solids(obstacles: Iterable[Obstacle], ceiling: float) -> tuple[Solid, ...]:
+    """Return the obstacles of a task as solids, in the same order.
 
-    Args:
-        obstacles: boxes with corners `low` and `high` (3,), m, and columns on the ground with
-            a `center` (x, y), a `radius` and a `height`, m.
-        ceiling: height of the arena, m.
+    They are clipped at the height of the arena, `ceiling`, m.
     """
     found = []
     for obstacle in obstacles:
-        if hasattr(obstacle, "radius"):
-            (x, y), r = obstacle.center[:2], obstacle.radius
-            low, high = (x - r, y - r, 0.0), (x + r, y + r, obstacle.height)
-        else:
-            low, high = obstacle.low, obstacle.high
+        low, high = obstacle.corners
         top = min(float(high[2]), ceiling)
         lowest = (float(low[0]), float(low[1]), float(low[2]))
         highest = (float(high[0]), float(high[1]), top)

@@ -168,7 +168,7 @@ def test_searches_that_fail_say_why(task, options, message, monkeypatch):
 
 def test_an_overfull_arena_raises():
     env = swap_v1.parallel_env(physics="batch", obstacles=(Box((-2, -2, 0), (2, 2, 2.4)),))
-    with pytest.raises(RuntimeError, match=r"found room for 0 of 4 drones .* fewer drones or obst"):
+    with pytest.raises(RuntimeError, match=r"found room for 0 of 4 drones .* fewer drones, fewer or sm"):
         env.reset(seed=0)
 
 
@@ -206,6 +206,8 @@ def test_buildings_stand_on_a_grid():
         (lambda: buildings(0, 2), ValueError, r"columns is 0, but must be an integer"),
         (lambda: buildings(2, 2, spacing=0.3), ValueError, r"0 < width < spacing"),
         (lambda: swarm_envs.make("swap_v1", obstacles=[1]), TypeError, "obstacles hold 1, but"),
+        (lambda: swarm_envs.make("swap_v1", obstacles="column=2.3:0:0.2"), ValueError, "outside"),
+        (lambda: swarm_envs.make("swap_v1", obstacles="box=0:0:2.6:1:1:3"), ValueError, "outside"),
     ],
 )  # fmt: skip
 def test_impossible_obstacles(call, error, message):

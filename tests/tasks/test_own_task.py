@@ -163,8 +163,45 @@ def test_options_are_the_fields_of_the_class_and_its_docstrings_explain_them():
     np.testing.assert_allclose(np.diff(goals), 0.4)
     with pytest.raises(TypeError, match="'spacing'; did you mean 'spacing_m'"):
         swarm_envs.make(own_task.LineTask, spacing=0.4)
-    with pytest.raises(ValueError, match="must be a name such as 'swap_v1', or a class with"):
-        swarm_envs.make(Task)
+
+
+class _Undecorated(Task):
+    def draw(self, rng, start=None, goal=None):
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class _Drawless(Task):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (int, "must be a name such as 'swap_v1', or a class that inherits"),
+        (_Undecorated, "_Undecorated is no dataclass; decorate it by @dataclass"),
+        (_Drawless, "_Drawless lacks draw; add the method"),
+    ],
+)
+def test_the_broken_rule_of_a_class_is_named(kind, message):
+    with pytest.raises(ValueError, match=message):
+        swarm_envs.make(kind)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (lambda start: (start, start[None]), r"returned a tuple, but must return a Placement"),
+        (lambda start: Placement(start, start), r"shape \(2, 3\).*goals\[None\] for one stage"),
+        (lambda start: Placement(start, np.stack([start, start])), r"must have shape \(1, 2, 3\)"),
+    ],
+)
+def test_what_draw_returns_is_checked(given, message):
+    start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    kind = type("Drawn", (OwnSwap,), {"draw": lambda self, *_: given(start)})
+    env = swarm_envs.make(dataclass(frozen=True)(kind), num_drones=2, physics="batch")
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=0)
 
 
 @dataclass(frozen=True)
@@ -279,7 +316,7 @@ def test_names_of_the_package_are_not_taken_over():
     task: Any = dataclass(frozen=True)(type("MySwap", (SwapTask,), {}))
     with pytest.raises(ValueError, match="MySwap is 'swap_v1', which is a task of the pack"):
         swarm_envs.register_task(task)
-    with pytest.raises(ValueError, match="must be a name such as"):
+    with pytest.raises(ValueError, match="Bare is no dataclass"):
         swarm_envs.register_task(type("Bare", (SwapTask,), {}))
 
 

@@ -11,6 +11,7 @@ import importlib
 import importlib.util
 import json
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 from tqdm import tqdm
@@ -46,6 +48,11 @@ PROXIMITY = (4.0, 2.0)
 """Cost of proximity to other drones before and after. If it is too high for too long, drones learn
 to hover next to their goals."""
 RUN, CHECKPOINTS = "run.json", "checkpoints"  # Options and models of an incomplete run
+_RECENT = 256  # Episodes of the success rate in the progress bar
+_IN_PYTHON = (
+    "train it in Python with swarm_envs.training.SharedPolicyVecEnv, and fly it with "
+    "swarm_envs.agents.from_model (docs/how-to/network.md)"
+)
 
 OFF_POLICY: dict[str, Any] = {
     "learning_rate": 1e-3,
@@ -89,7 +96,6 @@ def train_sb3(config: RlConfig, task: str) -> dict[str, Any]:
             )
         )
         model, evaluation = _begin(algorithm, arguments, env, setting)
-        network_of(model)  # raises before the training if the policy could not be written
         model.set_logger(_logger(config.out, model.num_timesteps))
         _announce_rounding(model, config.steps)
         with tqdm(total=config.steps, unit="step", disable=not config.progress) as bar:
@@ -211,11 +217,13 @@ def _begin(
         tqdm.write(f"resuming at {model.num_timesteps:,} steps from {models[-1]}")
         kept = [e for e in content["evaluations"] if e["step"] <= model.num_timesteps]
         return model, Evaluation(setting, kept)
-    write_json(path, {"config": options, "evaluations": []})
     try:
-        return algorithm("MlpPolicy", env, **arguments), Evaluation(setting)
+        model = algorithm("MlpPolicy", env, **arguments)
     except (TypeError, ValueError, RuntimeError, AssertionError) as error:
         raise ValueError(f"--algo {config.algo} refuses its arguments: {error}") from error
+    network_of(model)  # raises before the training if the policy could not be written
+    write_json(path, {"config": options, "evaluations": []})
+    return model, Evaluation(setting)
 
 
 def _steps_of(path: Path) -> int:
@@ -229,12 +237,19 @@ class ProgressCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no
     def __init__(self, bar: Any) -> None:
         super().__init__()
         self._bar = bar
+        self._successes: deque[float] = deque(maxlen=_RECENT)
 
     def _on_step(self) -> bool:
         ends = [i["episode_metrics"] for i in self.locals["infos"] if "episode_metrics" in i]
         for metrics in ends:
             for name, measure in RATES.items():
                 self.logger.record_mean(f"rollout/{name}", measure(metrics))
+            self._successes.append(RATES["success"](metrics))
+        if ends:
+            success = sum(self._successes) / len(self._successes)
+            earned = safe_mean([episode["r"] for episode in self.model.ep_info_buffer])
+            text = f"success {success:.0%}, return {earned:.3g}"
+            self._bar.set_postfix_str(text, refresh=False)
         self._bar.n = min(self.num_timesteps, self._bar.total)
         self._bar.update(0)
         return True
@@ -309,8 +324,7 @@ def network_of(model: BaseAlgorithm) -> Network:
     if getattr(policy, "activation_fn", None) is not nn.Tanh:
         raise ValueError(
             "the activation of the policy is not tanh, so that it cannot be written as a policy "
-            "file; leave policy_kwargs out of --set (--hidden sets the layers), or use the model "
-            "in Python with swarm_envs.agents.from_model"
+            f"file; leave policy_kwargs out of --set (--hidden sets the layers), or {_IN_PYTHON}"
         )
     if hasattr(policy, "action_net"):
         extractor = policy.pi_features_extractor
@@ -324,13 +338,13 @@ def network_of(model: BaseAlgorithm) -> Network:
         layers = (*linear_layers(*parts, actor.mu), identity)
     else:
         raise ValueError(
-            f"{type(model).__name__} has no actor that can be written as a policy file; use it in "
-            "Python with swarm_envs.agents.from_model"
+            f"{type(model).__name__} has no actor that can be written as a policy file; "
+            f"{_IN_PYTHON}"
         )
     if type(extractor) not in (FlattenExtractor, SetExtractor):
         raise ValueError(
             f"the features extractor of the policy is {type(extractor).__name__}, which cannot be "
-            "written as a policy file; use the model in Python with swarm_envs.agents.from_model"
+            f"written as a policy file; {_IN_PYTHON}"
         )
     phi = linear_layers(extractor.encoder.phi) if isinstance(extractor, SetExtractor) else None
     return Network(layers, phi, "tanh")
