@@ -26,7 +26,7 @@ TESTS_jax := test_jax.py
 TESTS_wrappers := test_agilerl.py test_docs.py test_minari.py test_supersuit.py
 
 .PHONY: help demo test test-all test-compat coverage matrix lint format bench \
-	bench-against docs dist films papers clean
+	bench-against docs tables dist films papers clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -41,6 +41,7 @@ help:
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
 	@echo 'make docs      this documentation as a site, in build/docs'
 	@echo 'make dist      the wheel, the source archive and the documentation as a zip, in dist'
+	@echo 'make tables    the tables in the pages of the docs'
 	@echo 'make films     the films of the docs, in docs/films'
 	@echo 'make papers    the quick figures and tables of the papers, and the table of docs/papers.md'
 	@echo 'make clean     remove everything that these made'
@@ -144,6 +145,10 @@ docs: $(DOCS_VENV)/.installed
 	@echo 'open build/docs/index.html'
 
 # The wheel, the source archive, and the documentation as one zip, in dist/.
+# A test checks that they are up to date.
+tables: $(VENV)/.dev
+	$(BIN)/python -m docs.tables.pages
+
 dist: $(VENV)/.dev docs
 	$(BIN)/python -m build
 	$(BIN)/python -c "import shutil; from swarm_envs import __version__ as v; \

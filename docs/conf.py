@@ -25,15 +25,10 @@ extensions = [
     "sphinx.ext.autodoc",
     "extensions.api_pages",
     "extensions.docstrings",
-    "extensions.figure_tables",
     "extensions.notebooks",
     "extensions.links",
-    "extensions.option_tables",
-    "extensions.recommendations",
-    "extensions.state_tables",
-    "extensions.task_pages",
 ]
-exclude_patterns = ["_build", "extensions", "generated"]
+exclude_patterns = ["_build", "extensions", "generated", "tables"]
 
 html_theme = "furo"
 html_title = "swarm-envs"

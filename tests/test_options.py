@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import swarm_envs
-from docs.extensions.option_tables import expand
-from docs.extensions.task_pages import task_page
+from docs.tables.option_tables import expand
+from docs.tables.task_pages import task_page
 from swarm_envs import TASKS as NAMES
 from swarm_envs import make
 from swarm_envs.agents.safety import Safety

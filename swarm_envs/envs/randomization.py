@@ -36,7 +36,9 @@ class Randomization:
     Factors are uniform between two numbers and multiply the nominal value of each drone; the
     controller uses the nominal value. Noise is white and Gaussian, specified by its standard
     deviation per component, and affects observations only: the tracking controller receives the
-    true state. With `world="hall"`, both use a state estimate instead.
+    true state. With `world="hall"`, observations and controller use a state estimate instead.
+
+    docs/tasks.md ("Randomization and noise") has a table of the fields with their units.
 
     Raises:
         ValueError: a range is empty or not positive, or a standard deviation is negative.

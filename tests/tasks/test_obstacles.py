@@ -168,7 +168,7 @@ def test_searches_that_fail_say_why(task, options, message, monkeypatch):
 
 def test_an_overfull_arena_raises():
     env = swap_v1.parallel_env(physics="batch", obstacles=(Box((-2, -2, 0), (2, 2, 2.4)),))
-    with pytest.raises(RuntimeError, match=r"found room for 0 of 4 drones .* fewer drones, fewer or sm"):
+    with pytest.raises(RuntimeError, match=r"found room for 0 of 4 drones .* or smaller obst"):
         env.reset(seed=0)
 
 

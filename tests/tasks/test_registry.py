@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from docs.extensions.task_pages import _unit, observation_table
+from docs.tables.task_pages import _unit, observation_table
 from swarm_envs import TASKS
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.baselines.neural_swarm import TrackingAgent

@@ -6,7 +6,6 @@ They are read from `swarm_envs.tables`, so a field that is added there is on the
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 
@@ -37,13 +36,3 @@ def _row(field: Field) -> str:
     reset = "" if field.reset is None else f"`{kind.type(field.reset).item()}`"
     cells = [f"`{field.name}`", f"`{field.shape}`", f"`{kind}`", field.unit, reset, field.meaning]
     return " ".join(["|", " | ".join(cell.replace("|", r"\|") for cell in cells), "|"])
-
-
-def setup(app: Any) -> dict[str, Any]:
-    """Tell Sphinx."""
-
-    def read(app: Any, page: str, content: list[str]) -> None:
-        content[0] = expand(content[0])
-
-    app.connect("source-read", read)
-    return {"parallel_read_safe": True}

@@ -10,19 +10,17 @@ import dataclasses
 import inspect
 import re
 from pathlib import Path
-from typing import Any
 
 import swarm_envs
+from docs.tables.option_tables import options_table
 from swarm_envs import gymnasium_name, swap_v1
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.options import TaskOptions, options_type
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.rewards import reward_meanings
 
-from .option_tables import options_table
-
 MARK = re.compile(r"^<!-- task: (\w+) -->$", re.MULTILINE)
-FIELDS_MARK = "<!-- observation table -->"
+FIELDS_MARK, ACTIONS_MARK = "<!-- observation table -->", "<!-- action table -->"
 _SECTION = re.compile(r"^\*\*([^*\n]+?)\.?\*\*\.? ?", re.MULTILINE)
 _ASIDE = re.compile(r"^\([^)]*\):?\s*")
 _ACTION = re.compile(r"^\| `(\w+)` \| (.+) \|$", re.MULTILINE)
@@ -74,6 +72,7 @@ def _plain(text: str) -> str:
     """Text without the docstring's own table, and its code as a block of Python."""
     kept = [line for line in text.splitlines() if not line.startswith("|")]
     code = "\n".join(line[4:] for line in kept if line.startswith("    "))
+    code = code.replace("\nenv = ", "\n\nenv = ")  # as a formatter writes it
     said = "\n".join(line for line in kept if not line.startswith("    "))
     return f"```python\n{code}\n```\n\n{said.strip()}"
 
@@ -157,15 +156,5 @@ def _arguments(options: type[TaskOptions]) -> str:
 
 def expand(text: str, folder: Path) -> str:
     """A page's text with each mark replaced by what it stands for."""
-    text = text.replace(FIELDS_MARK, observation_table())
+    text = text.replace(FIELDS_MARK, observation_table()).replace(ACTIONS_MARK, _actions())
     return MARK.sub(lambda mark: task_page(mark[1], folder), text)
-
-
-def setup(app: Any) -> dict[str, Any]:
-    """Tell Sphinx."""
-
-    def read(app: Any, page: str, content: list[str]) -> None:
-        content[0] = expand(content[0], (Path(app.srcdir) / page).parent)
-
-    app.connect("source-read", read)
-    return {"parallel_read_safe": True}

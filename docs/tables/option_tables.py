@@ -17,12 +17,13 @@ from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, PROGRAM, load_options
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import default_of, field_docstrings
+from swarm_envs.envs.randomization import Randomization
 from swarm_envs.hall import Hall
 
 MARK = "<!-- commands -->"
 ASSIGNMENTS_MARK = "<!-- assignment table -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
-SETTINGS: dict[str, type] = {"EnvConfig": EnvConfig, "Hall": Hall}
+SETTINGS: dict[str, type] = {"EnvConfig": EnvConfig, "Hall": Hall, "Randomization": Randomization}
 """The settings whose options a page may ask for."""
 
 
@@ -141,13 +142,3 @@ def _cell(text: str, code: bool = False) -> str:
     flat = " ".join(text.split()).replace("|", r"\|").replace("<", "&lt;")
     plain = flat in ("", "not given", "must be given", "none")
     return flat if plain or not code else f"`{flat}`"
-
-
-def setup(app: Any) -> dict[str, Any]:
-    """Tell Sphinx."""
-
-    def read(app: Any, page: str, content: list[str]) -> None:
-        content[0] = expand(content[0])
-
-    app.connect("source-read", read)
-    return {"parallel_read_safe": True}

@@ -6,7 +6,6 @@ import csv
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 FOLDER = Path(__file__).parents[1] / "rth3d"
 MARK = re.compile(r"^<!-- figure table: (\d+) -->$", re.MULTILINE)
@@ -47,13 +46,3 @@ def _row(series: str, grid: str, robots: str, by: Mapping[str, Runs]) -> str:
 def expand(text: str) -> str:
     """A page's text with each mark replaced by its table."""
     return MARK.sub(lambda mark: figure_table(mark[1]), text)
-
-
-def setup(app: Any) -> dict[str, Any]:
-    """Tell Sphinx."""
-
-    def read(app: Any, page: str, content: list[str]) -> None:
-        content[0] = expand(content[0])
-
-    app.connect("source-read", read)
-    return {"parallel_read_safe": True}

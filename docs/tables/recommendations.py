@@ -24,7 +24,7 @@ def recommendation_table() -> str:
     """One table in Markdown: a row for each task, layout, world and number of drones."""
     head = ["task", "layout", "drones", "world", *CHOICES]
     rows = sorted(benchmark_rows(), key=lambda row: (row["task"], row["layout"] or ""))
-    return "\n".join(["", _line(head), _line(["---"] * len(head)), *map(_row, rows)])
+    return "\n".join([_line(head), _line(["---"] * len(head)), *map(_row, rows)])
 
 
 def _row(row: Any) -> str:
@@ -45,12 +45,6 @@ def _line(cells: list[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def setup(app: Any) -> dict[str, Any]:
-    """Tell Sphinx."""
-
-    def read(app: Any, page: str, content: list[str]) -> None:
-        if MARK in content[0]:
-            content[0] = content[0].replace(MARK, recommendation_table())
-
-    app.connect("source-read", read)
-    return {"parallel_read_safe": True}
+def expand(text: str) -> str:
+    """A page's text with the mark replaced by the table."""
+    return text.replace(MARK, recommendation_table()) if MARK in text else text
