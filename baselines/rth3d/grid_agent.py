@@ -7,7 +7,6 @@ squared distances. The flight is checked before it begins.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -23,7 +22,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.errors import check_number, check_numbers
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
-from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
+from swarm_envs.tasks.obstacles import obstacle_distances, obstacle_rows
 
 __all__ = ["GridAgent"]
 
@@ -165,13 +164,13 @@ def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
         )
     if flight.num_robots > MOST_SMOOTHED:
         return _clear(task, faster(flight, SPEED_LIMIT, ACCELERATION_LIMIT))
-    radius = float(task.radius.max())
-    low, high = task.arena[0] + radius, task.arena[1] - radius
+    margin = float(task.radius.max()) + _OBSTACLE_M
+    low, high = task.arena[0] + margin, task.arena[1] - margin
     config = SmoothingConfig(
         distance=1.1 * least,
         box=((low[0], low[1], low[2]), (high[0], high[1], high[2])),
-        obstacles=tuple(_corners(obstacle) for obstacle in task.obstacles),
-        obstacle_distance=radius + _OBSTACLE_M,
+        obstacles=tuple(obstacle.corners for obstacle in task.obstacles),
+        obstacle_distance=margin,
         speed=SPEED_LIMIT,
         acceleration=ACCELERATION_LIMIT,
     )
@@ -189,12 +188,3 @@ def _clear(task: Task, flight: SplineFlight) -> SplineFlight:
                 f"{float(task.radius.max()):.3f} m; use a smaller spacing"
             )
     return flight
-
-
-def _corners(
-    obstacle: Any,
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    if isinstance(obstacle, Box):
-        return obstacle.low, obstacle.high
-    (x, y), r = obstacle.center, obstacle.radius
-    return (x - r, y - r, 0.0), (x + r, y + r, obstacle.height)

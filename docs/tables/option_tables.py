@@ -19,12 +19,15 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import default_of, field_docstrings
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.hall import Hall
+from swarm_envs.training.interaction_rows import InteractionRows
 
 MARK = "<!-- commands -->"
 ASSIGNMENTS_MARK = "<!-- assignment table -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
-SETTINGS: dict[str, type] = {"EnvConfig": EnvConfig, "Hall": Hall, "Randomization": Randomization}
-"""The settings whose options a page may ask for."""
+SETTINGS: dict[str, type] = {
+    kind.__name__: kind for kind in (EnvConfig, Hall, Randomization, InteractionRows)
+}
+"""The dataclasses whose fields a page may ask for."""
 
 
 @dataclasses.dataclass(frozen=True)
