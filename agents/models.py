@@ -11,6 +11,7 @@ from swarm_envs.agents.features import feature_sizes, features_of
 from swarm_envs.agents.protocol import RowAgent
 from swarm_envs.envs.observation import Float32Array, observation_width
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_parameters
 
 __all__ = ["ModelAgent", "from_model"]
 
@@ -108,6 +109,7 @@ def _function_of(model: Any, env: SwarmParallelEnv) -> Callable[[Float32Array], 
     if hasattr(model, "parameters") and callable(model):
         return lambda rows: _through_torch(model, rows)
     if callable(model):
+        check_parameters("model", model, "rows")
         return lambda rows: np.asarray(model(rows))
     raise TypeError(
         f"model is {model!r:.80}, but must be a model of Stable-Baselines3, a torch module, or a "

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 import typing
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from numbers import Integral, Real
 from typing import Any, cast
 
@@ -22,6 +23,7 @@ __all__ = [
     "check_name",
     "check_number",
     "check_numbers",
+    "check_parameters",
     "check_type",
     "nearest",
     "parse_pairs",
@@ -263,3 +265,16 @@ def check_array(
             f"{name} is {array[index]} at index {index}; every entry must be a finite number"
         )
     return array
+
+
+def check_parameters(name: str, function: Callable[..., Any], *parameters: str) -> None:
+    """Raise ValueError if a function cannot be called with these arguments, named for messages."""
+    try:
+        inspect.signature(function).bind(*parameters)
+    except TypeError as error:
+        raise ValueError(
+            f"{name} must be a function of {', '.join(parameters)}, but its signature differs: "
+            f"{error}"
+        ) from error
+    except ValueError:  # a function in C, which has no signature
+        return

@@ -223,6 +223,5 @@ def _read_tokens(team: str) -> Team:
     for token in tokens:
         if token not in VEHICLES:
             problem = unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}")
-            fix = "; write a letter for each drone, such as 'LLLSSS'" if token.isdigit() else ""
-            raise ValueError(problem + fix)
+            raise ValueError(f"{problem}; write a letter for each drone, such as 'LLLSSS'")
     return tuple(VEHICLES[token] for token in tokens)

@@ -72,6 +72,8 @@ def test_what_is_no_model_is_refused(env: SwarmParallelEnv) -> None:
         ValueError, match="env has observation='dict', but agents of models need flat"
     ):
         from_model(len, swap_v1.parallel_env(**OPTIONS, observation="dict"))
+    with pytest.raises(ValueError, match="model must be a function of rows, but its signature"):
+        from_model(lambda rows, view: rows[:, :3], env)
     agent = from_model(lambda rows: rows[:1, :3], env)
     env.reset(seed=0)
     with pytest.raises(ValueError, match="must return one row of actions for each row"):

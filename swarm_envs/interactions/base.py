@@ -24,7 +24,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.errors import check_array, check_name, check_type, unknown_name
+from swarm_envs.errors import (
+    check_array,
+    check_name,
+    check_parameters,
+    check_type,
+    unknown_name,
+)
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, check_states, types_array
 from swarm_envs.interactions.packed import PackedField, packed
@@ -189,6 +195,7 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         return name
     if callable(name):
         label = f"{name.__module__}:{getattr(name, '__qualname__', type(name).__qualname__)}"
+        check_parameters(label, name, "position", "velocity", "types")
         return InteractionModel(label, (), empty_field(1), function=name)
     check_type("name", name, str | Path)
     text = str(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,6 +105,14 @@ def test_functions_that_give_no_forces_are_refused(function, message):
     physics = BatchPhysics("LS", 1, function)
     with pytest.raises(ValueError, match=message):
         physics.step(np.zeros((1, 2, 4)))
+
+
+def test_a_function_of_other_arguments_is_refused_before_it_is_called():
+    two: Any = lambda position, velocity: position  # noqa: E731
+    with pytest.raises(ValueError, match="a function of position, velocity, types, but its sig"):
+        BatchPhysics("LS", 1, two)
+    many: Any = lambda *given: np.zeros(given[0].shape)  # noqa: E731
+    BatchPhysics("LS", 1, many).step(np.zeros((1, 2, 4)))
 
 
 def test_functions_are_refused_where_only_a_compiled_model_can_be_asked():
