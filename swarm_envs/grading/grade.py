@@ -99,9 +99,10 @@ class Course(NamedTuple):
                 self._write(grades)
             if self.feedback is not None:
                 folder = self.feedback / f"{len(grades) - 1:03d}-{_folder_name(grade.work)}"
-                write_results(folder, self.assignment, grade)
+                folder.mkdir(parents=True, exist_ok=True)
                 if not kept:
                     write_failure(folder, failure)
+                write_results(folder, self.assignment, grade)
             yield grade
         if self.out is not None:
             progress_file(self.out).unlink(missing_ok=True)
@@ -245,8 +246,9 @@ def write_results(folder: Path, assignment: Assignment, grade: Grade) -> None:
     lines = [assignment.rubric, f"yours: {grade.verdict}"]
     if grade.crashes is not None:
         lines.append(f"share of episodes with a crash: {grade.crashes:.0%}")
+    if (folder / "failure.html").exists():
+        lines.append("failure.html, beside this file, replays the first failed episode")
     shown = {"output": "\n".join(lines), "visibility": "visible"}
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "results.json", {"score": grade.points, "max_score": 100.0, **shown})
 
 

@@ -212,6 +212,8 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         return dataclasses.replace(load(load_from_file(text)), name=text)
     if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
+    if Path(text).is_dir():
+        raise ValueError(f"{text!r} is a folder; name its file of weights, .safetensors or .json")
     if not text.lower().endswith(".safetensors"):
         valid = (*MODELS, "a path that ends in .safetensors or .json", "file.py:function")
         raise ValueError(unknown_name("interaction model", text, valid))

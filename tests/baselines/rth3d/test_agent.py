@@ -74,3 +74,17 @@ def test_what_it_cannot_fly_is_refused():
     env.reset(seed=0, options={"start": starts, "goal": goals})
     with pytest.raises(ValueError, match="spread them"):
         agent.reset(env, 0)
+
+
+@pytest.mark.slow
+def test_two_hundred_drones_keep_off_the_walls():
+    """With splines up to the walls, one of them touched a wall."""
+    agent = load("rth3d")
+    assert isinstance(agent, GridAgent)
+    env = swap_v1.parallel_env(num_drones=200, physics="batch", horizon_s=30, **agent.requires)
+    metrics = fly_episode(env, agent, 0)
+    assert metrics["success"], metrics
+    flight, (low, high) = agent.plans[0], env.core.task.arena
+    times = np.linspace(0.0, flight.duration_s, 8 * flight.num_steps)
+    points = np.concatenate([flight.reference(float(time)).position for time in times])
+    assert np.minimum(points - low, high - points).min() > env.core.task.radius.max() + 0.099
