@@ -36,7 +36,7 @@ def learning_of(task: str) -> Learning:
         return kind.learning
     default = {field.name: field.default for field in fields(kind)}.get("layout")
     names = sorted(kind.layouts, key=default.__ne__)  # the default first
-    layouts = {name: {"layout": name} for name in names} or {"own": {}}
+    layouts = {name: {"layout": name} for name in names} or {"task": {}}
     return Learning(layouts=layouts, horizon_s=None)
 
 
