@@ -144,11 +144,11 @@ docs: $(DOCS_VENV)/.installed
 	$(DOCS_VENV)/bin/python -m sphinx -b html -W --keep-going docs build/docs
 	@echo 'open build/docs/index.html'
 
-# The wheel, the source archive, and the documentation as one zip, in dist/.
 # A test checks that they are up to date.
 tables: $(VENV)/.dev
 	$(BIN)/python -m docs.tables.pages
 
+# The wheel, the source archive, and the documentation as one zip, in dist/.
 dist: $(VENV)/.dev docs
 	$(BIN)/python -m build
 	$(BIN)/python -c "import shutil; from swarm_envs import __version__ as v; \

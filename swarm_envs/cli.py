@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import inspect
 import io
@@ -79,8 +80,10 @@ COMMANDS: Mapping[str, Command] = {
     "compile": Command("compile the kernels before the first episode", "--no-progress"),
 }
 """Every command by its name. To add one, write its module and add it here."""
-_SIMILAR = r"(?:Perhaps you meant|Arguments similar to --[\w-]+):"  # In messages of tyro
-_NOT_A_NUMBER = re.compile(r"Error parsing (--\S+): .*\b(INT|FLOAT|int|float)\b.*'(.*)'")
+_SIMILAR = "Perhaps you meant:|Arguments similar to"  # Before similar options and their help texts
+_NOT_A_NUMBER = re.compile(
+    r"Error parsing (--\S+): .*\b(INT|FLOAT|int|float)\b[^'\"]*['\"](.*)['\"]"
+)
 _NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(--\S+)'. Expected one of (\(.*\))")
 _KINDS = {"int": "an integer", "float": "a number"}
 _LISTS = ("--agent", "--env", "--set")  # If one is given again, tyro forgets the values before
@@ -267,9 +270,12 @@ def _in_one_line(box: str) -> str:
         value, option, listed = choice.groups()
         valid = {*re.findall(r"'(.*?)'", listed)} - {"None"}
         return f"{option} is {value!r}; {nearest(value, valid)}"
-    similar = re.findall(rf"{_SIMILAR} (--[\w-]+)", reason)  # options before their help texts
-    reason = re.split(f" {_SIMILAR}", reason)[0]
-    return f"{reason}; did you mean {' and '.join(similar)}?" if similar else reason
+    reason, *similar = re.split(_SIMILAR, reason)
+    typed, options = (re.findall(r"--[\w.-]*\w", text) for text in (reason, " ".join(similar)))
+    others = [each for each in options if each not in typed]
+    near = [each for name in typed for each in difflib.get_close_matches(name, others, 1)]
+    hint = f"; did you mean {' and '.join(near)}?" if near else ""
+    return reason.strip() + hint
 
 
 def _description(name: str, options: Any) -> str:

@@ -268,9 +268,14 @@ def check_array(
 
 
 def check_parameters(name: str, function: Callable[..., Any], *parameters: str) -> None:
-    """Raise ValueError if a function cannot be called with these arguments, named for messages."""
+    """Raise ValueError if a function cannot be called with these arguments, named for messages.
+
+    Other callables are not checked: what they accept may differ from their signature.
+    """
+    if not inspect.isroutine(function):
+        return
     try:
-        inspect.signature(function).bind(*parameters)
+        inspect.signature(function, follow_wrapped=False).bind(*parameters)
     except TypeError as error:
         raise ValueError(
             f"{name} must be a function of {', '.join(parameters)}, but its signature differs: "

@@ -159,6 +159,8 @@ def test_a_help_ends_in_a_window_of_any_width(columns, monkeypatch, capsys):
         ("fly --on-contact explode", "--on-contact is 'explode'; valid: 'bounce'"),
         ("train --out a --drones 4 six", "six"),
         ("demo --swap 3", "--swap, 3; did you mean --swaps? (see"),
+        ("train --out o --batch-size 3", "did you mean --dagger.batch-size? (see"),
+        ("train --out o --step 3 --hiden 3", "did you mean --steps and --hidden? (see"),
         ("fly --gama 0.9", "Unrecognized options: --gama, 0.9 (see"),
         ("demo --video no", "Unrecognized options: no"),
     ],

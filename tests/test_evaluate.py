@@ -298,6 +298,9 @@ def test_a_policy_that_was_trained_with_other_options_is_noted(tmp_path, capsys)
         (["foo"], [], ""),
         ({"observe_loss": 0.1}, [], "with observe_loss=0.1, but flies with observe_loss=0.0"),
         ({"observe_loss": 0.1}, ["--observe-loss", "0.1"], ""),
+        ({}, ["--observe-delay-s", "0.1"], "with observe_delay_s=0.0, but flies with observe_de"),
+        ({"randomization": "mass=0.9:1.1"}, [], "but flies with randomization=default"),
+        ({"randomization": "mass=0.9:1.1"}, ["--randomization", "mass=0.9:1.1"], ""),
     ],
 )
 def test_notes_are_of_options_that_differ(trained, flown, note, tmp_path, capsys):

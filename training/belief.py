@@ -131,7 +131,7 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     given = collection.interactions
     name = BELIEFS.get(given, f"belief_{Path(given).stem}")
     path = config.out / f"{name}.safetensors"
-    network = load_network(config.out / "fit" / "learned.safetensors")
+    network = load_network(config.out / "fit" / "deep-set.safetensors")
     save_network(path, network, provenance, torch.float32)
     fed_forward, environment = load(path), load(given)
     report: FeedforwardReport = {

@@ -102,7 +102,10 @@ def _observations(env: SwarmParallelEnv) -> str:
         for f in env.observation_layout
     ]
     text = (
-        "Each drone observes a row of float32. A quantity is the number in the row times its scale."
+        "Each drone observes a row of float32. A quantity is the number in the row times its "
+        "scale. The indices are those of the default options: others shift with `num_neighbors` "
+        "and with observed obstacles, which come before the fields of the task; "
+        "`env.observation_layout` has those of an environment."
     )
     table = ["| index | field | unit | scale |", "|---|---|---|---|", *rows]
     return "\n".join([text, "[Tasks](../tasks.md#observations) explains the fields.", "", *table])

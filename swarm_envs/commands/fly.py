@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Mapping
 from contextlib import closing
@@ -331,7 +332,8 @@ class _FlightBar:
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
     from swarm_envs.agents import record_episode
 
-    bar = _FlightBar(round(env.view.horizon_s * env.core.config.decision_rate))
+    decisions = env.view.horizon_s * env.core.config.decision_rate
+    bar = _FlightBar(math.ceil(decisions - 1e-6))
     try:
         recording = record_episode(env, agent, options.seed, watch=bar, name=name)
         bar.bar.total = bar.bar.n  # it may have ended before the time limit
@@ -383,7 +385,7 @@ def team_text(team: Team) -> str:
     return f"team {team_string(team)}" if len(team) <= _LETTERS else f"{len(team)} drones"
 
 
-_LIMITS = ("observe_range_m", "observe_delay_s", "observe_loss")
+_CONDITIONS = ("world", "randomization", "observe_range_m", "observe_delay_s", "observe_loss")
 _SAME_EPISODE = ("physics", "threads")  # Options that leave episodes as they are
 
 
@@ -395,7 +397,8 @@ def training_notes(agents: Mapping[str, Agent], options: EpisodeOptions) -> list
     for name, agent in agents.items():
         if (trained := _trained_with(agent)) is None:
             continue
-        names = {*trained, *options.env_options()} - {*agent.requires, *_SAME_EPISODE}
+        names = {*trained, *options.env_options(), *_CONDITIONS}
+        names -= {*agent.requires, *_SAME_EPISODE}
         there = usual | trained
         differ = sorted(each for each in names if not _same(there.get(each), here.get(each)))
         if differ:
@@ -419,7 +422,7 @@ def _same(one: object, other: object) -> bool:
 
 
 def _trained_with(agent: Agent) -> dict[str, Any] | None:
-    """Return interactions, limits of communication and `--env` of a policy's training, or None."""
+    """Return the interactions, conditions and `--env` of a policy's training; None if unknown."""
     from swarm_envs.agents.policy import PolicyAgent
     from swarm_envs.agents.safety import SafetyFilter
 
@@ -429,8 +432,8 @@ def _trained_with(agent: Agent) -> dict[str, Any] | None:
     try:
         config = pilot.policy.provenance["config"]
         given = WorldOptions(env=tuple(config["env"])).env_options()
-        limits = {name: config[name] for name in _LIMITS if config.get(name) is not None}
-        return {"interactions": config["interactions"], **limits, **given}
+        given |= {name: config[name] for name in _CONDITIONS if config.get(name) is not None}
+        return {"interactions": config["interactions"], **given}
     except (KeyError, TypeError, ValueError, AttributeError):  # of another program, or damaged
         return None
 

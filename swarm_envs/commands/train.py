@@ -84,7 +84,8 @@ def run_train(config: RlConfig) -> None:
         write_json(config.json, report)
     print(_summary(report))
     words = ["swarm-envs", "evaluate", *setting(config), "--agent", str(config.out)]
-    print("to evaluate it:", shlex.join(words))
+    without = ", without the randomization of its training" if config.randomization else ""
+    print(f"to evaluate it{without}:", shlex.join(words))
 
 
 def setting(config: RlConfig) -> list[str]:

@@ -144,16 +144,19 @@ def buildings(
 
 
 def check_inside(obstacles: Sequence[Obstacle], arena: FloatArray) -> None:
-    """Raise ValueError if an obstacle lies outside the arena with the corners (2, 3), m."""
+    """Raise ValueError if no obstacle lies inside the arena with the corners (2, 3), m.
+
+    Some may lie outside, such as those of a city for teams of several sizes.
+    """
     obstacle_rows(obstacles)  # raises for other objects
-    for obstacle in obstacles:
-        low, high = np.array(obstacle.corners)
-        if (high <= arena[0]).any() or (low >= arena[1]).any():
-            lowest, highest = (tuple(corner) for corner in arena.tolist())
-            raise ValueError(
-                f"{obstacle} lies outside the arena, which is from {lowest} to {highest} m; move "
-                "it, or leave it out"
-            )
+    boxes = (np.array(obstacle.corners) for obstacle in obstacles)
+    inside = [(high > arena[0]).all() and (low < arena[1]).all() for low, high in boxes]
+    if obstacles and not any(inside):
+        lowest, highest = (tuple(corner) for corner in arena.tolist())
+        raise ValueError(
+            f"no obstacle lies inside the arena, which is from {lowest} to {highest} m, but "
+            f"outside, such as {obstacles[0]}; move one, or leave them out"
+        )
 
 
 def parse_obstacles(text: str) -> tuple[Obstacle, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from typing import Any
 
@@ -111,6 +112,8 @@ def test_a_function_of_other_arguments_is_refused_before_it_is_called():
     two: Any = lambda position, velocity: position  # noqa: E731
     with pytest.raises(ValueError, match="a function of position, velocity, types, but its sig"):
         BatchPhysics("LS", 1, two)
+    wrapped: Any = functools.wraps(two)(lambda p, v, t: np.zeros(p.shape))
+    BatchPhysics("LS", 1, wrapped).step(np.zeros((1, 2, 4)))
     many: Any = lambda *given: np.zeros(given[0].shape)  # noqa: E731
     BatchPhysics("LS", 1, many).step(np.zeros((1, 2, 4)))
 

@@ -65,7 +65,7 @@ def lower_force(model, team, beside=0.0):
 def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
     config = config_of(rows_of_types(count=800), tmp_path)
     fit(config)
-    path = config.out / "learned.safetensors"
+    path = config.out / "deep-set.safetensors"
     made = path.read_bytes()
     fit(replace(config, json=tmp_path / "said.json"))
     assert path.read_bytes() == made
@@ -75,7 +75,7 @@ def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
     save_rows(tmp_path / "rows.npz", rows_of_types(count=800, seed=1))
     with pytest.raises(ValueError, match=r"options: data_sha256 is \w{64} there, \w{64} here; c"):
         fit(config)
-    (config.out / "learned.json").write_text("[]")
+    (config.out / "deep-set.json").write_text("[]")
     with pytest.raises(ValueError, match="not the report of a fit"):
         fit(config)
     assert path.read_bytes() == made

@@ -160,7 +160,7 @@ def test_measured_fit_is_the_papers_form(tmp_path):
     rows = with_calibration_and_drag(planted_rows(2000), np.random.default_rng(1))
     save_rows(tmp_path / "rows.npz", rows)
     report = fit(fit_options(data=tmp_path / "rows.npz", out=tmp_path, mode="measured", steps=20))
-    network = load_network(tmp_path / "learned.safetensors")
+    network = load_network(tmp_path / "deep-set.safetensors")
     assert network.spec.anchor_height_m is None and network.spec.input_range is None
     assert not network.drag[:, 2].any() and not report.vehicle_offsets_g
     assert "calibration offsets are not subtracted from the labels" in report.lines()

@@ -247,12 +247,12 @@ def test_a_planted_torque_is_learned_beside_the_force(tmp_path: Path) -> None:
         assert errors["error_n_m"][axis] < 0.5 * errors["zero_n_m"][axis]
     assert report.findings.errors.overall < 0.3 * report.findings.errors.zero
     position = np.array([[[0.0, 0.0, 0.8], [0.1, 0.0, 1.2]], [[0.0, 0.0, 0.8], [0.0, -0.1, 1.2]]])
-    model = load_torque(tmp_path / "learned.safetensors")
+    model = load_torque(tmp_path / "deep-set.safetensors")
     found = model.torques(position, np.zeros_like(position), "SS")[:, 0]
     expected = planted_torque(position[:, 1] - position[:, 0])
     assert expected[0, 1] > 0.0 and expected[1, 0] > 0.0
     np.testing.assert_allclose(found, expected, atol=0.5 * np.abs(expected).max())
-    force = load(tmp_path / "learned.safetensors").forces(position, np.zeros_like(position), "SS")
+    force = load(tmp_path / "deep-set.safetensors").forces(position, np.zeros_like(position), "SS")
     assert force[0, 0, 2] < -2.0 * GRAM_FORCE
 
 

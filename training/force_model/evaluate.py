@@ -61,8 +61,13 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
     """Return the errors of predicted forces (R,) and of trivial predictors on validation rows.
 
     The training rows determine the scenario means.
+
+    Raises:
+        ValueError: no row is held out.
     """
     label, held_out = rows.force_g[:, 2], rows.validation
+    if not held_out.any():
+        raise ValueError(f"none of the {len(rows)} rows is held out; give longer flights")
     mean = np.zeros(len(rows.scenario_names))
     for index in range(len(mean)):
         training = (rows.scenario == index) & ~held_out
@@ -174,7 +179,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class FitReport:
-    """The report of a fit, such as the content of `learned.json`."""
+    """The report of a fit, such as the content of `deep-set.json`."""
 
     model: str  # `deep-set`, `composed` or `wake`
     command: str  # The command

@@ -19,11 +19,11 @@ Model = Literal["deep-set", "composed", "wake"]  # Kind of the fitted function
 
 WEIGHTS = {
     "composed": "composed.safetensors",
-    "deep-set": "learned.safetensors",
+    "deep-set": "deep-set.safetensors",
     "wake": "wake.json",
 }
 """File of the fitted model, by kind; `swarm_envs.interactions.load` reads it."""
-REPORTS = {"composed": "composed.json", "deep-set": "learned.json", "wake": "wake-fit.json"}
+REPORTS = {"composed": "composed.json", "deep-set": "deep-set.json", "wake": "wake-fit.json"}
 """File of the report, by kind."""
 
 
@@ -46,7 +46,7 @@ class FitConfig:
     `swarm-envs collect`, or table of rows: the published flights, or a file of `save_rows`
     (.npz)."""
     out: Path
-    """Output folder for the model and its report: learned.safetensors and learned.json of a
+    """Output folder for the model and its report: deep-set.safetensors and deep-set.json of a
     `deep-set`, composed.safetensors and composed.json, or wake.json and wake-fit.json."""
     model: Model = "deep-set"
     """Force model: `deep-set` (eq. 10 of Neural-Swarm2); `composed`, a wake model plus a network

@@ -14,8 +14,17 @@ __all__ = ["modelled_force_g"]
 
 
 def modelled_force_g(rows: InteractionRows, name: str | InteractionModel) -> FloatArray:
-    """Return the force (R, 3) of an included model, or that of a file, in each row, gram-force."""
+    """Return the force (R, 3) of an included model, or that of a file, in each row, gram-force.
+
+    Raises:
+        ValueError: the model has no forces on a vehicle of the rows, or is a function.
+    """
     model, found = load(name), np.zeros((len(rows), 3))
+    if unknown := sorted({*rows.types} - {*model.types}):
+        raise ValueError(
+            f"the rows have vehicles {', '.join(unknown)}, but {model.name} has no forces on them; "
+            "give a model of these types, and no function"
+        )
     place = np.array([model.types.index(kind) for kind in rows.types])
     for count in range(rows.neighbor_type.shape[1] + 1):
         own = rows.select(rows.has_neighbor.sum(axis=1) == count)

@@ -77,9 +77,10 @@ class RunOptions:
     task: str = "swap"
     """Task, such as `swap`, or with a version, such as `swap_v1`; or path/to/file.py:Class."""
     layout: str | None = None
-    """Layout of the task. If None: `random` for swap (half of the episodes are crowded, a quarter
-    on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`), `stack` for columns
-    (or `sprint`), and `all` for pursuit and crowd, which needs DAgger."""
+    """Layout of the task. If None: `random` for swap, `shuffle` for formation, `stack` for columns,
+    and `all` for pursuit and crowd, which needs DAgger. Others are `circle`, `cube`, `tour` and
+    `sprint`. Training on `random` of swap mixes starts that `evaluate` does not: half of the
+    episodes are crowded, a quarter is on the circle."""
     algo: str = "ppo"
     """Algorithm: `ppo`, `sac` or `td3` of Stable-Baselines3; the import path of another algorithm
     of it or of sb3-contrib, such as `sb3_contrib.TQC`, or `file.py:Class` of your own; or `dagger`,

@@ -22,7 +22,6 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 from tqdm import tqdm
@@ -246,9 +245,9 @@ class ProgressCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no
                 self.logger.record_mean(f"rollout/{name}", measure(metrics))
             self._successes.append(RATES["success"](metrics))
         if ends:
-            success = sum(self._successes) / len(self._successes)
-            earned = safe_mean([episode["r"] for episode in self.model.ep_info_buffer])
-            text = f"success {success:.0%}, return {earned:.3g}"
+            text = f"success {sum(self._successes) / len(self._successes):.0%}"
+            if returns := [episode["r"] for episode in self.model.ep_info_buffer]:
+                text += f", return {np.mean(returns):.3g}"  # of the episodes before these
             self._bar.set_postfix_str(text, refresh=False)
         self._bar.n = min(self.num_timesteps, self._bar.total)
         self._bar.update(0)

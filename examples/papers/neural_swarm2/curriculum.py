@@ -106,7 +106,7 @@ class CurriculumOptions:
 
     def weights(self, number: int) -> Path:
         """Return the path of the model that a round, counted from 1, fits."""
-        return self.out / f"round_{number}" / "fit" / "learned.safetensors"
+        return self.out / f"round_{number}" / "fit" / "deep-set.safetensors"
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def curriculum(options: CurriculumOptions) -> None:
     from the noisy logs, and fits a heterogeneous deep set to all flights so far. How close the next
     round may plan follows from how far drones strayed in this one. Writes `curriculum.json`
     (`rounds`; `unseen`: how much of the true force each round's model explains; `explained`, the
-    same by number of drones), `curriculum.png`, and the model `learned.safetensors`.
+    same by number of drones), `curriculum.png`, and the model `deep-set.safetensors`.
 
     Args:
         options: what is flown and fitted.
@@ -155,7 +155,7 @@ def curriculum(options: CurriculumOptions) -> None:
         evaluate_unseen(models, truth, team, options.episodes)
         for team in tqdm(options.unseen_teams, "unseen swaps", unit="team")
     ]
-    shutil.copyfile(options.weights(len(stages)), options.out / "learned.safetensors")
+    shutil.copyfile(options.weights(len(stages)), options.out / "deep-set.safetensors")
     report = {
         "interactions": truth.name,
         "interactions_sha256": truth.fingerprint,

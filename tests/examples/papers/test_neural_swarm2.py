@@ -645,8 +645,8 @@ def test_a_curriculum_reports_every_round(tmp_path, capsys):
     assert manifest["feedforward_sha256"] is not None
     assert {u["drones"]: len(u["explained"]) for u in found["unseen"]} == {2: 2, 3: 2, 5: 2}
     assert set(found["explained"]) == {"2", "3", "5"}
-    weights = (tmp_path / "round_2" / "fit" / "learned.safetensors").read_bytes()
-    assert (tmp_path / "learned.safetensors").read_bytes() == weights
+    weights = (tmp_path / "round_2" / "fit" / "deep-set.safetensors").read_bytes()
+    assert (tmp_path / "deep-set.safetensors").read_bytes() == weights
     said = capsys.readouterr().out
     assert "1: alone and in pairs" in said and "5 drones, %" in said
     assert (tmp_path / "curriculum.png").read_bytes().startswith(b"\x89PNG")

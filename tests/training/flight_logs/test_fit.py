@@ -35,7 +35,7 @@ def test_flights_of_lone_drones_give_their_offsets_and_no_pairs_to_report(logs, 
     for name in ("S.csv", "L.csv"):
         (alone / name).write_bytes((logs / name).read_bytes())
     assert main(["fit", "--data", str(alone), "--out", str(tmp_path / "fit"), *QUICK]) == 0
-    report = json.loads((tmp_path / "fit" / "learned.json").read_text())
+    report = json.loads((tmp_path / "fit" / "deep-set.json").read_text())
     assert report["findings"]["rows"] > 100 and report["findings"]["axis_bins"] == []
     # m a / g - T: of a drone lighter than its type, the offset is positive.
     offsets = report["vehicle_offsets_g"]
@@ -50,7 +50,7 @@ def test_logs_that_cannot_be_fitted_are_explained_without_traceback(logs, tmp_pa
     assert main(["fit", "--data", str(tmp_path / "bad.csv"), "--out", str(out), *QUICK]) == 1
     said = capsys.readouterr().err
     assert "swarm-envs fit: error: bad.csv: column 'voltage' is missing; there are " in said
-    assert not (out / "learned.json").exists()
+    assert not (out / "deep-set.json").exists()
 
 
 def test_a_folder_that_collect_wrote_is_read(tmp_path):
