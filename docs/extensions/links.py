@@ -1,7 +1,7 @@
 """Links of pages that read well in a checkout, and on the site, where there is no checkout.
 
 A link out of `docs/` leads to the page of model cards if it is one of them, else its words stay.
-A line in italics that says what `make docs` inserts is for checkouts only, and left out.
+A line in italics that begins with "In a checkout:" is for checkouts only, and left out.
 A line of a toctree that asks for the pages of a folder is left out while there are none.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 
 OUTWARD = re.compile(r"\[([^\]]+)\]\((\.\./[^)]+)\)")
 MANY = re.compile(r"^([\w/-]+\*)\n", re.MULTILINE)
-PLAIN = re.compile(r"^_`make docs` .*_\n", re.MULTILINE)
+PLAIN = re.compile(r"^_In a checkout: .*_\n", re.MULTILINE)
 CARDS = "model-cards.md"
 
 
