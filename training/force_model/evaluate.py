@@ -31,6 +31,8 @@ from swarm_envs.training.interaction_rows.modelled import modelled_force_g
 from swarm_envs.training.interaction_rows.rows import InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
+__all__ = ["Errors", "mean_squared_errors"]
+
 _LEAST_ROWS = 50  # Least number of rows of a bin
 _AXIS_M = 0.05  # Horizontal distance up to which rows count as on the axis, m
 
