@@ -171,6 +171,12 @@ def interaction_types(team: Sequence[Vehicle]) -> TypeArray:
     return np.array([vehicle.interaction_type for vehicle in team])
 
 
+def _of_function(function: ForceFunction, label: str) -> InteractionModel:
+    """Return the model of a function, which messages call by a label."""
+    check_parameters(label, function, "position", "velocity", "types")
+    return InteractionModel(label, (), empty_field(1), function=function)
+
+
 def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionModel:
     """Load an interaction model.
 
@@ -195,8 +201,7 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         return name
     if callable(name):
         label = f"{name.__module__}:{getattr(name, '__qualname__', type(name).__qualname__)}"
-        check_parameters(label, name, "position", "velocity", "types")
-        return InteractionModel(label, (), empty_field(1), function=name)
+        return _of_function(name, label)
     check_type("name", name, str | Path)
     text = str(name)
     if text == "none":
@@ -209,7 +214,10 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         with resources.as_file(weights.joinpath(f"{text}.safetensors")) as path:
             return InteractionModel(text, *load_weights(path))
     if ".py:" in text:
-        return dataclasses.replace(load(load_from_file(text)), name=text)
+        found = load_from_file(text)
+        if callable(found):
+            return _of_function(found, text)
+        return dataclasses.replace(load(found), name=text)
     if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
     if Path(text).is_dir():

@@ -252,7 +252,7 @@ def test_a_planted_process_is_found_under_the_true_force(table, tmp_path, monkey
     monkeypatch.setattr(
         "swarm_envs.training.interaction_rows.modelled.load", lambda name: load("wake")
     )
-    report = fit_residual(options(table, tmp_path, force="wake.json"))
+    report = fit_residual(options(table, tmp_path, residual=True, force="wake.json"))
     found = {name: np.array(values) for name, values in report.residual.items()}
     assert not report.cross_validated
     assert found["residual_quiet"] == pytest.approx(QUIET, rel=0.15)
@@ -274,7 +274,7 @@ def test_a_planted_process_is_found_under_the_true_force(table, tmp_path, monkey
 def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
     """Labels of the flights of one fold are spoiled: what is predicted for them stays."""
     rows = planted(20, 150)
-    config = options(table, tmp_path, folds=2, steps=20)
+    config = options(table, tmp_path, residual=True, folds=2, steps=20)
     honest = predicted_g(rows, config)
     own = flight_folds(rows, config.folds, config.seed) == 0
     assert 0 < own.sum() < len(rows)
@@ -298,7 +298,9 @@ def test_the_command_line_and_what_it_refuses(table, tmp_path, capsys):
 def test_the_hall_has_the_numbers_of_the_measured_flights(shared_data, tmp_path):
     """The numbers that ship lie in the intervals of an identification made anew."""
     data = shared_data / "data" / "neural_swarm_flights_33hz.npz"
-    report = fit_residual(FitConfig(data=data, out=tmp_path, bootstrap=200, progress=False))
+    report = fit_residual(
+        FitConfig(data=data, out=tmp_path, residual=True, bootstrap=200, progress=False)
+    )
     assert report.types == ("S", "L") and report.cross_validated
     for name, intervals in report.intervals.items():
         for shipped, (low, high) in zip(np.atleast_1d(getattr(Hall(), name)), intervals):

@@ -109,7 +109,7 @@ class FitConfig:
         for name in ("learning_rate", "max_spectral_norm"):
             check_number(name, getattr(self, name), above=0.0)
         check_name("spectral", self.spectral, ("clip", "exact", "none"))
-        check_number("balance", self.balance, at_least=0.0)
+        check_number("balance", self.balance, at_least=0.0, at_most=1.0)
         check_integer("seed", self.seed, at_least=0)
         check_name("model", self.model, get_args(Model))
         check_name("mode", self.mode, get_args(Mode))
@@ -120,6 +120,9 @@ class FitConfig:
         for name in ("relative_velocity", "torque", "progress", "residual"):
             check_bool(name, getattr(self, name))
         check_type("logs", self.logs, LogOptions)
+        for name in ("force", "folds", "bootstrap"):
+            if not self.residual and getattr(self, name) != getattr(FitConfig, name):
+                raise ValueError(f"--{name} was given, but only applies with --residual; add it")
         if self.model == "composed" and self.mode == "measured":
             raise ValueError("--model composed is for environments; use it with --mode anchored")
         if self.torque and self.model != "deep-set":
