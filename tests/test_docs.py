@@ -21,12 +21,12 @@ import pytest
 from docs.extensions.api_pages import packages_of, page_of
 from docs.extensions.links import inward, without_empty_folders
 from docs.extensions.names import exports, modules, public_names, resolve
-from docs.tables import figure_tables, state_tables
+from docs.tables.figure_tables import figure_table
 from docs.tables.option_tables import options_of
-from docs.tables.pages import filled
+from docs.tables.pages import MARK, filled
 from docs.tables.recommendations import recommendation_table
 from docs.tables.state_tables import TABLES, state_table
-from docs.tables.task_pages import MARK, task_page
+from docs.tables.task_pages import task_page
 from swarm_envs import TASKS, make, task_family
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.cli import COMMANDS, load_options, main
@@ -56,7 +56,8 @@ def test_links_lead_somewhere():
 
 @pytest.mark.parametrize("page", MARKED, ids=lambda page: page.stem)
 def test_tables_are_up_to_date(page):
-    assert filled(page) == page.read_text(encoding="utf-8"), "run `make tables`"
+    text = page.read_text(encoding="utf-8")
+    assert filled(text) == text, "run `make tables`"
 
 
 def test_every_task_has_a_film_and_all_are_small():
@@ -98,7 +99,10 @@ def test_every_shipped_agent_has_its_row():
 
 
 PAGES_OF_TASKS = [
-    name for f in sorted((DOCS / "tasks").glob("*.md")) for name in MARK.findall(f.read_text())
+    name
+    for page in sorted((DOCS / "tasks").glob("*.md"))
+    for kind, name in MARK.findall(page.read_text(encoding="utf-8"))
+    if kind == "task"
 ]
 GYMNASIUM_ORDER = (
     *("Description", "Action space", "Observation space", "Rewards", "Starting state"),
@@ -113,7 +117,7 @@ def test_the_newest_version_of_every_task_has_a_page():
 
 @pytest.mark.parametrize("task", PAGES_OF_TASKS)
 def test_the_page_of_a_task_says_what_the_task_does(task: str) -> None:
-    page, env = task_page(task, DOCS / "tasks"), make(task, physics="batch")
+    page, env = task_page(task), make(task, physics="batch")
     assert tuple(re.findall("^## (.+)$", page, re.MULTILINE)) == GYMNASIUM_ORDER
     rows = re.findall(r"^\| (\d+)(?:-(\d+))? \| `(\w+\.\w+)`", page, re.MULTILINE)
     width = int(np.prod(env.observation_space("drone_0").shape or ()))
@@ -233,17 +237,17 @@ FILM_LOADED = "[...document.images].some((i) => i.src.endsWith('.webp') && i.nat
 
 def test_every_grid_of_a_figure_has_its_row():
     text = (DOCS / "rth3d.md").read_text(encoding="utf-8")
-    figures = figure_tables.MARK.findall(text)
+    figures = [name for kind, name in MARK.findall(text) if kind == "figure table"]
     assert figures == [*"56789"]
     for figure in figures:
-        rows = figure_tables.expand(f"<!-- figure table: {figure} -->").splitlines()[2:]
+        rows = figure_table(figure).splitlines()[2:]
         with (DOCS / "rth3d" / f"figure_{figure}.csv").open(encoding="utf-8") as file:
             grids = {(row["series"], row["grid"], row["robots"]) for row in csv.DictReader(file)}
         assert len(rows) == len(grids)
 
 
 def test_a_row_of_a_figure_has_its_means():
-    rows = figure_tables.figure_table("5").splitlines()
+    rows = figure_table("5").splitlines()
     cells = "uniform | 48 x 24 x 12 | 4,608 | 18 | 1.82, 1.563 | 1.71, 1.456 | 1.55, 1.365 | 1.000"
     assert f"| {cells} | 0.14 / 0.11 / 0.15 / 0.33 |" in rows
 
@@ -262,7 +266,7 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
     assert "| `touched_drone` | `()` | `float64` |  | `-1.0` | Drone" in state_table("DRONE")
     assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
     with pytest.raises(KeyError, match="DRONES"):
-        state_tables.expand("<!-- state table: DRONES -->")
+        filled("<!-- state table: DRONES -->\n<!-- end -->")
 
 
 def test_the_table_of_recommended_agents_has_each_task_of_the_benchmark():

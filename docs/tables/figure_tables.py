@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[1] / "rth3d"
-MARK = re.compile(r"^<!-- figure table: (\d+) -->$", re.MULTILINE)
 METHODS = ("rth3d", "rth3d-lba-paper", "rth3d-lba", "auto")
 _HEAD = f"| instance | grid | robots | runs | {' | '.join(f'`{m}`' for m in METHODS)} | CPU, s |"
 Runs = Mapping[str, str]
@@ -41,8 +39,3 @@ def _row(series: str, grid: str, robots: str, by: Mapping[str, Runs]) -> str:
     spent = " / ".join(f"{float(by[m]['cpu_s']):.2g}" if m in by else "-" for m in METHODS)
     cells = [series, grid.replace("x", " x "), f"{int(robots):,}", runs, *ratios, auto, spent]
     return f"| {' | '.join(cells)} |"
-
-
-def expand(text: str) -> str:
-    """A page's text with each mark replaced by its table."""
-    return MARK.sub(lambda mark: figure_table(mark[1]), text)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -21,9 +20,6 @@ from swarm_envs.envs.randomization import Randomization
 from swarm_envs.hall import Hall
 from swarm_envs.training.interaction_rows import InteractionRows
 
-MARK = "<!-- commands -->"
-ASSIGNMENTS_MARK = "<!-- assignment table -->"
-SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     kind.__name__: kind for kind in (EnvConfig, Hall, Randomization, InteractionRows)
 }
@@ -118,12 +114,9 @@ def assignment_table() -> str:
     return "\n".join([*head, "|---|---|---|---|---|---|", *rows])
 
 
-def expand(text: str) -> str:
-    """A page's text with each mark replaced by its tables."""
-    text = text.replace(ASSIGNMENTS_MARK, assignment_table())
-    if MARK in text:
-        text = text.replace(MARK, "\n\n".join(map(section, COMMANDS)))
-    return SETTINGS_MARK.sub(lambda mark: settings_table(mark[1]), text)
+def command_tables() -> str:
+    """Every command with its options in Markdown."""
+    return "\n\n".join(map(section, COMMANDS))
 
 
 def section(command: str) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 
 from swarm_envs.agents.recommendation import benchmark_rows, recommended
 
-MARK = "<!-- recommended agents -->"
 CHOICES: dict[str, dict[str, bool]] = {
     "any": {},
     "`privileged=False`": {"privileged": False},
@@ -43,8 +42,3 @@ def _name(task: str, **asked: Any) -> str:
 
 def _line(cells: list[str]) -> str:
     return f"| {' | '.join(cells)} |"
-
-
-def expand(text: str) -> str:
-    """A page's text with the mark replaced by the table."""
-    return text.replace(MARK, recommendation_table()) if MARK in text else text

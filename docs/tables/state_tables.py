@@ -5,15 +5,12 @@ They are read from `swarm_envs.tables`, so a field that is added there is on the
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from swarm_envs.tables import DRONE, ENVIRONMENT, SETTINGS, Field
 
 TABLES = {"DRONE": DRONE, "ENVIRONMENT": ENVIRONMENT, "SETTINGS": SETTINGS}
 """The tables that a page may ask for."""
-MARK = re.compile(r"^<!-- state table: (\w+) -->$", re.MULTILINE)
 
 
 def state_table(name: str) -> str:
@@ -24,11 +21,6 @@ def state_table(name: str) -> str:
     """
     head = ["| field | shape | type | unit | at reset | |", "|---|---|---|---|---|---|"]
     return "\n".join([*head, *map(_row, TABLES[name])])
-
-
-def expand(text: str) -> str:
-    """A page's text with each mark replaced by its table."""
-    return MARK.sub(lambda mark: state_table(mark[1]), text)
 
 
 def _row(field: Field) -> str:

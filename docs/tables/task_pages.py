@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from pathlib import Path
 
 import swarm_envs
 from docs.tables.option_tables import options_table
@@ -19,8 +18,6 @@ from swarm_envs.envs.options import TaskOptions, options_type
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.rewards import reward_meanings
 
-MARK = re.compile(r"^<!-- task: (\w+) -->$", re.MULTILINE)
-FIELDS_MARK, ACTIONS_MARK = "<!-- observation table -->", "<!-- action table -->"
 _SECTION = re.compile(r"^\*\*([^*\n]+?)\.?\*\*\.? ?", re.MULTILINE)
 _ASIDE = re.compile(r"^\([^)]*\):?\s*")
 _ACTION = re.compile(r"^\| `(\w+)` \| (.+) \|$", re.MULTILINE)
@@ -35,29 +32,22 @@ def sections(text: str) -> dict[str, str]:
     }
 
 
-def task_page(task: str, folder: Path) -> str:
-    """A task's page in Markdown.
-
-    Args:
-        task: such as `swap_v1`.
-        folder: of the page; a film named after the task's family is in `films` next to it.
-    """
+def task_page(task: str) -> str:
+    """The page of a task such as `swap_v1` in Markdown, with the film of the task's family."""
     options = options_type(task)
     env = swarm_envs.make(task, physics="batch")
     parts = sections(inspect.getdoc(options.task_type) or "")
     head, _, rest = parts[""].partition("\n\n")
     title, _, summary = head.partition(": ")
     family = swarm_envs.task_family(task)
-    film = f"../films/{family}.webp"
-    found = [film] if (folder / film).exists() else []
     return "\n\n".join(
         [
-            *(f"![{title.partition(',')[0]}: {summary}]({name})" for name in found),
+            f"![{title.partition(',')[0]}: {summary}](../films/{family}.webp)",
             _facts(task, env),
             f"## Description\n\n{summary[0].upper()}{summary[1:]}",
             _plain(rest),
             *(f"**{name}.** {text}" for name, text in parts.items() if name and name not in _KNOWN),
-            f"## Action space\n\n{_actions()}",
+            f"## Action space\n\n{action_table()}",
             f"## Observation space\n\n{_observations(env)}",
             f"## Rewards\n\n{_rewards(parts['Rewards'], env)}",
             f"## Starting state\n\n{parts['Start']}",
@@ -90,7 +80,8 @@ def _facts(task: str, env: SwarmParallelEnv) -> str:
     return "\n".join(["| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in rows.items())])
 
 
-def _actions() -> str:
+def action_table() -> str:
+    """The meaning of an action in each mode."""
     rows = _ACTION.findall(inspect.getdoc(swap_v1) or "")
     head = ["| `action=` | each drone's action |", "|---|---|"]
     return "\n".join([*head, *(f"| `{name}` | {meaning} |" for name, meaning in rows)])
@@ -155,9 +146,3 @@ def _arguments(options: type[TaskOptions]) -> str:
     own = [f.name for f in dataclasses.fields(options) if f.name not in shared]
     said = "`num_drones` and [the options of every task](../tasks.md#options) are accepted too."
     return f"{options_table(options, ['num_drones', *own])}\n\n{said}"
-
-
-def expand(text: str, folder: Path) -> str:
-    """A page's text with each mark replaced by what it stands for."""
-    text = text.replace(FIELDS_MARK, observation_table()).replace(ACTIONS_MARK, _actions())
-    return MARK.sub(lambda mark: task_page(mark[1], folder), text)
