@@ -165,22 +165,12 @@ def test_options_are_the_fields_of_the_class_and_its_docstrings_explain_them():
         swarm_envs.make(own_task.LineTask, spacing=0.4)
 
 
-class _Undecorated(Task):
-    def draw(self, rng, start=None, goal=None):
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class _Drawless(Task):
-    pass
-
-
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
         (int, "must be a name such as 'swap_v1', or a class that inherits"),
-        (_Undecorated, "_Undecorated is no dataclass; decorate it by @dataclass"),
-        (_Drawless, "_Drawless lacks draw; add the method"),
+        (type("Bare", (OwnSwap,), {}), "Bare is no dataclass; decorate it by @dataclass"),
+        (dataclass(frozen=True)(type("Still", (Task,), {})), "Still lacks draw; add the method"),
     ],
 )
 def test_the_broken_rule_of_a_class_is_named(kind, message):
