@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import traceback
 from collections.abc import Mapping
 from contextlib import closing
@@ -332,8 +331,7 @@ class _FlightBar:
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
     from swarm_envs.agents import record_episode
 
-    decisions = env.view.horizon_s * env.core.config.decision_rate
-    bar = _FlightBar(math.ceil(decisions - 1e-6))
+    bar = _FlightBar(env.core.most_decisions)
     try:
         recording = record_episode(env, agent, options.seed, watch=bar, name=name)
         bar.bar.total = bar.bar.n  # it may have ended before the time limit
@@ -386,6 +384,7 @@ def team_text(team: Team) -> str:
 
 
 _CONDITIONS = ("world", "randomization", "observe_range_m", "observe_delay_s", "observe_loss")
+"""Options of `WorldOptions` with which a policy may be trained on purpose, and flown without."""
 _SAME_EPISODE = ("physics", "threads")  # Options that leave episodes as they are
 
 

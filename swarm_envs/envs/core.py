@@ -246,6 +246,12 @@ class SwarmCore:
             )
 
     @property
+    def most_decisions(self) -> int:
+        """The time limit of an episode in decisions."""
+        decisions = float(self.settings["horizon_s"][0]) * self.config.decision_rate
+        return math.ceil(decisions - 1e-6)
+
+    @property
     def form(self) -> tuple[str, int, int, bool, bool, bool]:
         """The form of observations, K, M, and flags of observed loads, forces and set-points."""
         config, force = self.config, self._force_model is not None

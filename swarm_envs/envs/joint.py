@@ -38,8 +38,7 @@ def limited(entry: EnvSpec | None, core: SwarmCore, most: int | None = None) -> 
     """
     if entry is None:
         return None
-    decisions = float(core.settings["horizon_s"][0]) * core.config.decision_rate
-    steps = math.ceil(decisions - 1e-6)
+    steps = core.most_decisions
     return replace(entry, max_episode_steps=steps if most is None else min(steps, most))
 
 
