@@ -14,11 +14,11 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
-from swarm_envs import __version__
+from swarm_envs import TASKS, __version__, task_family
 from swarm_envs.commands.checks import Misuse, forget_output
 from swarm_envs.errors import nearest, unknown_name
 from swarm_envs.user_files import users_line
@@ -81,10 +81,12 @@ COMMANDS: Mapping[str, Command] = {
 }
 """Every command by its name. To add one, write its module and add it here."""
 _SIMILAR = "Perhaps you meant:|Arguments similar to"  # Before similar options and their help texts
+_NEAR = 0.75  # Least similarity of an option that is suggested
+_WORD = re.compile(r"Unrecognized options: (\w[\w-]*)")
 _NOT_A_NUMBER = re.compile(
     r"Error parsing (--\S+): .*\b(INT|FLOAT|int|float)\b[^'\"]*['\"](.*)['\"]"
 )
-_NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(--\S+)'. Expected one of (\(.*\))")
+_NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of (\(.*\))")
 _KINDS = {"int": "an integer", "float": "a number"}
 _LISTS = ("--agent", "--env", "--set")  # If one is given again, tyro forgets the values before
 
@@ -223,7 +225,8 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     except SystemExit as end:
         if not end.code:
             raise
-        message = _in_one_line(printed.getvalue())
+        names = _option_names(options, COMMANDS[name].prefixes)
+        message = _in_one_line(printed.getvalue(), names)
     except ValueError as error:
         message = str(error)
     raise Misuse(f"{message} (see `{program} --help`)")
@@ -258,8 +261,22 @@ def _columns(number: int) -> Iterator[None]:
             os.environ["COLUMNS"] = before
 
 
-def _in_one_line(box: str) -> str:
-    """Return the reason of an error from tyro's box, without title, frame and help text."""
+def _option_names(options: Any, prefixes: bool, before: str = "--") -> list[str]:
+    """Return the names of all options of a dataclass, with those of nested ones."""
+    names, kinds = [], get_type_hints(options)
+    for field in fields(options):
+        no = "no-" if field.default is True else ""  # flags that tyro switches off
+        name, kind = before + no + field.name.replace("_", "-"), kinds[field.name]
+        inner = f"{name}." if prefixes else before
+        names += _option_names(kind, prefixes, inner) if is_dataclass(kind) else [name]
+    return names
+
+
+def _in_one_line(box: str, names: Sequence[str]) -> str:
+    """Return the reason of an error from tyro's box, without title, frame and help text.
+
+    `names` are those of the command's options, of which the nearest are suggested.
+    """
     text = re.sub("[\u2500\u2502\u2570\u256f]|-{4,}", " ", "\n".join(box.splitlines()[1:]))
     reason = re.sub(r"^Error parsing \w+: ", "", " ".join(text.split()))
     reason = re.split("Got errors:|Argument helptext:|For full helptext", reason)[0].strip()
@@ -270,12 +287,14 @@ def _in_one_line(box: str) -> str:
         value, option, listed = choice.groups()
         valid = {*re.findall(r"'(.*?)'", listed)} - {"None"}
         return f"{option} is {value!r}; {nearest(value, valid)}"
-    reason, *similar = re.split(_SIMILAR, reason)
-    typed, options = (re.findall(r"--[\w.-]*\w", text) for text in (reason, " ".join(similar)))
-    others = [each for each in options if each not in typed]
-    near = [each for name in typed for each in difflib.get_close_matches(name, others, 1)]
+    reason = re.split(_SIMILAR, reason)[0].strip()
+    typed = [each for each in re.findall(r"--[\w.-]*\w", reason) if each not in names]
+    near = [each for name in typed for each in difflib.get_close_matches(name, names, 1, _NEAR)]
+    word = _WORD.search(reason)
+    if word and "--task" in names and task_family(word[1]) in map(task_family, TASKS):
+        near.append(f"--task {word[1]}")
     hint = f"; did you mean {' and '.join(near)}?" if near else ""
-    return reason.strip() + hint
+    return reason + hint
 
 
 def _description(name: str, options: Any) -> str:
