@@ -9,12 +9,19 @@ import sys
 import traceback
 from contextlib import suppress
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
 from swarm_envs.errors import unknown_name
 
-__all__ = ["file_digest", "find_in", "import_file", "load_from_file", "users_line"]
+__all__ = [
+    "file_digest",
+    "find_in",
+    "import_file",
+    "load_from_file",
+    "users_line",
+    "users_traceback",
+]
 
 _USERS_MODULE = "swarm_envs_users_file_"
 _imported: dict[str, set[str]] = {}
@@ -95,9 +102,28 @@ def users_line(error: BaseException) -> str | None:
     """Return the line of a user's file in which an error was raised, or None."""
     found = None
     for frame, number in traceback.walk_tb(error.__traceback__):
-        if str(frame.f_globals.get("__name__", "")).startswith(_USERS_MODULE):
+        if _is_users(frame):
             found = f"line {number} of {frame.f_code.co_filename}"
     return found
+
+
+def users_traceback(error: BaseException | None) -> str:
+    """Return the traceback of an error, or of its cause, from the first line of a user's file on.
+
+    The result is "" if neither was raised in a user's file.
+    """
+    while error is not None:
+        rest = error.__traceback__
+        while rest is not None and not _is_users(rest.tb_frame):
+            rest = rest.tb_next
+        if rest is not None:
+            return "".join(traceback.format_exception(type(error), error, rest, chain=False))
+        error = error.__cause__
+    return ""
+
+
+def _is_users(frame: FrameType) -> bool:
+    return str(frame.f_globals.get("__name__", "")).startswith(_USERS_MODULE)
 
 
 def file_digest(name: str) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import json
-import traceback
 from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -30,6 +29,7 @@ from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.training.scale_out import ScaleOptions, WorkerDied, run_jobs
 from swarm_envs.training.scoreboard.tasks import make_scored
+from swarm_envs.user_files import users_traceback
 
 __all__ = ["Flight", "Flown", "fly_chunk", "fly_flights"]
 
@@ -76,7 +76,7 @@ class Flown(NamedTuple):
 
     episodes: list[Episode]
     error: str = ""  # The reason of a failure; empty for none
-    trace: str = ""  # The traceback of a failure
+    trace: str = ""  # The traceback of a failure in a user's file
 
 
 def fly_flights(
@@ -169,8 +169,7 @@ def fly_chunk(chunk: Flight) -> Flown:
     except (Exception, SystemExit) as error:
         _prepare.cache_clear()
         why = str(error) if isinstance(error, AgentFailed) else f"{type(error).__name__}: {error}"
-        trace = "".join(traceback.format_exception(error.__cause__ or error))
-        return Flown(episodes, " ".join(why.split()), trace)
+        return Flown(episodes, " ".join(why.split()), users_traceback(error))
     return Flown(episodes)
 
 

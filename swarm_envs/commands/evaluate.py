@@ -184,8 +184,7 @@ def _reports(
     flown = fly_flights([*flights.values()], options.scale)
     for name, (episodes, why, trace) in zip(flights, flown, strict=True):
         found[name] |= {"error": why} if why else score_episodes(episodes, _scores_of(made))
-        if ":" in name:  # the author of a custom agent needs the traceback
-            sys.stderr.write(trace)
+        sys.stderr.write(trace)
     return [*found.values()]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import traceback
+import sys
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields
@@ -26,6 +26,7 @@ from swarm_envs.envs.setting import WorldOptions
 from swarm_envs.errors import check_integer, check_name, check_number, unknown_name
 from swarm_envs.files import write_json
 from swarm_envs.tasks.obstacles import parse_obstacles
+from swarm_envs.user_files import users_traceback
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, parse_team, team_string
 
 if TYPE_CHECKING:
@@ -339,11 +340,10 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
     except Exception as error:
         if isinstance(error, RuntimeError) and not bar.began and not env.agents:
             raise Misuse(str(error)) from error  # obstacles that leave no place to start
-        if any(".py:" in str(each) for each in (name, options.task, options.interactions)):
-            # its author needs to see where it failed
-            traceback.print_exc()
-        elif not bar.began and isinstance(error, ValueError):
+        own = any(".py:" in str(each) for each in (name, options.task, options.interactions))
+        if not own and not bar.began and isinstance(error, ValueError):
             raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
+        sys.stderr.write(users_traceback(error))
         where = f"the episode of seed {options.seed}, flown by agent {name!r}, failed"
         raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
     finally:

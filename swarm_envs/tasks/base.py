@@ -14,7 +14,14 @@ from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 import numpy as np
 from numpy.random import Generator
 
-from swarm_envs.errors import check_array, check_bool, check_integer, check_number, check_type
+from swarm_envs.errors import (
+    check_array,
+    check_bool,
+    check_integer,
+    check_number,
+    check_parameters,
+    check_type,
+)
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
 from swarm_envs.tasks.learning import Learning
@@ -172,6 +179,12 @@ _MEMBERS = (
     "success",
 )
 """Methods and properties that custom tasks override."""
+_PARAMETERS = {
+    "advance": ("self", "world"),
+    "draw": ("self", "rng", "start", "goal"),
+    "reward_terms": ("self", "world"),
+    "success": ("self", "world"),
+}
 OwnSuccess = Callable[[World], BoolArray]  # A method of a custom task
 Given = FloatArray | None
 """Starts or goals (N, 3), m, of the reset's options; None to sample them."""
@@ -190,8 +203,10 @@ class _TaskFields:
 
 
 def _check_methods(task: type) -> None:
-    """Raise TypeError if a class defines a method whose name is almost that of a member."""
+    """Raise an error if a method has almost the name of a member, or other parameters."""
     for name, value in vars(task).items():
+        if name in _PARAMETERS and inspect.isfunction(value):
+            check_parameters(f"{name} of {task.__name__}", value, *_PARAMETERS[name])
         is_method = inspect.isroutine(value) or isinstance(value, property)
         helper = is_method and not name.startswith("_") and name not in _MEMBERS
         if helper and (near := get_close_matches(name, _MEMBERS, 1, 0.9)):
@@ -244,6 +259,7 @@ class Task(_TaskFields, ABC):
 
         Raises:
             TypeError: a method has almost the name of a member.
+            ValueError: a method has other parameters than those of the member.
         """
         super().__init_subclass__(**options)
         _check_methods(cls)

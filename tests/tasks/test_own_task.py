@@ -292,6 +292,28 @@ def test_an_error_in_a_rule_states_the_shapes_of_the_arrays(method):
     assert raised.value.__cause__ is not None
 
 
+@pytest.mark.parametrize(
+    ("method", "signature"),
+    [("draw", "self, generator, drones"), ("reward_terms", "self"), ("success", "self, world, n")],
+)
+def test_methods_with_other_parameters_are_refused_where_the_class_is_defined(method, signature):
+    wrong: dict[str, Any] = {}
+    exec(f"def {method}({signature}): ...", wrong)
+    with pytest.raises(ValueError, match=f"{method} of Wrong must be a function of self, "):
+        type("Wrong", (OwnSwap,), {method: wrong[method]})
+
+
+@pytest.mark.parametrize("command", ["fly", "evaluate --episodes 1 --workers 1"])
+def test_the_traceback_of_an_error_in_an_own_file_begins_in_it(command, tmp_path, capsys):
+    file = tmp_path / "push.py"
+    file.write_text("def push(position, velocity, types):\n    return position / unknown\n")
+    given = [*command.split(), "--agent", "straight-line", "--drones", "2"]
+    assert main([*given, "--interactions", f"{file}:push"]) == 1
+    shown = capsys.readouterr()
+    assert shown.err.count('File "') == 1 and f'{file}", line 2, in push' in shown.err
+    assert "NameError: name 'unknown' is not defined" in shown.err + shown.out
+
+
 @pytest.mark.parametrize(("table", "field"), [("drones", "goal"), ("environments", "score")])
 def test_goals_and_scores_that_are_not_finite_are_refused(table, field):
     def advance(self, world):
