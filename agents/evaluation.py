@@ -298,8 +298,8 @@ _FIELDS = ("seed", "metrics", "act_us")
 def source_digest(agent: Agent, name: str = "") -> str:
     """Return the SHA-256 of the source of an agent.
 
-    It covers the file of its class, its attribute `digest`, such as that of its weights, and all
-    Python files in the folder of an agent from a file, `path/to/file.py:Class`.
+    It covers the file of its class, its attribute `digest`, such as that of its weights, and for an
+    agent from a file, `path/to/file.py:Class`, the files of its folder that it imports.
 
     Args:
         agent: the agent.

@@ -8,6 +8,7 @@ import inspect
 import sys
 import traceback
 from contextlib import suppress
+from modulefinder import ModuleFinder
 from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any
@@ -127,16 +128,18 @@ def _is_users(frame: FrameType) -> bool:
 
 
 def file_digest(name: str) -> str:
-    """Return the SHA-256 of all Python files in the folder of `path/to/file.py:Class`.
+    """Return the SHA-256 of `path/to/file.py:Class` and the files of its folder that it imports.
 
-    The file may import any of them. The result is "" for other names.
+    The result is "" for other names.
     """
     file, colon, _ = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         return ""
+    finder = ModuleFinder([str(Path(file).resolve().parent)])
+    finder.run_script(file)  # only looks for imports
     digest = hashlib.sha256()
-    for path in sorted(Path(file).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    for path in sorted(each.__file__ for each in finder.modules.values() if each.__file__):
+        digest.update(Path(path).read_bytes())
     return digest.hexdigest()
 
 

@@ -182,9 +182,10 @@ def test_another_setting_begins_another_file_and_damage_is_named(tmp_path):
         EpisodeFile(tmp_path, "a.py:Mine", {"layout": "random"})
 
 
-@pytest.mark.parametrize("edited", ["policy.py", "gains.py"])
-def test_an_edited_function_or_module_beside_is_another_agent(tmp_path, capsys, edited):
-    (tmp_path / "gains.py").write_text("GAIN = 0.0\n")
+@pytest.mark.parametrize("edited", ["policy.py", "gains.py", "notes.py"])
+def test_an_agent_is_another_if_its_file_or_one_that_it_imports_is_edited(tmp_path, capsys, edited):
+    for file in ("gains.py", "notes.py"):
+        (tmp_path / file).write_text("GAIN = 0.0\n")
     policy = tmp_path / "policy.py"
     policy.write_text(
         "import sys\nsys.path.insert(0, __file__.rpartition('/')[0])\nfrom gains import GAIN\n"
@@ -196,7 +197,7 @@ def test_an_edited_function_or_module_beside_is_another_agent(tmp_path, capsys, 
         assert ("resumes after" in capsys.readouterr().out) is expected
     (tmp_path / edited).write_text((tmp_path / edited).read_text() + "# edited\n")
     assert main(arguments) == 0
-    assert "resumes after" not in capsys.readouterr().out
+    assert ("resumes after" in capsys.readouterr().out) is (edited == "notes.py")
 
 
 def test_an_agent_that_flies_many_at_once_is_asked_for_each_episode():

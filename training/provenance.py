@@ -40,7 +40,7 @@ def json_ready(value: object) -> object:
 def differing(there: Mapping[str, object], here: Mapping[str, object]) -> str:
     """Return the differences of two configurations as text, such as `seed is 0 there, 1 here`.
 
-    An entry `file of task` is the digest of a file, of which the text says that it has changed.
+    An entry `file of task` is a digest, of which the text says that the file has changed.
 
     Args:
         there: a configuration from JSON; nested entries are named `noise.velocity`.
@@ -52,7 +52,7 @@ def differing(there: Mapping[str, object], here: Mapping[str, object]) -> str:
     old, new = _flat(there), _flat(here)
     names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
     return "; ".join(
-        f"the {n} has changed"
+        f"the {n}, or a file that it imports, has changed"
         if n.startswith("file of ")
         else f"{n} is {_short(old, n)} there, {_short(new, n)} here"
         for n in names
