@@ -40,7 +40,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     All drones of an environment end together, and restart in the same step. The info of a
     sub-environment at the end has `terminal_observation`, `TimeLimit.truncated` (True at the time
-    limit, where the value must be bootstrapped) and `episode_metrics` of the environment.
+    limit, where the value must be bootstrapped), `episode_metrics` of the environment and
+    `is_success`, which Stable-Baselines3 logs as `rollout/success_rate`.
 
     With `on_contact="end_pair"` the episode of a drone may end before that of its team: the
     sub-environment then ends without metrics. Until the team's end its observations are zeros, its
@@ -210,6 +211,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             info["terminal_observation"] = _row(shown, row)
             if e in metrics:
                 info["episode_metrics"] = dict(metrics[e])
+                info["is_success"] = metrics[e]["success"]  # for SB3's rollout/success_rate
 
     def _seen(self, core: SwarmCore, places: list[int]) -> Any:
         """Return the observations of a core's drones with these indices."""

@@ -78,6 +78,7 @@ def test_flights_ends_and_resets_are_those_of_pettingzoo(observation, horizon_s)
                 if dones[k]:
                     assert same(infos[k]["terminal_observation"], rows[e][agent])
                     assert infos[k]["episode_metrics"] == info[agent]["episode_metrics"]
+                    assert infos[k]["is_success"] is info[agent]["episode_metrics"]["success"]
             if not env.agents:
                 cut_ends, crash_ends = cut_ends + cut["drone_0"], crash_ends + ended["drone_0"]
                 rows[e] = env.reset()[0]
