@@ -64,7 +64,8 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
             place, mine, theirs = _difference(name, required, have)
             raise ValueError(
                 f"the agent requires {place}={mine!r:.80}, but the environment has "
-                f"{theirs!r:.80}; make it with parallel_env(..., **agent.requires)"
+                f"{theirs!r:.80}; make it with parallel_env(..., **agent.requires), or "
+                "change agent.requires"
             )
 
 

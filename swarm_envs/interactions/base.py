@@ -28,7 +28,6 @@ from swarm_envs.errors import (
     check_array,
     check_name,
     check_parameters,
-    check_type,
     unknown_name,
 )
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
@@ -173,6 +172,8 @@ def interaction_types(team: Sequence[Vehicle]) -> TypeArray:
 
 def _of_function(function: ForceFunction, label: str) -> InteractionModel:
     """Return the model of a function, which messages call by a label."""
+    if isinstance(function, type):
+        raise ValueError(f"{label} is a class, but a force must be a function or an object")
     check_parameters(label, function, "position", "velocity", "types")
     return InteractionModel(label, (), empty_field(1), function=function)
 
@@ -202,7 +203,11 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
     if callable(name):
         label = f"{name.__module__}:{getattr(name, '__qualname__', type(name).__qualname__)}"
         return _of_function(name, label)
-    check_type("name", name, str | Path)
+    if not isinstance(name, str | Path):
+        raise ValueError(
+            f"interaction model is {name!r:.80}, but must be a name, a path, a function or an "
+            "InteractionModel"
+        )
     text = str(name)
     if text == "none":
         types = tuple(sorted({vehicle.interaction_type for vehicle in VEHICLES.values()}))
@@ -217,7 +222,9 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         found = load_from_file(text)
         if callable(found):
             return _of_function(found, text)
-        return dataclasses.replace(load(found), name=text)
+        if not isinstance(found, InteractionModel):
+            raise ValueError(f"{text!r} is {found!r:.80}, but must be a function or a model")
+        return dataclasses.replace(found, name=text)
     if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
     if Path(text).is_dir():

@@ -118,6 +118,17 @@ def test_a_function_of_other_arguments_is_refused_before_it_is_called():
     BatchPhysics("LS", 1, many).step(np.zeros((1, 2, 4)))
 
 
+@pytest.mark.parametrize("given", ["3.0", "type('Force', (), {'__call__': wake})", "'wake'"])
+def test_what_is_no_force_is_refused(given, tmp_path):
+    file = tmp_path / "force.py"
+    file.write_text(f"def wake(self, position, velocity, types): ...\nforce = {given}\n")
+    with pytest.raises(ValueError, match=r"force' is .*must be a function|a function or an object"):
+        load(f"{file}:force")
+    for wrong in (3.0, BatchPhysics):
+        with pytest.raises(ValueError, match=r"must be a name, a path, a function|is a class"):
+            load(wrong)  # type: ignore[arg-type]
+
+
 def test_functions_are_refused_where_only_a_compiled_model_can_be_asked():
     with pytest.raises(ValueError, match="interaction_torque is True"):
         BatchPhysics("LS", 1, wake, interaction_torque=True)
