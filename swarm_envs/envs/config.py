@@ -196,7 +196,7 @@ class EnvConfig:
         if ranges is not None and ranges.noisy and self.hall is not None:
             raise ValueError(
                 f"Randomization.noise is {ranges.noise}, but the hall has its own noise; leave it "
-                "0 or, in Python, give world=Hall(position_noise_m=...)"
+                "0, or give world=Hall(position_noise_m=...) of swarm_envs.hall"
             )
 
     def _check_communication(self) -> None:

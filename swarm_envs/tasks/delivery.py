@@ -110,7 +110,7 @@ class DeliveryTask(Task):
             raise ValueError(
                 f"couriers dock at {lowest} m, but the largest of the first {DOCKS} drones, which "
                 f"are the couriers, touches the floor at {widest:.3f} m; begin the team with small "
-                "drones, such as 'S*S*S*LL', or, in Python, give a larger height_m"
+                "drones, such as 'S*S*S*LL', or give a larger height_m"
             )
         if self.travel_s > self.stage_s:
             raise ValueError(

@@ -173,8 +173,8 @@ def _check_apart(orbit: Orbit, least: float) -> None:
             if gap < least:
                 raise ValueError(
                     f"on these rings drones {j} and {i} of a group come within {gap:.2f} m, but "
-                    f"must keep {least:.2f} m; use fewer drones or, in Python, larger "
-                    "rings=RingLayout(...)"
+                    f"must keep {least:.2f} m; use fewer drones, or larger rings: "
+                    "rings=RingLayout(...) of swarm_envs.tasks.ring"
                 )
 
 

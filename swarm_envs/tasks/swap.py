@@ -205,8 +205,9 @@ class SwapTask(Task):
             raise ValueError(
                 f"{len(self.team)} drones stacked from {ranges.lowest_m} m with gaps of up to "
                 f"{ranges.gap_m[1]} m reach {top:.2f} m, but must stay below "
-                f"{ceiling:.2f} m; use fewer drones or, in Python, "
-                "stacked=StackedLayout(gap_m=...)"
+                f"{ceiling:.2f} m; use fewer drones, smaller gap_m or lowest_m: "
+                """--env "stacked={'gap_m': (0.13, 0.13), 'lowest_m': 0.4}", or in Python """
+                "stacked=StackedLayout(gap_m=..., lowest_m=...) of swarm_envs.tasks.swap"
             )
 
     def _check_circle(self) -> None:
@@ -215,8 +216,9 @@ class SwapTask(Task):
         if needed > most:
             raise ValueError(
                 f"{n} drones {self.circle.spacing_m} m apart need a circle of {needed:.2f} m, but "
-                f"the arena has room for {most:.2f} m; use fewer drones "
-                "or, in Python, circle=CircleLayout(spacing_m=...)"
+                f"the arena has room for {most:.2f} m; use fewer drones or a smaller spacing_m: "
+                """--env "circle={'spacing_m': 0.15}", or in Python """
+                "circle=CircleLayout(spacing_m=...) of swarm_envs.tasks.swap"
             )
         touching = 2.0 * float(self.radius.max())
         if n > 1 and self.circle.spacing_m <= touching:
