@@ -19,7 +19,7 @@ from swarm_envs import TASKS
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import MOST_DRONES, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
-from swarm_envs.errors import check_integer, check_name, check_type, nearest
+from swarm_envs.errors import check_integer, check_name, check_type, nearest, unknown_name
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, check_inside, parse_obstacles
 from swarm_envs.tasks.rewards import reward_meanings
@@ -244,7 +244,11 @@ def task_class(task: str | type[Task]) -> type[Task]:
     """
     found: object = load_from_file(task) if isinstance(task, str) and ".py:" in task else task
     if isinstance(found, str):
-        check_name("task", found, TASKS)
+        if found not in TASKS:
+            raise ValueError(
+                f"{unknown_name('task', found, TASKS)}; a custom task is given as its class, or as "
+                "'my_task.py:MyTask'"
+            )
         return next(filter(_is_task, vars(importlib.import_module(f"swarm_envs.{found}")).values()))
     if not _is_task(found):
         raise ValueError(_not_a_task(found))

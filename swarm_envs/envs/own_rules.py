@@ -70,7 +70,7 @@ def apply_own_rules(task: Task, world: World, flown: BoolArray, end_on_success: 
         check_array(f"goal after advance of task {task.name!r}", world.drones["goal"], before.shape)
         score = world.environments["score"]
         check_array(f"score after advance of task {task.name!r}", score, score.shape)
-        _send(world, (world.drones["goal"] != before).any(axis=-1))
+        _send(task, world, (world.drones["goal"] != before).any(axis=-1))
 
 
 def _call(task: Task, name: str, world: World) -> Any:
@@ -111,7 +111,7 @@ def _end(world: World, done: BoolArray, end_on_success: bool) -> None:
         e["running"] &= ~whole
 
 
-def _send(world: World, sent: BoolArray) -> None:
+def _send(task: Task, world: World, sent: BoolArray) -> None:
     """Update distances and references of drones (E, N) with new goals, at unchanged progress."""
     drones = world.drones
     covered = drones["last_distance"] - drones["distance"]
@@ -119,7 +119,8 @@ def _send(world: World, sent: BoolArray) -> None:
     drones["distance"][sent] = away[sent]
     drones["last_distance"][sent] = (away + covered)[sent]
     drones["arrival"][sent] = np.inf
-    drones["reference_position"][sent] = drones["goal"][sent]
+    if task.motion.rests:
+        drones["reference_position"][sent] = drones["goal"][sent]
 
 
 def write_own_terms(task: Task, world: World, terms: FloatArray) -> None:

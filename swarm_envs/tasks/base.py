@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cached_property
+from numbers import Integral, Real
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -27,6 +28,7 @@ from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
 from swarm_envs.tasks.learning import Learning
 from swarm_envs.tasks.motion import (
     ACCELERATION_LIMIT,
+    OWN_GOALS,
     REST,
     SPEED_LIMIT,
     WRITERS,
@@ -168,23 +170,31 @@ class ByScore:
 
 Kind = TypeVar("Kind", bound="Task")
 _SHIPPED = "swarm_envs.tasks."  # Modules of the package's tasks
+_SIMILAR = 0.9  # Least similarity of a name to a member that is taken for a misspelling
 _MEMBERS = (
     "advance",
     "default_team",
+    "default_weights",
+    "defaults",
     "draw",
     "episode_s",
+    "goals_are",
+    "learning",
     "motion",
     "num_stages",
     "reward_terms",
+    "score_names",
     "success",
 )
-"""Methods and properties that custom tasks override."""
+"""Members that custom tasks override."""
 _PARAMETERS = {
     "advance": ("self", "world"),
     "draw": ("self", "rng", "start", "goal"),
     "reward_terms": ("self", "world"),
     "success": ("self", "world"),
 }
+_KINDS = {"bool": bool, "float": Real, "int": Integral, "str": str}
+"""Types of options that are checked, by their annotations."""
 OwnSuccess = Callable[[World], BoolArray]  # A method of a custom task
 Given = FloatArray | None
 """Starts or goals (N, 3), m, of the reset's options; None to sample them."""
@@ -202,18 +212,28 @@ class _TaskFields:
     """Static obstacles, the same in every episode."""
 
 
-def _check_methods(task: type) -> None:
-    """Raise an error if a method has almost the name of a member, or other parameters."""
+def _check_members(task: type) -> None:
+    """Raise an error if a member has almost the name of another, or a method other parameters."""
     for name, value in vars(task).items():
         if name in _PARAMETERS and inspect.isfunction(value):
             check_parameters(f"{name} of {task.__name__}", value, *_PARAMETERS[name])
-        is_method = inspect.isroutine(value) or isinstance(value, property)
-        helper = is_method and not name.startswith("_") and name not in _MEMBERS
-        if helper and (near := get_close_matches(name, _MEMBERS, 1, 0.9)):
+        new = not name.startswith("_") and not any(hasattr(base, name) for base in task.__bases__)
+        similar = get_close_matches(name, _MEMBERS, 1, _SIMILAR)
+        if new and similar:
             raise TypeError(
                 f"{task.__name__} defines {name!r}, which is no member of a task; did you mean "
-                f"{near[0]!r}? A helper needs a less similar name, such as '_{name}'"
+                f"{similar[0]!r}? A member of its own needs a less similar name, such as '_{name}'"
             )
+
+
+def _check_options(task: Task) -> None:
+    """Raise ValueError if an option has another type than its annotation."""
+    for each in fields(task):
+        kind = getattr(each.type, "__name__", each.type)
+        value = getattr(task, each.name, None)
+        given_bool = isinstance(value, bool | np.bool_) and kind != "bool"
+        if kind in _KINDS and (given_bool or not isinstance(value, _KINDS[kind])):
+            raise ValueError(f"{each.name} is {value!r:.80}, but must be of type {kind}")
 
 
 class Task(_TaskFields, ABC):
@@ -258,11 +278,11 @@ class Task(_TaskFields, ABC):
         """Set `name` and `reward_names` if they are not given.
 
         Raises:
-            TypeError: a method has almost the name of a member.
+            TypeError: an attribute has almost the name of a member.
             ValueError: a method has other parameters than those of the member.
         """
         super().__init_subclass__(**options)
-        _check_methods(cls)
+        _check_members(cls)
         named = next((kind for kind in cls.__mro__ if "name" in vars(kind)), None)
         inherited = named is not cls and named is not None and issubclass(named, Task)
         if named is None or (inherited and not named.__module__.startswith(_SHIPPED)):
@@ -277,6 +297,7 @@ class Task(_TaskFields, ABC):
         if inspect.isfunction(getattr(type(self), "success", None)):
             vars(self).pop("success", None)  # a method overrides a base class's field
         object.__setattr__(self, "team", parse_team(self.team))
+        _check_options(self)
         check_type("obstacles", self.obstacles, tuple | list)
         if not self.reward_weights:
             object.__setattr__(self, "reward_weights", dict(self.default_weights))
@@ -350,7 +371,8 @@ class Task(_TaskFields, ABC):
     @property
     def write_reference(self) -> Callable[[Records, Records, FloatArray, Records], None]:
         """The kernel that writes the references of all environments."""
-        return WRITERS[self.motion.kind]
+        follows = self.motion == Motion(REST) and inspect.isfunction(type(self).advance)
+        return WRITERS[OWN_GOALS if follows else self.motion.kind]
 
     @property
     def episode_s(self) -> float:

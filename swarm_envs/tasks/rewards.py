@@ -43,7 +43,8 @@ def write_terms(drones: Records, environments: Records, settings: Records, out: 
     The return of an episode depends neither on the decision rate nor on the time limit:
 
     - `progress`: decrease of the distance to the goal, over the speed limit, in seconds: a
-      difference of potentials (Ng, Harada and Russell, 1999), so that closed paths sum to 0.
+      difference of potentials (Ng, Harada and Russell, 1999), so that closed paths sum to 0 while
+      the goal rests; a goal that moves counts only for the drone's own motion toward it.
     - `at_goal`: exp(-(distance to the goal / 0.15 m)^2), times the step in seconds.
     - `tracking`: exp(-(distance to the reference / 0.10 m)^2), times the step in seconds.
     - `effort`: mean square of the action, times the step in seconds.

@@ -303,6 +303,34 @@ def test_methods_with_other_parameters_are_refused_where_the_class_is_defined(me
         type("Wrong", (OwnSwap,), {method: wrong[method]})
 
 
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [("fast", "float"), ([0.1], "float"), (True, "float"), (1.5, "int"), (1, "bool"), (2, "str")],
+)
+def test_options_of_a_wrong_type_are_refused(value, kind):
+    default = {"float": 1.0, "int": 1, "bool": True, "str": ""}[kind]
+    for annotation in (kind, type(default)):
+        own = [("own", annotation, default)]
+        task: Any = make_dataclass("Own", own, bases=(Plain,), frozen=True)
+        swarm_envs.make(task, own=default).close()
+        with pytest.raises(ValueError, match=re.escape(f"own is {value!r}, but must be of type")):
+            swarm_envs.make(task, own=value)
+
+
+@pytest.mark.parametrize("base", [Plain, SwapTask])
+def test_references_at_rest_follow_the_goals_that_advance_sets(base):
+    task: Any = dataclass(frozen=True)(type("Own", (base,), {"advance": Endless.advance}))
+    env = swarm_envs.make(task, num_drones=3, interactions="none", physics="batch")
+    env.reset(seed=0)
+    view, before = env.view, env.view.goals.copy()
+    assert np.array_equal(view.reference(0.0).position, before)
+    while (view.goals == before).all():
+        pull = 3.0 * (view.goals - view.state.position) - 3.0 * view.state.velocity
+        env.step(dict(zip(env.agents, np.clip(pull / 5.0, -1.0, 1.0).astype("f4"), strict=True)))
+    assert np.array_equal(view.reference(1.0).position, view.goals)
+    env.close()
+
+
 @pytest.mark.parametrize("command", ["fly", "evaluate --episodes 1 --workers 1"])
 def test_the_traceback_of_an_error_in_an_own_file_begins_in_it(command, tmp_path, capsys):
     file = tmp_path / "push.py"
@@ -346,12 +374,13 @@ def test_an_own_subclass_has_its_own_name_and_ids():
         swarm_envs.register_task(other)
 
 
-@pytest.mark.parametrize("name", ["succes", "reward_term"])
+@pytest.mark.parametrize("name", ["succes", "reward_term", "default_weight", "score_name"])
 def test_misspelled_members_are_refused(name):
-    with pytest.raises(TypeError, match=f"defines '{name}', which .* mean '{name}s'"):
-        type("Wrong", (Endless,), {name: lambda self, world: None})
-    for helper in ("_draw", "draws", f"_{name}"):
-        type("Right", (Endless,), {helper: lambda self, world: None})
+    for value in (lambda self, world: None, {}):
+        with pytest.raises(TypeError, match=f"defines '{name}', which .* mean '{name}s'"):
+            type("Wrong", (Endless,), {name: value})
+    for own in ("_draw", "draws", "success_m", "layout", f"_{name}"):
+        type("Right", (Endless,), {own: lambda self, world: None, f"{own}_": 0.1})
 
 
 def test_an_edited_task_is_flown_again(tmp_path, capsys):
