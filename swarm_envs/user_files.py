@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
 import inspect
 import sys
 import traceback
 from contextlib import suppress
-from modulefinder import ModuleFinder
 from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any
@@ -135,12 +135,32 @@ def file_digest(name: str) -> str:
     file, colon, _ = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         return ""
-    finder = ModuleFinder([str(Path(file).resolve().parent)])
-    finder.run_script(file)  # only looks for imports
+    found: set[Path] = set()
+    left = {Path(file).resolve()}
+    while left:
+        found.add(path := left.pop())
+        left |= _imports_of(path, Path(file).resolve().parent) - found
     digest = hashlib.sha256()
-    for path in sorted(each.__file__ for each in finder.modules.values() if each.__file__):
-        digest.update(Path(path).read_bytes())
+    for path in sorted(found):
+        digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _imports_of(file: Path, folder: Path) -> set[Path]:
+    """Return the files of a folder that a file names in its import statements."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        base, names = folder, []
+        if isinstance(node, ast.Import):
+            names = [each.name for each in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = file.parents[node.level - 1] if node.level else folder
+            names = [f"{node.module or ''}.{each.name}" for each in node.names]
+        for parts in (name.strip(".").split(".") for name in names):
+            paths = [base.joinpath(*parts[: k + 1]) for k in range(len(parts))]
+            found |= {path.with_suffix(".py") for path in paths}
+            found |= {path / "__init__.py" for path in paths}
+    return {path for path in found if path.is_file()}
 
 
 def find_in(name: str, module: ModuleType, path: str) -> Any:

@@ -182,13 +182,15 @@ def test_another_setting_begins_another_file_and_damage_is_named(tmp_path):
         EpisodeFile(tmp_path, "a.py:Mine", {"layout": "random"})
 
 
-@pytest.mark.parametrize("edited", ["policy.py", "gains.py", "notes.py"])
+@pytest.mark.parametrize("edited", ["policy.py", "gains.py", "more/scale.py", "notes.py"])
 def test_an_agent_is_another_if_its_file_or_one_that_it_imports_is_edited(tmp_path, capsys, edited):
-    for file in ("gains.py", "notes.py"):
+    (tmp_path / "more").mkdir()
+    for file in ("gains.py", "more/scale.py", "notes.py"):
         (tmp_path / file).write_text("GAIN = 0.0\n")
     policy = tmp_path / "policy.py"
     policy.write_text(
         "import sys\nsys.path.insert(0, __file__.rpartition('/')[0])\nfrom gains import GAIN\n"
+        "from more import scale\n"
         "def act(rows): return GAIN * rows[..., :3]\n"
     )
     arguments = ["evaluate", *QUICK, "--agent", f"{policy}:act", "--out", str(tmp_path / "run")]

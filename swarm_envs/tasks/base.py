@@ -193,7 +193,7 @@ _PARAMETERS = {
     "reward_terms": ("self", "world"),
     "success": ("self", "world"),
 }
-_KINDS = {"bool": bool, "float": Real, "int": Integral, "str": str}
+_KINDS: Mapping[str, Any] = {"bool": (bool, np.bool_), "float": Real, "int": Integral, "str": str}
 """Types of options that are checked, by their annotations."""
 OwnSuccess = Callable[[World], BoolArray]  # A method of a custom task
 Given = FloatArray | None
@@ -229,10 +229,10 @@ def _check_members(task: type) -> None:
 def _check_options(task: Task) -> None:
     """Raise ValueError if an option has another type than its annotation."""
     for each in fields(task):
-        kind = getattr(each.type, "__name__", each.type)
+        kind = str(getattr(each.type, "__name__", each.type))
         value = getattr(task, each.name, None)
-        given_bool = isinstance(value, bool | np.bool_) and kind != "bool"
-        if kind in _KINDS and (given_bool or not isinstance(value, _KINDS[kind])):
+        wrong_bool = kind != "bool" and isinstance(value, bool | np.bool_)
+        if kind in _KINDS and (wrong_bool or not isinstance(value, _KINDS[kind])):
             raise ValueError(f"{each.name} is {value!r:.80}, but must be of type {kind}")
 
 

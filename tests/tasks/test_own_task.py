@@ -376,11 +376,13 @@ def test_an_own_subclass_has_its_own_name_and_ids():
 
 @pytest.mark.parametrize("name", ["succes", "reward_term", "default_weight", "score_name"])
 def test_misspelled_members_are_refused(name):
-    for value in (lambda self, world: None, {}):
+    values: tuple[Any, ...] = (lambda self, world: None, 0.1)
+    for value in values:
         with pytest.raises(TypeError, match=f"defines '{name}', which .* mean '{name}s'"):
             type("Wrong", (Endless,), {name: value})
     for own in ("_draw", "draws", "success_m", "layout", f"_{name}"):
-        type("Right", (Endless,), {own: lambda self, world: None, f"{own}_": 0.1})
+        for value in values:
+            type("Right", (Endless,), {own: value})
 
 
 def test_an_edited_task_is_flown_again(tmp_path, capsys):
