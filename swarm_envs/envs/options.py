@@ -20,7 +20,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import MOST_DRONES, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_integer, check_name, check_type, nearest, unknown_name
-from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.base import Task, check_rules
 from swarm_envs.tasks.obstacles import Obstacle, check_inside, parse_obstacles
 from swarm_envs.tasks.rewards import reward_meanings
 from swarm_envs.user_files import load_from_file
@@ -99,6 +99,7 @@ class TaskOptions(EnvConfig):
             "reward_weights": {**kind.default_weights, **(self.reward_weights or {})},
         }
         task: Task = kind(**given)
+        check_rules(task)
         check_inside(given["obstacles"], task.arena)
         return task
 

@@ -55,6 +55,7 @@ __all__ = [
     "Success",
     "Task",
     "TrackingSuccess",
+    "check_rules",
     "place",
 ]
 
@@ -236,6 +237,16 @@ def _check_options(task: Task) -> None:
             raise ValueError(f"{each.name} is {value!r:.80}, but must be of type {kind}")
 
 
+def check_rules(task: Task) -> None:
+    """Raise ValueError if a property of a custom task has a wrong type or value."""
+    check_number("episode_s", task.episode_s, above=0.0, unit="s")
+    check_integer("num_stages", task.num_stages, at_least=1)
+    check_type("motion", task.motion, Motion)
+    check_type("score_names", task.score_names, tuple)
+    if not callable(task.success):
+        check_type("success", task.success, Success | TrackingSuccess | ByScore)
+
+
 class Task(_TaskFields, ABC):
     """A task of a team. It has no state: the state of episodes is in the `World`."""
 
@@ -412,8 +423,7 @@ class Task(_TaskFields, ABC):
         margin = OBSTACLE_MARGIN if start is None and goal is None else 0.0
         why = ""
         for _ in range(_DRAWS if len(rows) else 1):
-            placement = self.draw(rng, start, goal)
-            self._check_shapes(placement)
+            placement = self._checked(self.draw(rng, start, goal))
             check_points("start", placement.start, radius, arena)
             for goals in placement.goals:
                 check_points("goal", goals, radius, arena)
@@ -425,8 +435,12 @@ class Task(_TaskFields, ABC):
             f"{why}; use fewer or smaller obstacles, or move them"
         )
 
-    def _check_shapes(self, placement: object) -> None:
-        """Raise ValueError unless `draw` returned a placement with the goals of all stages."""
+    def _checked(self, placement: object) -> Placement:
+        """Return what `draw` returned, with arrays.
+
+        Raises:
+            ValueError: it is no placement with the goals of all stages.
+        """
         if not isinstance(placement, Placement):
             raise ValueError(
                 f"draw of {self.name} returned a {type(placement).__name__}, but must return a "
@@ -439,6 +453,8 @@ class Task(_TaskFields, ABC):
                 f"Placement.goals of {self.name} has shape {shape}, but must have shape {wanted}, "
                 f"(num_stages, drones, 3){hint}"
             )
+        start, goals = (np.asarray(points, np.float64) for points in placement[:2])
+        return placement._replace(start=start, goals=goals)
 
     def _obstructed(self, placement: Placement, margin: float) -> str:
         """Return a message on a point too near an obstacle; empty if there is none."""

@@ -317,6 +317,35 @@ def test_options_of_a_wrong_type_are_refused(value, kind):
             swarm_envs.make(task, own=value)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("episode_s", "3", "episode_s is '3', but must be positive and finite, in s"),
+        ("num_stages", 0, "num_stages is 0, but must be an integer of at least 1"),
+        ("motion", 3, "motion is 3, but must be a Motion"),
+        ("score_names", "abc", "score_names is 'abc', but must be a tuple"),
+        ("success", None, "success is None, but must be a Success or "),
+    ],
+)
+def test_members_of_a_wrong_type_are_refused(name, value, message):
+    task: Any = dataclass(frozen=True)(type("Own", (Plain,), {name: value}))
+    with pytest.raises(ValueError, match=message):
+        swarm_envs.make(task)
+
+
+def test_draw_may_return_lists():
+    def draw(self, rng, start=None, goal=None):
+        return Placement(*(part.tolist() for part in Plain.draw(self, rng)[:2]))
+
+    task: Any = dataclass(frozen=True)(type("Own", (Plain,), {"draw": draw}))
+    places = [
+        blueprint_of(kind, num_drones=3).task.place(np.random.default_rng(0))
+        for kind in (task, Plain)
+    ]
+    assert all(np.array_equal(a, b) for a, b in zip(places[0][:2], places[1][:2], strict=True))
+    assert places[0].start.dtype == np.float64
+
+
 @pytest.mark.parametrize("base", [Plain, SwapTask])
 def test_references_at_rest_follow_the_goals_that_advance_sets(base):
     task: Any = dataclass(frozen=True)(type("Own", (base,), {"advance": Endless.advance}))
