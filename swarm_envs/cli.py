@@ -12,9 +12,10 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import is_dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
@@ -212,8 +213,9 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     for word, following in pairwise([*words, "--"]):
         if word in ("--env", "--set") and following.startswith("--"):
             raise Misuse(f"{word} has no value; give NAME=VALUE, or leave the option out")
-    given: dict[str, Any] = {"args": [*words], "prog": program}
-    given["config"] = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
+    prefixes = () if COMMANDS[name].prefixes else (tyro.conf.OmitArgPrefixes,)
+    about = _description(name, options)
+    read = partial(tyro.cli, options, prog=program, description=about, config=prefixes)
     columns = WIDE
     if not HELP.isdisjoint(words):
         columns = max(NARROWEST, shutil.get_terminal_size().columns)
@@ -221,12 +223,12 @@ def read_options(name: str, words: Sequence[str]) -> Any:
     printed = io.StringIO()
     try:
         with _columns(columns), redirect_stderr(printed):
-            return tyro.cli(options, description=_description(name, options), **given)
+            return read(args=[*words])
     except SystemExit as end:
         if not end.code:
             raise
-        names = _option_names(options, COMMANDS[name].prefixes)
-        message = _in_one_line(printed.getvalue(), names)
+        known = _option_names(partial(read, args=["--help"]))
+        message = _in_one_line(printed.getvalue(), known)
     except ValueError as error:
         message = str(error)
     raise Misuse(f"{message} (see `{program} --help`)")
@@ -261,15 +263,13 @@ def _columns(number: int) -> Iterator[None]:
             os.environ["COLUMNS"] = before
 
 
-def _option_names(options: Any, prefixes: bool, before: str = "--") -> list[str]:
-    """Return the names of all options of a dataclass, with those of nested ones."""
-    names, kinds = [], get_type_hints(options)
-    for field in fields(options):
-        no = "no-" if field.default is True else ""  # flags that tyro switches off
-        name, kind = before + no + field.name.replace("_", "-"), kinds[field.name]
-        inner = f"{name}." if prefixes else before
-        names += _option_names(kind, prefixes, inner) if is_dataclass(kind) else [name]
-    return names
+def _option_names(show_help: Callable[[], object]) -> list[str]:
+    """Return the names of a command's options, from the help text that a function prints."""
+    printed = io.StringIO()
+    with suppress(SystemExit), _columns(WIDE), redirect_stdout(printed):
+        show_help()
+    heads = re.findall("^ {1,4}(?:-h, )?(--.*)", printed.getvalue(), re.M)
+    return [name for head in heads for name in re.findall(r"--[\w.-]*\w", head)]
 
 
 def _in_one_line(box: str, names: Sequence[str]) -> str:
@@ -291,7 +291,7 @@ def _in_one_line(box: str, names: Sequence[str]) -> str:
     typed = [each for each in re.findall(r"--[\w.-]*\w", reason) if each not in names]
     near = [each for name in typed for each in difflib.get_close_matches(name, names, 1, _NEAR)]
     word = _WORD.search(reason)
-    if word and "--task" in names and task_family(word[1]) in map(task_family, TASKS):
+    if word and "--task" in names and word[1] in {*TASKS, *map(task_family, TASKS)}:
         near.append(f"--task {word[1]}")
     hint = f"; did you mean {' and '.join(near)}?" if near else ""
     return reason + hint
