@@ -6,6 +6,7 @@ import ast
 import hashlib
 import importlib.util
 import inspect
+import re
 import sys
 import traceback
 from contextlib import suppress
@@ -25,6 +26,7 @@ __all__ = [
 ]
 
 _USERS_MODULE = "swarm_envs_users_file_"
+_IMPORTS_BY_NAME = re.compile(rb"\b(importlib|__import__|runpy|exec)\b")
 _imported: dict[str, set[str]] = {}
 """Modules that users' files have imported from their own folders, by folder."""
 _inserted: list[str] = []  # The folder on `sys.path` for the last imported file
@@ -118,49 +120,60 @@ def users_traceback(error: BaseException | None) -> str:
         while rest is not None and not _is_users(rest.tb_frame):
             rest = rest.tb_next
         if rest is not None:
-            return "".join(traceback.format_exception(type(error), error, rest, chain=False))
+            return "".join(traceback.format_exception(type(error), error, rest))
         error = error.__cause__
     return ""
 
 
 def _is_users(frame: FrameType) -> bool:
-    return str(frame.f_globals.get("__name__", "")).startswith(_USERS_MODULE)
+    """Return True if a frame runs code of a user's file, or of a module of its folder."""
+    name = str(frame.f_globals.get("__name__", ""))
+    return name.startswith(_USERS_MODULE) or any(name in each for each in _imported.values())
 
 
 def file_digest(name: str) -> str:
     """Return the SHA-256 of `path/to/file.py:Class` and the files of its folder that it imports.
 
-    The result is "" for other names.
+    It covers all files of the folder if a file computes what it imports. The result is "" for other
+    names.
     """
     file, colon, _ = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         return ""
-    found: set[Path] = set()
+    folder = Path(file).resolve().parent
+    sources: dict[Path, bytes] = {}
     left = {Path(file).resolve()}
     while left:
-        found.add(path := left.pop())
-        left |= _imports_of(path, Path(file).resolve().parent) - found
+        path = left.pop()
+        sources[path] = path.read_bytes()
+        by_name = _IMPORTS_BY_NAME.search(sources[path])
+        named = folder.glob("*.py") if by_name else _imports_of(path, sources[path], folder)
+        left |= {each for each in named if each.is_file()} - set(sources)
     digest = hashlib.sha256()
-    for path in sorted(found):
-        digest.update(path.read_bytes())
+    for path in sorted(sources):
+        digest.update(sources[path])
     return digest.hexdigest()
 
 
-def _imports_of(file: Path, folder: Path) -> set[Path]:
-    """Return the files of a folder that a file names in its import statements."""
+def _imports_of(file: Path, source: bytes, folder: Path) -> set[Path]:
+    """Return the files of a folder, if they exist, that a file's import statements name."""
+    try:
+        nodes = [*ast.walk(ast.parse(source))]
+    except (SyntaxError, ValueError):  # its import may be guarded
+        return set()
     found = set()
-    for node in ast.walk(ast.parse(file.read_bytes())):
+    for node in nodes:
         base, names = folder, []
         if isinstance(node, ast.Import):
             names = [each.name for each in node.names]
         elif isinstance(node, ast.ImportFrom):
-            base = file.parents[node.level - 1] if node.level else folder
+            base = [folder, *file.parents][min(node.level, len(file.parents))]
             names = [f"{node.module or ''}.{each.name}" for each in node.names]
         for parts in (name.strip(".").split(".") for name in names):
             paths = [base.joinpath(*parts[: k + 1]) for k in range(len(parts))]
             found |= {path.with_suffix(".py") for path in paths}
             found |= {path / "__init__.py" for path in paths}
-    return {path for path in found if path.is_file()}
+    return found
 
 
 def find_in(name: str, module: ModuleType, path: str) -> Any:

@@ -32,6 +32,7 @@ from swarm_envs.agents.policy import FILE, PolicyAgent, write_policy
 from swarm_envs.cli import main
 from swarm_envs.envs.options import options_type
 from swarm_envs.training.scoreboard.results import Cell, Results
+from swarm_envs.user_files import file_digest
 from tests.helpers.users_agents import FAILING, FINE
 
 QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "4", "--seed", "7"]
@@ -200,6 +201,24 @@ def test_an_agent_is_another_if_its_file_or_one_that_it_imports_is_edited(tmp_pa
     (tmp_path / edited).write_text((tmp_path / edited).read_text() + "# edited\n")
     assert main(arguments) == 0
     assert ("resumes after" in capsys.readouterr().out) is (edited == "notes.py")
+
+
+@pytest.mark.parametrize(
+    ("source", "covers"),
+    [
+        ("try:\n    import beside\nexcept SyntaxError:\n    pass\n", True),
+        ("import importlib\nbeside = importlib.import_module('beside')\n", True),
+        ("try:\n    from .......... import beside\nexcept ImportError:\n    pass\n", False),
+    ],
+)
+def test_the_digest_of_a_file_bears_what_it_does_not_understand(tmp_path, source, covers):
+    file, beside = tmp_path / "own.py", tmp_path / "beside.py"
+    file.write_text(source)
+    beside.write_text("match x y")
+    (tmp_path / "folder.py").mkdir()
+    before = file_digest(f"{file}:Own")
+    beside.write_text("match y x")
+    assert (file_digest(f"{file}:Own") != before) is covers
 
 
 def test_an_agent_that_flies_many_at_once_is_asked_for_each_episode():
