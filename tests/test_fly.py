@@ -103,7 +103,7 @@ def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
         (["--agent", "hover", "--obstacles", "box=-9:-9:0:9:9:5"], "error: found room for 0 of 4"),
         (["--neighbors", "20000"], "--neighbors is 20000, but must be an integer of at least 0"),
         (["--drones", "200000"], "--drones is 200000, but must be an integer of at least 1"),
-        (["--layout", "circle", "--drones", "200"], "or a smaller spacing_m: --env"),
+        (["--layout", "circle", "--drones", "200"], "or a smaller spacing_m: CircleLayout"),
         (["--randomization", "mass=2"], "mass=2, but must be a range, mass=LOW:HIGH"),
         (["--video", "a.avi"], "--video is 'a.avi', but must end in .mp4 or .gif"),
         (["--trajectory", "a.csv"], "must end in .parquet or .npz"),

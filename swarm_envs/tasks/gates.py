@@ -147,8 +147,8 @@ class GatesTask(Task):
         if top > _CEILING:
             raise ValueError(
                 f"a column of {len(self.team)} drones with gaps up to {self.gap_m[1]} m reaches "
-                f"{top:.2f} m, but must stay below {_CEILING} m; use fewer drones or a smaller "
-                "gap_m (--env gap_m=0.2,0.2)"
+                f"{top:.2f} m, but must stay below {_CEILING} m; use fewer drones, smaller gap_m "
+                "or lower lowest_m (--env gap_m=LOW,HIGH lowest_m=LOW,HIGH)"
             )
         sides = (-_HALF_WIDTH, _HALF_WIDTH)
         posts = tuple(Column((x, y + side), _POST) for x, y in _GATES for side in sides)

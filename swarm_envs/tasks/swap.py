@@ -202,12 +202,12 @@ class SwapTask(Task):
             )
         top = ranges.lowest_m + ranges.gap_m[1] * (len(self.team) - 1)
         if top > ceiling:
+            gap = (ceiling - ranges.lowest_m) / (len(self.team) - 1)
             raise ValueError(
                 f"{len(self.team)} drones stacked from {ranges.lowest_m} m with gaps of up to "
-                f"{ranges.gap_m[1]} m reach {top:.2f} m, but must stay below "
-                f"{ceiling:.2f} m; use fewer drones, smaller gap_m or lowest_m: "
-                """--env "stacked={'gap_m': (0.13, 0.13), 'lowest_m': 0.4}", or in Python """
-                "stacked=StackedLayout(gap_m=..., lowest_m=...) of swarm_envs.tasks.swap"
+                f"{ranges.gap_m[1]} m reach {top:.2f} m, but must stay below {ceiling:.2f} m; use "
+                f"fewer drones, gaps up to {gap:.3f} m or a smaller lowest_m: StackedLayout, or "
+                "--env \"stacked={'gap_m': (LOW, HIGH), 'lowest_m': LOWEST}\""
             )
 
     def _check_circle(self) -> None:
@@ -216,9 +216,8 @@ class SwapTask(Task):
         if needed > most:
             raise ValueError(
                 f"{n} drones {self.circle.spacing_m} m apart need a circle of {needed:.2f} m, but "
-                f"the arena has room for {most:.2f} m; use fewer drones or a smaller spacing_m: "
-                """--env "circle={'spacing_m': 0.15}", or in Python """
-                "circle=CircleLayout(spacing_m=...) of swarm_envs.tasks.swap"
+                f"the arena has room for {most:.2f} m; use fewer drones or a "
+                "smaller spacing_m: CircleLayout, or --env \"circle={'spacing_m': SPACING}\""
             )
         touching = 2.0 * float(self.radius.max())
         if n > 1 and self.circle.spacing_m <= touching:

@@ -299,7 +299,7 @@ def test_options_have_names():
         ({"reward_weights": {"sucess": 1}}, "unknown reward term 'sucess'; did you mean 'success'"),
         ({"reward_weights": {"crash": np.nan}}, "'crash' is nan, but must be a finite number"),
         ({"reward_weights": 3}, "reward_weights is 3, but must be a Mapping"),
-        ({"team": "S" * 12, "layout": "stacked"}, r"12 drones stacked .* smaller gap_m or"),
+        ({"team": "S" * 12, "layout": "stacked"}, r"12 drones stacked .* gaps up to 0.149 m or"),
         ({"force_bounds_g": {"S": 0.0}}, r"force_bounds_g\['S'\] is 0.0, but must be positive"),
     ],
 )
