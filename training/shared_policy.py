@@ -209,9 +209,9 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             info, e = infos[place], place // drones
             info["TimeLimit.truncated"] = bool(cut.flat[place])
             info["terminal_observation"] = _row(shown, row)
+            info["is_success"] = e in metrics and metrics[e]["success"]
             if e in metrics:
                 info["episode_metrics"] = dict(metrics[e])
-                info["is_success"] = metrics[e]["success"]  # for SB3's rollout/success_rate
 
     def _seen(self, core: SwarmCore, places: list[int]) -> Any:
         """Return the observations of a core's drones with these indices."""
