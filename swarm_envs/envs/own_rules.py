@@ -21,6 +21,7 @@ from swarm_envs.errors import check_array, check_type, nearest
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import World
 from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.motion import write_own_goals
 from swarm_envs.tasks.rewards import REWARD_NAMES
 
 __all__ = ["apply_own_rules", "has_own_rules", "write_own_terms"]
@@ -119,7 +120,7 @@ def _send(task: Task, world: World, sent: BoolArray) -> None:
     drones["distance"][sent] = away[sent]
     drones["last_distance"][sent] = (away + covered)[sent]
     drones["arrival"][sent] = np.inf
-    if task.motion.rests:
+    if task.write_reference is write_own_goals:
         drones["reference_position"][sent] = drones["goal"][sent]
 
 

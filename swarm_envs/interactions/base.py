@@ -222,9 +222,9 @@ def load(name: str | Path | InteractionModel | ForceFunction) -> InteractionMode
         found = load_from_file(text)
         if callable(found):
             return _of_function(found, text)
-        if not isinstance(found, InteractionModel):
+        if not isinstance(found, InteractionModel | str | Path):
             raise ValueError(f"{text!r} is {found!r:.80}, but must be a function or a model")
-        return dataclasses.replace(found, name=text)
+        return dataclasses.replace(load(found), name=text)
     if text.lower().endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
     if Path(text).is_dir():

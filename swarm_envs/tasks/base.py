@@ -214,31 +214,47 @@ class _TaskFields:
 
 
 def _check_members(task: type) -> None:
-    """Raise an error if a member has almost the name of another, or a method other parameters."""
+    """Raise an error if a method has almost the name of a member, or other parameters."""
     for name, value in vars(task).items():
         if name in _PARAMETERS and inspect.isfunction(value):
             check_parameters(f"{name} of {task.__name__}", value, *_PARAMETERS[name])
-        new = not name.startswith("_") and not any(hasattr(base, name) for base in task.__bases__)
-        similar = get_close_matches(name, _MEMBERS, 1, _SIMILAR)
-        if new and similar:
-            raise TypeError(
-                f"{task.__name__} defines {name!r}, which is no member of a task; did you mean "
-                f"{similar[0]!r}? A member of its own needs a less similar name, such as '_{name}'"
-            )
+        if inspect.isroutine(value) or isinstance(value, property):
+            _check_name(task, name)
+
+
+def _check_name(task: type, name: str) -> None:
+    """Raise TypeError if an attribute has almost the name of a member."""
+    similar = get_close_matches(name, _MEMBERS, 1, _SIMILAR)
+    if similar and name not in _MEMBERS and not name.startswith("_"):
+        raise TypeError(
+            f"{task.__name__} defines {name!r}, which is no member of a task; did you mean "
+            f"{similar[0]!r}? A helper needs a less similar name, such as '_{name}'"
+        )
 
 
 def _check_options(task: Task) -> None:
-    """Raise ValueError if an option has another type than its annotation."""
+    """Raise ValueError if an option has another type than its annotation, and is no default."""
     for each in fields(task):
+        if not each.init or getattr(task, each.name) is each.default:
+            continue
         kind = str(getattr(each.type, "__name__", each.type))
-        value = getattr(task, each.name, None)
+        value = getattr(task, each.name)
         wrong_bool = kind != "bool" and isinstance(value, bool | np.bool_)
         if kind in _KINDS and (wrong_bool or not isinstance(value, _KINDS[kind])):
-            raise ValueError(f"{each.name} is {value!r:.80}, but must be of type {kind}")
+            hint = f"""; --env "{each.name}='{value}'" gives one""" if kind == "str" else ""
+            raise ValueError(f"{each.name} is {value!r:.80}, but must be of type {kind}{hint}")
 
 
 def check_rules(task: Task) -> None:
-    """Raise ValueError if a property of a custom task has a wrong type or value."""
+    """Check the attributes of a custom task that are no options.
+
+    Raises:
+        TypeError: one has almost the name of a member.
+        ValueError: one has a wrong type or value.
+    """
+    kind = type(task)
+    for name in vars(kind).keys() - {each.name for each in fields(task)}:
+        _check_name(kind, name)
     check_number("episode_s", task.episode_s, above=0.0, unit="s")
     check_integer("num_stages", task.num_stages, at_least=1)
     check_type("motion", task.motion, Motion)
@@ -289,7 +305,7 @@ class Task(_TaskFields, ABC):
         """Set `name` and `reward_names` if they are not given.
 
         Raises:
-            TypeError: an attribute has almost the name of a member.
+            TypeError: a method has almost the name of a member.
             ValueError: a method has other parameters than those of the member.
         """
         super().__init_subclass__(**options)
@@ -382,8 +398,9 @@ class Task(_TaskFields, ABC):
     @property
     def write_reference(self) -> Callable[[Records, Records, FloatArray, Records], None]:
         """The kernel that writes the references of all environments."""
-        follows = self.motion == Motion(REST) and inspect.isfunction(type(self).advance)
-        return WRITERS[OWN_GOALS if follows else self.motion.kind]
+        kind, stage_s = self.motion.kind, self.motion.stage_s
+        follows = kind == REST and stage_s == 0.0 and inspect.ismethod(self.advance)
+        return WRITERS[OWN_GOALS if follows else kind]
 
     @property
     def episode_s(self) -> float:

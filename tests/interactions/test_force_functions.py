@@ -118,7 +118,7 @@ def test_a_function_of_other_arguments_is_refused_before_it_is_called():
     BatchPhysics("LS", 1, many).step(np.zeros((1, 2, 4)))
 
 
-@pytest.mark.parametrize("given", ["3.0", "type('Force', (), {'__call__': wake})", "'wake'"])
+@pytest.mark.parametrize("given", ["3.0", "type('Force', (), {'__call__': wake})"])
 def test_what_is_no_force_is_refused(given, tmp_path):
     file = tmp_path / "force.py"
     file.write_text(f"def wake(self, position, velocity, types): ...\nforce = {given}\n")

@@ -347,8 +347,9 @@ def test_draw_may_return_lists():
 
 
 @pytest.mark.parametrize("base", [Plain, SwapTask])
-def test_references_at_rest_follow_the_goals_that_advance_sets(base):
-    task: Any = dataclass(frozen=True)(type("Own", (base,), {"advance": Endless.advance}))
+@pytest.mark.parametrize("wrap", [lambda rule: rule, lambda rule: classmethod(rule)])
+def test_references_at_rest_follow_the_goals_that_advance_sets(base, wrap):
+    task: Any = dataclass(frozen=True)(type("Own", (base,), {"advance": wrap(Endless.advance)}))
     env = swarm_envs.make(task, num_drones=3, interactions="none", physics="batch")
     env.reset(seed=0)
     view, before = env.view, env.view.goals.copy()
@@ -361,11 +362,13 @@ def test_references_at_rest_follow_the_goals_that_advance_sets(base):
 
 
 @pytest.mark.parametrize("command", ["fly", "evaluate --episodes 1 --workers 1"])
-def test_the_traceback_of_an_error_in_an_own_file_begins_in_it(command, tmp_path, capsys):
+@pytest.mark.parametrize("name", ["push", "main"])
+def test_the_traceback_of_an_error_in_an_own_file_begins_in_it(name, command, tmp_path, capsys):
     file = tmp_path / "push.py"
     file.write_text("def push(position, velocity, types):\n    return position / unknown\n")
+    (tmp_path / "main.py").write_text("from push import push\n")
     given = [*command.split(), "--agent", "straight-line", "--drones", "2"]
-    assert main([*given, "--interactions", f"{file}:push"]) == 1
+    assert main([*given, "--interactions", f"{tmp_path / name}.py:push"]) == 1
     shown = capsys.readouterr()
     assert shown.err.count('File "') == 1 and f'{file}", line 2, in push' in shown.err
     assert "NameError: name 'unknown' is not defined" in shown.err + shown.out
@@ -405,13 +408,29 @@ def test_an_own_subclass_has_its_own_name_and_ids():
 
 @pytest.mark.parametrize("name", ["succes", "reward_term", "default_weight", "score_name"])
 def test_misspelled_members_are_refused(name):
-    values: tuple[Any, ...] = (lambda self, world: None, 0.1)
+    values: tuple[Any, ...] = (lambda self, world: None, ())
     for value in values:
         with pytest.raises(TypeError, match=f"defines '{name}', which .* mean '{name}s'"):
-            type("Wrong", (Endless,), {name: value})
-    for own in ("_draw", "draws", "success_m", "layout", f"_{name}"):
-        for value in values:
-            type("Right", (Endless,), {own: value})
+            swarm_envs.make(dataclass(frozen=True)(type("Wrong", (Plain,), {name: value})))
+        for own in ("_draw", "draws", "layout", f"_{name}"):
+            swarm_envs.make(dataclass(frozen=True)(type("Right", (Plain,), {own: value}))).close()
+
+
+def test_options_may_have_any_name_and_be_computed_late():
+    @dataclass(frozen=True)
+    class Own(Plain):
+        advanced: bool = False
+        episodes: int = 3
+        middle: float = None  # type: ignore[assignment]
+        pairs: int = field(init=False)
+
+        def __post_init__(self):
+            super().__post_init__()
+            object.__setattr__(self, "pairs", len(self.team) // 2)
+
+    env = swarm_envs.make(Own, episodes=np.int64(4), advanced=np.bool_(True))
+    assert (env.core.task.episodes, env.core.task.pairs) == (4, 2)  # type: ignore[attr-defined]
+    env.close()
 
 
 def test_an_edited_task_is_flown_again(tmp_path, capsys):
