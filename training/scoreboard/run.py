@@ -141,7 +141,7 @@ def _fly(flying: Sequence[_Flying], scale: ScaleOptions) -> None:
     """Simulate the episodes, and fill the cells."""
     flown = fly_flights([(each.flight, each.file) for each in flying], scale)
     fastest: dict[str, dict[int, float]] = {}
-    traces = {}
+    traces = {}  # of agents in users' files
     for each, (episodes, error, trace) in zip(flying, flown, strict=True):
         cell, task = each.cell, each.task
         cell.failure = error
@@ -155,8 +155,7 @@ def _fly(flying: Sequence[_Flying], scale: ScaleOptions) -> None:
             row_of(task, cell.agent, k, episode, times.get(episode["seed"]))
             for k, episode in enumerate(episodes)
         ]
-    # Authors of custom agents need the tracebacks.
-    sys.stderr.write("".join(trace for name, trace in traces.items() if ":" in name))
+    sys.stderr.write("".join(traces.values()))
 
 
 def _about(tasks: Sequence[ScoredTask], loaded: Sequence[_Loaded], seed: int) -> dict[str, Any]:
