@@ -322,6 +322,7 @@ def test_options_of_a_wrong_type_are_refused(value, kind):
     [
         ("episode_s", "3", "episode_s is '3', but must be positive and finite, in s"),
         ("num_stages", 0, "num_stages is 0, but must be an integer of at least 1"),
+        ("num_stages", 2, "num_stages of own_v0 is 2, but stages change by time, and its motion"),
         ("motion", 3, "motion is 3, but must be a Motion"),
         ("score_names", "abc", "score_names is 'abc', but must be a tuple"),
         ("success", None, "success is None, but must be a Success or "),
