@@ -258,8 +258,10 @@ def check_rules(task: Task) -> None:
     check_number("episode_s", task.episode_s, above=0.0, unit="s")
     check_integer("num_stages", task.num_stages, at_least=1)
     check_type("motion", task.motion, Motion)
-    timeless = task.motion.stage_s == 0.0 and not isinstance(task.success, ByScore)
-    if task.num_stages > 1 and timeless:  # with ByScore, further goals are data for `advance`
+    own_goals = task.advance is not None and not inspect.ismethod(task.advance)  # for a kernel
+    if task.num_stages > 1 and not (
+        task.motion.stage_s > 0.0 or own_goals or isinstance(task.success, ByScore)
+    ):
         raise ValueError(
             f"num_stages of {task.name} is {task.num_stages}, but stages change by time, and its "
             "motion has none: give Motion(stage_s=...), or leave num_stages at 1 and let advance "
